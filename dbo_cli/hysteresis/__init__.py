@@ -1,0 +1,1 @@
+"""Mathematics of hysteresis: arrays in, arrays out; no files, no printing."""

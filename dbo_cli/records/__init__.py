@@ -1,0 +1,1 @@
+"""What is read and written back: logs, model files, states."""
