@@ -1,0 +1,122 @@
+"""The entry of the program: an outcome becomes an exit code, an exception becomes one line on stderr."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+
+from dbo_cli.errors import DboError
+
+INTERRUPTED = 130
+TERMINATED = 143
+
+
+class _Termination(BaseException):
+    """The process was asked to end; an exception, so that unfinished outputs are removed."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit code; nothing but ``SystemExit`` ever leaves this function.
+
+    Parameters
+    ----------
+    argv
+        The words after the program's name; those of the process where not given.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _dispatch(words)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _abandon_stdout()
+        return 0
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return INTERRUPTED
+    except _Termination:
+        _say("terminated")
+        return TERMINATED
+    except Exception as problem:
+        if "--debug" in words:
+            import traceback
+
+            traceback.print_exc()
+        return _tell(problem)
+    return code
+
+
+def run() -> None:
+    """Serve the console script: ``main`` as a process."""
+    if hasattr(signal, "SIGTERM"):
+        signal.signal(signal.SIGTERM, _on_termination)
+    sys.exit(main())
+
+
+def _dispatch(words: list[str]) -> int:
+    """Parse the command line and run the command it names."""
+    import typer
+
+    from dbo_cli.cli.commands import root_command
+
+    command = root_command()
+    try:
+        # Not command.main(): it words errors its own way and turns an interrupt into something else.
+        with command.make_context("dbo", words) as context:
+            command.invoke(context)
+    except typer.Exit as leaving:
+        return int(leaving.exit_code)
+    return 0
+
+
+def _tell(problem: Exception) -> int:
+    """Say in one line what went wrong and return the exit code that belongs to it."""
+    if isinstance(problem, DboError):
+        _say(f"error: {problem}")
+        return problem.exit_code
+    wording = getattr(problem, "format_message", None)
+    if wording is not None:  # the command-line library's own complaints, whatever their class is called
+        text = str(wording()).rstrip(".")
+        _say(f"error: {text[:1].lower()}{text[1:]}{_where_to_look(problem)}")
+        return int(getattr(problem, "exit_code", 2))
+    if isinstance(problem, OSError):
+        place = f"{problem.filename}: " if problem.filename else ""
+        _say(f"error: {place}{problem.strerror or problem}")
+        return 1
+    if isinstance(problem, MemoryError):
+        _say("error: out of memory (--rows A:B takes a part of a log)")
+        return 1
+    _say(
+        f"error: internal error: {type(problem).__name__}: {problem} (--debug shows where; please report it)"
+    )
+    return 1
+
+
+def _where_to_look(problem: Exception) -> str:
+    """Return the remedy for a wrong command line: where the options are listed."""
+    context = getattr(problem, "ctx", None)
+    return f" ({getattr(context, 'command_path', 'dbo')} --help lists what there is)"
+
+
+def _say(text: str) -> None:
+    """Print one line on stderr, whatever line breaks the text came with."""
+    try:
+        print("dbo: " + " ".join(text.split()), file=sys.stderr, flush=True)
+    except OSError:
+        pass  # stderr is gone: the exit code still says it
+
+
+def _abandon_stdout() -> None:
+    """Point stdout at nothing, so that the last flush does not complain about the closed pipe."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):
+        pass
+
+
+def _on_termination(signum: int, frame: FrameType | None) -> None:
+    """Answer the signal by an exception; a second one ends the process at once."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    raise _Termination

@@ -1,0 +1,133 @@
+"""Options that always come together, declared once and handed to a command as one value.
+
+A command function with a parameter ``reading`` or ``voice`` gets, in its place on the command line, all
+options of that bundle; the function itself sees one checked value.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dbo_cli.cli import options, values
+from dbo_cli.cli.messages import Voice
+from dbo_cli.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How logs are to be read, as far as the user had to say it."""
+
+    time: str | None
+    sample_rate: float | None
+    rows: str | None
+    skip_bad: bool
+    resample: float | None
+    file_format: str | None
+    delimiter: str | None
+    decimal: str | None
+    comment: str | None
+    header: int | None
+    skip_lines: int | None
+    block_rows: int
+
+
+FORMATS = ("csv", "tsv", "hdf5")
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " "}
+DECIMALS = {"point": ".", ".": ".", "comma": ",", ",": ","}
+
+READING: dict[str, tuple[Any, Any]] = {
+    "time": (options.Time, None),
+    "sample_rate": (options.SampleRate, None),
+    "rows": (options.Rows, None),
+    "skip_bad": (options.SkipBad, False),
+    "resample": (options.Resample, None),
+    "file_format": (options.FileFormat, None),
+    "delimiter": (options.Delimiter, None),
+    "decimal": (options.Decimal, None),
+    "comment": (options.Comment, None),
+    "header": (options.Header, None),
+    "skip_lines": (options.SkipLines, None),
+    "block_rows": (options.BlockRows, "65536"),
+}
+LOG_READING = READING | {"file_format": (options.LogFormat, None)}
+VOICE: dict[str, tuple[Any, Any]] = {
+    "quiet": (options.Quiet, False),
+    "verbose": (options.Verbose, False),
+    "debug": (options.Debug, False),
+}
+
+
+def reading_of(typed: Mapping[str, Any]) -> Reading:
+    """Check the reading options of one command line."""
+    delimiter = typed["delimiter"]
+    if delimiter is not None:
+        delimiter = DELIMITERS.get(delimiter, delimiter)
+        if len(delimiter) != 1:
+            names = ", ".join(DELIMITERS)
+            raise UsageError(f"--delimiter: '{delimiter}' is neither {names} nor a character")
+    decimal = values.optional(_decimal, "--decimal", typed["decimal"])
+    if decimal is not None and decimal == delimiter:
+        raise UsageError(f"--decimal and --delimiter are both '{decimal}'")
+    return Reading(
+        time=typed["time"],
+        sample_rate=values.optional(values.positive, "--sample-rate", typed["sample_rate"]),
+        rows=typed["rows"],
+        skip_bad=typed["skip_bad"],
+        resample=values.optional(values.positive, "--resample", typed["resample"]),
+        file_format=values.optional(_file_format, "--format", typed["file_format"]),
+        delimiter=delimiter,
+        decimal=decimal,
+        comment=typed["comment"],
+        header=values.optional(_count, "--header", typed["header"]),
+        skip_lines=values.optional(_count, "--skip-lines", typed["skip_lines"]),
+        block_rows=values.whole("--block-rows", typed["block_rows"], 1),
+    )
+
+
+def voice_of(typed: Mapping[str, Any]) -> Voice:
+    """Return the voice that was asked for (``--debug`` is heard by ``app.main`` itself)."""
+    return Voice(quiet=typed["quiet"], verbose=typed["verbose"])
+
+
+Bundle = tuple[dict[str, tuple[Any, Any]], Callable[[Mapping[str, Any]], Any]]
+BUNDLES: dict[str, Bundle] = {
+    "reading": (READING, reading_of),
+    "log_reading": (LOG_READING, reading_of),
+    "voice": (VOICE, voice_of),
+}
+
+
+def bundled(function: Callable[..., None]) -> Callable[..., None]:
+    """Replace each bundle in a command's signature by the options it stands for."""
+    own = inspect.signature(function, eval_str=True).parameters
+    parameters: dict[str, inspect.Parameter] = {}
+    for name, parameter in own.items():
+        declared, _ = BUNDLES.get(name, ({name: (parameter.annotation, parameter.default)}, None))
+        for option, (annotation, default) in declared.items():
+            parameters[option] = inspect.Parameter(
+                option, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default
+            )
+
+    @functools.wraps(function)
+    def command(**typed: Any) -> None:
+        function(**{name: BUNDLES[name][1](typed) if name in BUNDLES else typed[name] for name in own})
+
+    command.__dict__["__signature__"] = inspect.Signature(list(parameters.values()))
+    command.__annotations__ = {name: p.annotation for name, p in parameters.items()}
+    return command
+
+
+def _file_format(option: str, text: str) -> str:
+    return values.choice(option, text, FORMATS)
+
+
+def _decimal(option: str, text: str) -> str:
+    return DECIMALS[values.choice(option, text, tuple(DECIMALS))]
+
+
+def _count(option: str, text: str) -> int:
+    return values.whole(option, text, 0)

@@ -1,0 +1,73 @@
+"""What is said on stderr beside the data: notes, warnings, and how far a long run has come."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Voice:
+    """Speaks on stderr, as loudly as the user asked for.
+
+    ``quiet`` leaves only errors; ``verbose`` adds what was detected and assumed.
+    """
+
+    quiet: bool = False
+    verbose: bool = False
+
+    def note(self, text: str) -> None:
+        """Say something that is good to know."""
+        if not self.quiet:
+            self._line(text)
+
+    def notes(self, texts: Iterable[str]) -> None:
+        """Say several things, one line each."""
+        for text in texts:
+            self.note(text)
+
+    def detail(self, text: str) -> None:
+        """Say something that only a close look needs."""
+        if self.verbose and not self.quiet:
+            self._line(text)
+
+    def warning(self, text: str) -> None:
+        """Say something that may spoil the result."""
+        if not self.quiet:
+            self._line(f"warning: {text}")
+
+    def _line(self, text: str) -> None:
+        print("dbo: " + " ".join(text.split()), file=sys.stderr, flush=True)
+
+
+class RowCounter:
+    """Counts rows on a terminal while a long run goes on; silent elsewhere and in short runs.
+
+    The number of rows of a stream is not known beforehand, so it counts instead of drawing a bar.
+    """
+
+    PATIENCE = 1.0  # s before the first word, and between two
+    ERASE = "\r\x1b[K"
+
+    def __init__(self, voice: Voice, verb: str) -> None:
+        self.active = not voice.quiet and sys.stderr.isatty()
+        self.verb = verb
+        self.rows = 0
+        self.last = time.monotonic()
+        self.shown = False
+
+    def add(self, rows: int) -> None:
+        """Count the rows of one more block."""
+        self.rows += rows
+        if self.active and time.monotonic() - self.last > self.PATIENCE:
+            self.last = time.monotonic()
+            self.shown = True
+            print(f"{self.ERASE}dbo: {self.rows:,} rows {self.verb}", end="", file=sys.stderr, flush=True)
+
+    def clear(self) -> None:
+        """Take the line away, so that what is said next starts at the margin."""
+        if self.shown:
+            print(self.ERASE, end="", file=sys.stderr, flush=True)
+            self.shown = False
