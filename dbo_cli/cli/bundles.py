@@ -14,7 +14,6 @@ from typing import Any
 
 from dbo_cli.cli import options, values
 from dbo_cli.cli.messages import Voice
-from dbo_cli.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -30,14 +29,13 @@ class Reading:
     delimiter: str | None
     decimal: str | None
     comment: str | None
-    header: int | None
+    header_lines: int | None
     skip_lines: int | None
+    encoding: str | None
     block_rows: int
 
 
 FORMATS = ("csv", "tsv", "hdf5")
-DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " "}
-DECIMALS = {"point": ".", ".": ".", "comma": ",", ",": ","}
 
 READING: dict[str, tuple[Any, Any]] = {
     "time": (options.Time, None),
@@ -49,8 +47,9 @@ READING: dict[str, tuple[Any, Any]] = {
     "delimiter": (options.Delimiter, None),
     "decimal": (options.Decimal, None),
     "comment": (options.Comment, None),
-    "header": (options.Header, None),
+    "header_lines": (options.HeaderLines, None),
     "skip_lines": (options.SkipLines, None),
+    "encoding": (options.Encoding, None),
     "block_rows": (options.BlockRows, "65536"),
 }
 LOG_READING = READING | {"file_format": (options.LogFormat, None)}
@@ -63,15 +62,6 @@ VOICE: dict[str, tuple[Any, Any]] = {
 
 def reading_of(typed: Mapping[str, Any]) -> Reading:
     """Check the reading options of one command line."""
-    delimiter = typed["delimiter"]
-    if delimiter is not None:
-        delimiter = DELIMITERS.get(delimiter, delimiter)
-        if len(delimiter) != 1:
-            names = ", ".join(DELIMITERS)
-            raise UsageError(f"--delimiter: '{delimiter}' is neither {names} nor a character")
-    decimal = values.optional(_decimal, "--decimal", typed["decimal"])
-    if decimal is not None and decimal == delimiter:
-        raise UsageError(f"--decimal and --delimiter are both '{decimal}'")
     return Reading(
         time=typed["time"],
         sample_rate=values.optional(values.positive, "--sample-rate", typed["sample_rate"]),
@@ -79,11 +69,12 @@ def reading_of(typed: Mapping[str, Any]) -> Reading:
         skip_bad=typed["skip_bad"],
         resample=values.optional(values.positive, "--resample", typed["resample"]),
         file_format=values.optional(_file_format, "--format", typed["file_format"]),
-        delimiter=delimiter,
-        decimal=decimal,
+        delimiter=typed["delimiter"],
+        decimal=typed["decimal"],
         comment=typed["comment"],
-        header=values.optional(_count, "--header", typed["header"]),
+        header_lines=values.optional(_header_lines, "--header-lines", typed["header_lines"]),
         skip_lines=values.optional(_count, "--skip-lines", typed["skip_lines"]),
+        encoding=typed["encoding"],
         block_rows=values.whole("--block-rows", typed["block_rows"], 1),
     )
 
@@ -125,8 +116,8 @@ def _file_format(option: str, text: str) -> str:
     return values.choice(option, text, FORMATS)
 
 
-def _decimal(option: str, text: str) -> str:
-    return DECIMALS[values.choice(option, text, tuple(DECIMALS))]
+def _header_lines(option: str, text: str) -> int:
+    return int(values.choice(option, text, ("0", "1", "2")))
 
 
 def _count(option: str, text: str) -> int:

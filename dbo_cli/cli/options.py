@@ -85,16 +85,17 @@ FileFormat = Annotated[str | None, _reading("--format", "csv|tsv|hdf5", "Where n
 LogFormat = Annotated[str | None, _reading("--log-format", "csv|tsv|hdf5", "Where no file name tells.")]
 Delimiter = Annotated[
     str | None,
-    _reading(
-        "--delimiter",
-        "NAME",
-        "comma, semicolon, tab, blank or one character, where the guess is wrong.",
-    ),
+    _reading("--delimiter", "NAME", "comma, semicolon, tab, blanks, pipe or a character, if guessed wrong."),
 ]
-Decimal = Annotated[str | None, _reading("--decimal", "point|comma", "Where the guess is wrong.")]
-Comment = Annotated[str | None, _reading("--comment", "CHAR", "Lines to leave out start so (also # %).")]
-Header = Annotated[str | None, _reading("--header", "N", "Header lines, 0 for none, if guessed wrong.")]
+Decimal = Annotated[str | None, _reading("--decimal", "point|comma", "The decimal sign, if guessed wrong.")]
+Comment = Annotated[
+    str | None, _reading("--comment", "CHARS", "What comment lines start with, if not # or %.")
+]
+HeaderLines = Annotated[
+    str | None, _reading("--header-lines", "0|1|2", "None, names, or names and units, if guessed wrong.")
+]
 SkipLines = Annotated[str | None, _reading("--skip-lines", "N", "Lines to pass over before the header.")]
+Encoding = Annotated[str | None, _reading("--encoding", "NAME", "The text encoding, if not UTF-8.")]
 BlockRows = Annotated[
     str,
     _reading("--block-rows", "N", "Rows held at a time; changes no digit of a result."),

@@ -1,0 +1,96 @@
+# make demo    identify, compensate and report on the sample log; files and a picture are left in demo/
+# make test    ruff, mypy and pytest
+# make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
+# make fuzz    100,000 malformed inputs;  make bench    the figures of speed and memory;  make clean
+#
+# Needs python3 (3.11 or newer) and make; everything else is installed into .venv by the first call.
+# Another interpreter: make PYTHON=python3.12 demo. On Windows see README.md.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DBO := $(BIN)/dbo
+BENCH := $(BIN)/python sample_data/virtual_actuator.py
+KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
+
+.PHONY: help demo test paper fuzz bench clean
+.DELETE_ON_ERROR:
+
+help:
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,8p'
+
+# --- the environment ---
+
+$(VENV)/made:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "$(PYTHON) is missing or older than 3.11 (make PYTHON=python3.12 ... names another)"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { \
+	  echo "$(PYTHON) cannot make a virtual environment (on Debian and Ubuntu: apt install python3-venv)"; exit 1; }
+	@touch $@
+
+$(VENV)/installed: $(VENV)/made pyproject.toml $(KERNEL)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/installed-test: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	@touch $@
+
+# --- make demo: a log becomes a model, a trajectory becomes a drive, the bench is virtual ---
+
+LOG := sample_data/identification.csv
+TRAJECTORY := sample_data/trajectory.csv
+
+demo: demo/report.html
+	@echo
+	@cat demo/report.txt
+	@echo
+	@echo "demo/ holds the model, both drives, both measured logs, report.html and the pictures in figures/"
+
+demo/model.json: $(LOG) | $(VENV)/installed
+	@mkdir -p demo
+	$(DBO) identify $(LOG) -o $@
+
+demo/drive.csv: demo/model.json $(TRAJECTORY)
+	$(DBO) compensate demo/model.json $(TRAJECTORY) -o $@
+
+demo/straight_line_drive.csv: $(LOG) $(TRAJECTORY) sample_data/straight_line.py | $(VENV)/installed
+	@mkdir -p demo
+	$(BIN)/python sample_data/straight_line.py $(LOG) $(TRAJECTORY) -o $@
+
+demo/uncompensated.csv: demo/straight_line_drive.csv sample_data/virtual_actuator.py
+	$(BENCH) demo/straight_line_drive.csv --seed 1 -o $@
+
+demo/compensated.csv: demo/drive.csv sample_data/virtual_actuator.py
+	$(BENCH) demo/drive.csv --seed 2 -o $@
+
+demo/report.txt: demo/uncompensated.csv demo/compensated.csv
+	$(DBO) report demo/uncompensated.csv demo/compensated.csv -o $@
+
+demo/report.html: demo/uncompensated.csv demo/compensated.csv demo/report.txt
+	$(DBO) report demo/uncompensated.csv demo/compensated.csv --figures demo/figures -o $@
+
+# --- make test ---
+
+test: $(VENV)/installed-test
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q
+
+# --- the rest ---
+
+paper: $(VENV)/installed
+	@test -n "$(DATA)" || { echo "make paper DATA=FOLDER: the folder with the authors' recordings (README.md says where they are public)"; exit 2; }
+	$(BIN)/python benchmarks/paper.py "$(DATA)" paper
+
+fuzz: $(VENV)/installed-test
+	$(BIN)/python benchmarks/fuzz.py
+
+bench: $(VENV)/installed-test
+	@for script in benchmarks/*.py; do \
+	  case $$script in */fuzz.py|*/paper.py) continue;; esac; \
+	  echo "== $$script"; $(BIN)/python $$script || exit 1; \
+	done
+
+clean:
+	rm -rf demo paper build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

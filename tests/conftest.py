@@ -1,0 +1,61 @@
+"""What several test modules share: running the program in this process, and small models and logs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "sample_data"))
+
+SMALL_MODEL: dict[str, Any] = {
+    "format": "dbo-model",
+    "version": 1,
+    "direction": "forward",
+    "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 10.0},
+    "output": {"quantity": "displacement", "unit": "um", "min": 1.0, "max": 9.0},
+    "stages": [
+        {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [1.0, 2.0, 3.0, 4.0], "dy": [0.25, 0.75, 1.5, 2.5]},
+        {"type": "scale", "gain": 1.6, "offset": 1.0},
+    ],
+}
+
+
+class Outcome(NamedTuple):
+    """How one run of the program ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def dbo(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return a function that runs one command line inside an empty folder and returns its outcome."""
+    from dbo_cli.cli.app import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: object) -> Outcome:
+        code = main([str(word) for word in words])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture
+def model_file(tmp_path: Path) -> Path:
+    """Return a small, hand-made forward model in the working folder."""
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(SMALL_MODEL))
+    return path
+
+
+def folder_content(folder: Path) -> set[str]:
+    """Return the names of everything in a folder, so that litter is seen."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}

@@ -1,0 +1,92 @@
+"""The rooms of the package: imports point one way, and the command line loads what a command needs, no more."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parent.parent / "dbo_cli"
+ORDER = ["errors", "hysteresis", "records", "products", "cli"]
+MODULES = sorted(PACKAGE.rglob("*.py"))
+HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}
+COMMANDS = ["identify", "invert", "simulate", "compensate", "report", "excite"]
+
+
+def imported(path: Path) -> set[str]:
+    """Return the absolute names of all modules that a file imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names} | {str(node.module)}
+    return names
+
+
+def room(path: Path) -> str | None:
+    """Return the room that a file belongs to; None for the package's own two files."""
+    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return first if first in ORDER else None
+
+
+def test_every_file_has_a_room() -> None:
+    assert {path.name for path in MODULES if room(path) is None} == {"__init__.py", "__main__.py"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_one_way(path: Path) -> None:
+    own = room(path)
+    if own is None:
+        return
+    rooms = {name.split(".")[1] for name in imported(path) if name.startswith("dbo_cli.")}
+    above = set(ORDER[ORDER.index(own) + 1 :])
+    assert not rooms & above, f"{own} imports {sorted(rooms & above)}"
+
+
+def test_the_command_line_library_stays_in_its_room() -> None:
+    users = {
+        room(path) for path in MODULES if {name.split(".")[0] for name in imported(path)} & {"typer", "click"}
+    }
+    assert users == {"cli"}
+
+
+def test_only_the_shell_prints_and_exits() -> None:
+    for path in MODULES:
+        if room(path) == "cli":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                called = ast.unparse(node.func)
+                assert called not in {"print", "sys.exit", "exit", "quit"}, f"{path}:{node.lineno}: {called}"
+
+
+def test_modules_and_functions_stay_small() -> None:
+    for path in MODULES:
+        text = path.read_text(encoding="utf-8")
+        assert text.count("\n") <= 420, path
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef) and node.body:
+                last = node.body[-1].end_lineno
+                assert last is not None
+                documented = isinstance(node.body[0], ast.Expr) and isinstance(
+                    node.body[0].value, ast.Constant
+                )
+                first = node.body[min(1, len(node.body) - 1)] if documented else node.body[0]
+                assert last - first.lineno <= 45, f"{path}:{node.lineno}: {node.name}"
+
+
+@pytest.mark.parametrize(
+    "words", [["--version"], ["--help"], *([name, "--help"] for name in COMMANDS)], ids=" ".join
+)
+def test_asking_for_help_loads_nothing_heavy(words: list[str]) -> None:
+    script = (
+        "import sys; from dbo_cli.cli.app import main; code = main(sys.argv[1:]);"
+        f"print(code, sorted(set({sorted(HEAVY)!r}) & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
+    assert done.stderr == "0 []\n"
