@@ -1,0 +1,159 @@
+/* dbo_kernel.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
+ * only lengths are, so that no mistake there can read or write beyond a buffer. */
+#define Py_LIMITED_API 0x030b0000
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include "dbo_kernel.h"
+
+#define NUMBERS(view) ((size_t)(view).len / sizeof(double))
+
+static int too_short(const char *what) {
+    PyErr_Format(PyExc_ValueError, "kernel buffer of the wrong length: %s", what);
+    return 1;
+}
+
+/* The operator and its state out of buffers; 0 with an error set where their lengths do not match. */
+static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears,
+                    const Py_buffer *words) {
+    op->gears = gears->buf;
+    op->n = (size_t)gears->len / sizeof(dbo_gear);
+    state->words = words->buf;
+    if (op->n == 0) return !too_short("gears");
+    if ((size_t)words->len / sizeof(uint64_t) < dbo_backlash_words(op->n)) return !too_short("words");
+    return 1;
+}
+
+static PyObject *backlash_run(PyObject *module, PyObject *args) {
+    Py_buffer gears, words, gain, memory, x, y, decay, step;
+    dbo_backlash op;
+    dbo_backlash_state state;
+    dbo_limits limits;
+    dbo_counts counts = {0, 0, 0, 0};
+    int limited, ready = 0;
+    size_t count, rows;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*ddpy*dpw*w*dy*w*y*pdddy*", &gears, &op.x0, &op.y0, &op.extend, &gain,
+                          &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
+                          &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
+        return NULL;
+    count = NUMBERS(x);
+    op.terms = NUMBERS(gain);
+    op.gain = gain.buf;
+    state.memory = memory.buf;
+    rows = op.terms ? NUMBERS(decay) / op.terms : 1;
+    limits.step = NUMBERS(step) ? step.buf : NULL;
+    limits.step_stride = NUMBERS(step) > 1;
+    if (!assemble(&op, &state, &gears, &words)) goto done;
+    if (NUMBERS(y) != count && too_short("y")) goto done;
+    if (NUMBERS(memory) != op.terms && too_short("memory")) goto done;
+    if (rows != 1 && rows != count && too_short("decay")) goto done;
+    if (NUMBERS(step) > 1 && NUMBERS(step) != count && too_short("step")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_backlash_load(&op, &state);
+    dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
+                     limited ? &limits : NULL, &counts);
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&gears);
+    PyBuffer_Release(&words);
+    PyBuffer_Release(&gain);
+    PyBuffer_Release(&memory);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&y);
+    PyBuffer_Release(&decay);
+    PyBuffer_Release(&step);
+    if (!ready) return NULL;
+    return Py_BuildValue("(nnnn)", (Py_ssize_t)counts.outside, (Py_ssize_t)counts.first_outside,
+                         (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
+}
+
+static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
+    Py_buffer gears, words, x, rows, base;
+    dbo_backlash op = {0};
+    dbo_backlash_state state;
+    int cumulative, ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*dpw*y*w*w*p", &gears, &op.x0, &op.extend, &words, &x, &rows, &base,
+                          &cumulative))
+        return NULL;
+    if (!assemble(&op, &state, &gears, &words)) goto done;
+    if (NUMBERS(rows) != NUMBERS(x) * op.n && too_short("rows")) goto done;
+    if (NUMBERS(base) != op.n && too_short("base")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_backlash_load(&op, &state);
+    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, base.buf, NUMBERS(x), cumulative);
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&gears);
+    PyBuffer_Release(&words);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&rows);
+    PyBuffer_Release(&base);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *memory_run(PyObject *module, PyObject *args) {
+    Py_buffer memory, x, rows, decay;
+    double reference;
+    int ready = 0;
+    size_t terms, count, given;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "dw*y*w*y*", &reference, &memory, &x, &rows, &decay)) return NULL;
+    terms = NUMBERS(memory);
+    count = NUMBERS(x);
+    given = terms ? NUMBERS(decay) / terms : 1;
+    if (NUMBERS(rows) != count * terms && too_short("rows")) goto done;
+    if (given != 1 && given != count && too_short("decay")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_memory_run(terms, reference, memory.buf, x.buf, rows.buf, count, decay.buf,
+                   given == 1 ? 0 : terms);
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&memory);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&rows);
+    PyBuffer_Release(&decay);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *point_run(PyObject *module, PyObject *args) {
+    Py_buffer segments, x, y;
+    double x0, y0;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*ddy*w*", &segments, &x0, &y0, &x, &y)) return NULL;
+    if ((size_t)segments.len < sizeof(dbo_segment) && too_short("segments")) goto done;
+    if (NUMBERS(y) != NUMBERS(x) && too_short("y")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_point_run(segments.buf, (size_t)segments.len / sizeof(dbo_segment), x0, y0, x.buf, y.buf,
+                  NUMBERS(x));
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&segments);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&y);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyMethodDef methods[] = {
+    {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
+    {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
+    {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
+    {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},
+    {NULL, NULL, 0, NULL}};
+
+static PyModuleDef_Slot slots[] = {{0, NULL}};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, "_kernel", "The compiled recursions; see kernel.py.", 0, methods, slots,
+    NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__kernel(void) { return PyModuleDef_Init(&definition); }

@@ -1,0 +1,107 @@
+/* The recursions of the Discrete Backlash Operator and the Discrete Point Operator.
+ *
+ * C99, no allocation, no library calls: the fast path of the Python package and, unchanged, firmware.
+ * Source: Y. N. Aye and W. T. Ang, "A Discrete Backlash Operator for Identification and Compensation
+ * of Hysteresis and Non-linearity for Piezoelectric Actuator" (2018); (1) to (18) are its equations.
+ *
+ * The caller keeps every array. Widths of one axis must be whole multiples of one power of two small
+ * enough for their sum to be exact (the package rounds them so, by at most 2^-53 of the sum); then
+ * X_B and Y_B, kept up to date by adding and subtracting, equal (2)-(3) exactly and for ever.
+ * Compile without floating-point contraction and without fast-math; IEEE 754 float64 is assumed.
+ */
+#ifndef DBO_KERNEL_H
+#define DBO_KERNEL_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* One gear: a column of (10), its slope dy/dx, and the fraction of it that counts as crossed. */
+typedef struct {
+    double dx;
+    double dy;
+    double slope;
+    double keep;
+} dbo_gear;
+
+/* A backlash operator: never written to. Without relaxation terms = 0 and gain may be NULL. */
+typedef struct {
+    const dbo_gear *gears;
+    size_t n;
+    double x0;
+    double y0;
+    int extend;           /* outside the range: 1 goes on with the slope of gear n-1, 0 holds Y_B */
+    size_t terms;         /* relaxation terms L_j beside the gears */
+    const double *gain;   /* c_j, one per term */
+    double reference;     /* the value of the remembered axis at which nothing is remembered */
+    int memory_on_output; /* 0: L_j follows the input (forward); 1: it follows the output (inverse) */
+} dbo_backlash;
+
+/* The state. Fill `words` (bit i of the state is bit i%64 of word i/64) and `memory`, then call
+ * dbo_backlash_load; the other members follow from the bits. `words` has dbo_backlash_words(n) entries,
+ * of which the first (n+63)/64 are the state and the rest an index that the kernel keeps. */
+typedef struct {
+    uint64_t *words;
+    double *memory; /* L_j, one per term */
+    double last;    /* the output before, for the slew limit; NaN where there is none */
+    size_t set;     /* S (4) */
+    size_t zero;    /* Z (5) */
+    double x;       /* X_B - X_0 (2) */
+    double y;       /* Y_B - Y_0 (3) */
+} dbo_backlash_state;
+
+/* Limits on the output; where they bind, the state is that of the operator with exchanged axes driven
+ * by the clipped output. Not for memory on the input. */
+typedef struct {
+    double low;
+    double high;
+    double slack;       /* a sample counts as clipped when clipping moved it by more than this */
+    const double *step; /* largest change since the sample before; NULL: no such limit */
+    size_t step_stride; /* 0: one number for all samples, 1: one for each */
+} dbo_limits;
+
+/* What was unusual; add to it over as many runs as you like. Indices are relative to the run. */
+typedef struct {
+    size_t outside;
+    size_t first_outside;
+    size_t clipped;
+    size_t first_clipped;
+} dbo_counts;
+
+/* One segment of a point operator: its start relative to (X_0, Y_0), (13)-(14), and its slope. */
+typedef struct {
+    double x;
+    double y;
+    double slope;
+} dbo_segment;
+
+size_t dbo_backlash_words(size_t n);
+
+void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
+
+/* One input, one output. `decay` has one factor exp(-dt/tau_j) per term (all zero: at rest at this
+ * sample); `limits` may be NULL. */
+double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
+                         const double *decay, const dbo_limits *limits, dbo_counts *counts);
+
+/* `count` inputs; row k of `decay` begins at decay + k*decay_stride (stride 0: the same for all). */
+void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
+                      size_t count, const double *decay, size_t decay_stride,
+                      const dbo_limits *limits, dbo_counts *counts);
+
+/* Rows phi with Y_B part of the output = sum phi_i dy_i, or, cumulative, rows psi with
+ * psi_j = sum over i >= j of dx_i phi_i. `rows` is count x n, `base` is scratch for n numbers. */
+void dbo_backlash_engagement(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
+                             double *rows, double *base, size_t count, int cumulative);
+
+/* L_j after each sample, rows of `terms` numbers: L = a L + (1 - a)(x - reference). */
+void dbo_memory_run(size_t terms, double reference, double *memory, const double *x, double *rows,
+                    size_t count, const double *decay, size_t decay_stride);
+
+/* (13)-(16); `segment` is C, the segment found last, any valid one to begin with. */
+double dbo_point_step(const dbo_segment *segments, size_t m, double x0, double y0, size_t *segment,
+                      double x);
+
+void dbo_point_run(const dbo_segment *segments, size_t m, double x0, double y0, const double *x,
+                   double *y, size_t count);
+
+#endif

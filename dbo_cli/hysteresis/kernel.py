@@ -1,0 +1,397 @@
+"""The recursions of the paper in readable Python, and the choice between them and the compiled kernel.
+
+The functions here and those of the extension ``_kernel`` (``dbo_kernel.c``) have the same arguments and
+give the same bits: every floating-point operation is written in the same order in both. The compiled
+kernel is taken where it was built; ``DBO_KERNEL=python`` in the environment chooses the Python twin,
+``DBO_KERNEL=compiled`` insists on the other.
+
+Equation numbers are those of Aye and Ang (2018). Gears are rows ``(dx, dy, slope, keep)``: the two widths
+of (10), dy/dx, and the fraction of the gear at which it counts as crossed.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import UsageError
+
+Floats = NDArray[np.float64]
+Words = NDArray[np.uint64]
+
+WORD = 64
+
+
+def state_words(n: int) -> int:
+    """Return how many 64-bit words hold the bits of n gears."""
+    return (n + WORD - 1) // WORD
+
+
+def buffer_words(n: int) -> int:
+    """Return how many 64-bit words the kernel needs for n gears: the bits and its index of them."""
+    return state_words(n) + 2 * state_words(state_words(n))
+
+
+def find_first_one(bits: int, n: int) -> int:
+    """Return S, the index of the least significant one bit (4), or n where all bits are zero."""
+    return (bits & -bits).bit_length() - 1 if bits else n
+
+
+def find_first_zero(bits: int) -> int:
+    """Return Z, the index of the least significant zero bit (5); n where all n bits are one."""
+    return (~bits & (bits + 1)).bit_length() - 1
+
+
+class _Walk:
+    """The state on its way through a block: bits, S, Z, and X_B, Y_B relative to X_0, Y_0 (1)-(5)."""
+
+    def __init__(self, gears: Floats, words: Words) -> None:
+        self.gears: list[tuple[float, float, float, float]] = [tuple(row) for row in gears.tolist()]
+        self.n = len(self.gears)
+        self.words = words
+        self.bits = int.from_bytes(words[: state_words(self.n)].tobytes(), "little")
+        self.x = 0.0
+        self.y = 0.0
+        for i in range(self.n):
+            if self.bits >> i & 1:
+                self.x += self.gears[i][0]
+                self.y += self.gears[i][1]
+        self.set = find_first_one(self.bits, self.n)
+        self.zero = find_first_zero(self.bits)
+
+    def move_up(self) -> None:
+        """Go to the upper neighbour: set b_Z (6)-(7)."""
+        self.x += self.gears[self.zero][0]
+        self.y += self.gears[self.zero][1]
+        self.bits |= 1 << self.zero
+        self.set = 0
+        self.zero = find_first_zero(self.bits)
+
+    def move_down(self) -> None:
+        """Go to the lower neighbour: clear b_S (8)-(9)."""
+        self.x -= self.gears[self.set][0]
+        self.y -= self.gears[self.set][1]
+        self.bits &= ~(1 << self.set)
+        self.zero = 0
+        self.set = find_first_one(self.bits, self.n)
+
+    def finish(self) -> None:
+        """Write the bits back into the caller's words."""
+        size = 8 * state_words(self.n)
+        self.words[: size // 8] = np.frombuffer(self.bits.to_bytes(size, "little"), dtype="<u8")
+
+
+class _Counts:
+    """How many samples lay outside or were clipped, and the first of each."""
+
+    def __init__(self) -> None:
+        self.outside = self.first_outside = self.clipped = self.first_clipped = 0
+
+    def note(self, index: int, outside: bool, clipped: bool) -> None:
+        """Count sample ``index``."""
+        if outside:
+            self.first_outside = self.first_outside if self.outside else index
+            self.outside += 1
+        if clipped:
+            self.first_clipped = self.first_clipped if self.clipped else index
+            self.clipped += 1
+
+    def as_tuple(self) -> tuple[int, int, int, int]:
+        """Return (outside, first_outside, clipped, first_clipped)."""
+        return self.outside, self.first_outside, self.clipped, self.first_clipped
+
+
+def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool) -> tuple[float, bool]:
+    """Carry out steps 1 to 4 for the relative input u; return the relative output and "outside".
+
+    Gears are taken with the input widths ``dx + kappa dy``, and none is crossed that would leave
+    [low, high] on the output. Only one direction is taken for one sample, so that it always ends. A
+    sample that crosses a gear by the tolerance falls short of the new X_B and keeps that gear's own
+    slope: an operator and its inverse then see the same fraction of the same gear, and decide alike.
+    """
+    d = u - (walk.x + kappa * walk.y)
+    rising = d >= 0.0
+    last = walk.n
+    while (gear := walk.zero if rising else walk.set) < walk.n:
+        dx, dy, _, keep = walk.gears[gear]
+        travelled, room = (d, high - walk.y) if rising else (-d, walk.y - low)
+        if not (travelled >= (dx + kappa * dy) * keep and room >= dy * keep):
+            break
+        last = gear
+        if rising:
+            walk.move_up()
+        else:
+            walk.move_down()
+        d = u - (walk.x + kappa * walk.y)
+    if last < walk.n and (d < 0.0 if rising else d > 0.0):
+        gear = last
+    dx, dy, _, keep = walk.gears[min(gear, walk.n - 1)]
+    width = dx + kappa * dy
+    if gear < walk.n:
+        return walk.y + d * (dy / width), False
+    outside = (d if rising else -d) >= width * (1.0 - keep)
+    return walk.y + d * (dy / width) if extend else walk.y, outside
+
+
+def _follow_output(walk: _Walk, y: float, rising: bool) -> None:
+    """Drive the operator with exchanged axes one way, to the relative output y."""
+    while (gear := walk.zero if rising else walk.set) < walk.n:
+        _, dy, _, keep = walk.gears[gear]
+        if not (y - walk.y if rising else walk.y - y) >= dy * keep:
+            break
+        if rising:
+            walk.move_up()
+        else:
+            walk.move_down()
+
+
+def _solve_within(
+    walk: _Walk, u: float, kappa: float, y0: float, low: float, high: float, extend: bool
+) -> tuple[float, float, bool]:
+    """Return the output within [low, high], by how much it was clipped, and "outside".
+
+    The state becomes that of the operator with exchanged axes driven by the clipped output.
+    """
+    low_part, high_part = low - y0, high - y0
+    rising = u - (walk.x + kappa * walk.y) >= 0.0
+    if high_part < walk.y if rising else low_part > walk.y:  # the limits lie on the other side
+        _follow_output(walk, high_part if rising else low_part, not rising)
+        return high if rising else low, math.inf, False
+    rest, outside = _solve(walk, u, kappa, low_part, high_part, extend)
+    y = y0 + rest
+    if y > high:
+        if not rising:
+            _follow_output(walk, high_part, False)
+        return high, y - high, outside
+    if y < low:
+        if rising:
+            _follow_output(walk, low_part, True)
+        return low, low - y, outside
+    return y, -1.0, outside
+
+
+def _decay_rows(decay: Floats, terms: int, count: int) -> Iterator[list[float]]:
+    """Yield the decay factors of each sample; one row serves all of them."""
+    rows = decay.reshape(-1, terms).tolist() if terms else [[]]
+    for k in range(count):
+        yield rows[k] if len(rows) > 1 else rows[0]
+
+
+def _window(low: float, high: float, step: float | None, last: float) -> tuple[float, float]:
+    """Return the output limits of one sample; the range wins over the slew limit."""
+    if step is None or math.isnan(last):
+        return low, high
+    return min(max(last - step, low), high), max(min(last + step, high), low)
+
+
+def backlash_run(
+    gears: Floats,
+    x0: float,
+    y0: float,
+    extend: bool,
+    gain: Floats,
+    reference: float,
+    memory_on_output: bool,
+    words: Words,
+    memory: Floats,
+    last: float,
+    x: Floats,
+    y: Floats,
+    decay: Floats,
+    limited: bool,
+    low: float,
+    high: float,
+    slack: float,
+    step: Floats,
+) -> tuple[int, int, int, int]:
+    """Fill ``y`` by (1)-(12) from ``x``; ``words`` and ``memory`` become the state after the block.
+
+    Relaxation terms L_j = a_j L_j + (1 - a_j)(z - reference) follow z, the input or the output; a_j is
+    ``decay`` and the share of the output they make up is sum gain_j L_j. On the output they are solved
+    for together with the gears: their part kappa = sum gain_j (1 - a_j) of the present output widens
+    every gear from dx to dx + kappa dy, and the rest is known. Returns the counts of ``dbo_counts``.
+    """
+    walk = _Walk(gears, words)
+    counts = _Counts()
+    weights: list[float] = gain.tolist()
+    held: list[float] = memory.tolist()
+    steps: list[float | None] = [None] if not step.size else step.tolist()
+    after = len(weights) > 0 and not memory_on_output
+    rows = _decay_rows(decay, len(weights), x.size)
+    for k, (value, a) in enumerate(zip(x.tolist(), rows, strict=True)):
+        kappa = remembered = 0.0
+        u = value - x0
+        if after:
+            for j, c in enumerate(weights):
+                held[j] = a[j] * held[j] + (1.0 - a[j]) * (value - reference)
+                remembered += c * held[j]
+        elif weights:
+            for j, c in enumerate(weights):
+                remembered += c * (a[j] * held[j])
+                kappa += c * (1.0 - a[j])
+            u = (u - remembered) - kappa * (y0 - reference)
+        excess = -1.0
+        if limited:
+            least, most = _window(low, high, steps[k if len(steps) > 1 else 0], last)
+            last, excess, outside = _solve_within(walk, u, kappa, y0, least, most, extend)
+        else:
+            rest, outside = _solve(walk, u, kappa, -math.inf, math.inf, extend)
+            last = y0 + (rest + remembered) if after else y0 + rest
+        y[k] = last
+        counts.note(k, outside, excess > slack)
+        if weights and not after:
+            for j in range(len(weights)):
+                held[j] = a[j] * held[j] + (1.0 - a[j]) * (last - reference)
+    walk.finish()
+    memory[:] = held
+    return counts.as_tuple()
+
+
+def _engage(walk: _Walk, u: float, shift: Callable[[int, float], None]) -> tuple[int, float]:
+    """Take steps 1 to 4 for u, telling ``shift`` each crossing; return the engaged gear and u - X_B."""
+    d = u - walk.x
+    rising = d >= 0.0
+    last = walk.n
+    while (gear := walk.zero if rising else walk.set) < walk.n:
+        dx, _, _, keep = walk.gears[gear]
+        if not (d if rising else -d) >= dx * keep:
+            break
+        last = gear
+        if rising:
+            walk.move_up()
+        else:
+            walk.move_down()
+        shift(gear, 1.0 if rising else -1.0)
+        d = u - walk.x
+    return (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear), d
+
+
+def backlash_engagement(
+    gears: Floats,
+    x0: float,
+    extend: bool,
+    words: Words,
+    x: Floats,
+    rows: Floats,
+    base: Floats,
+    cumulative: bool,
+) -> None:
+    """Fill ``rows`` (samples × n) with the part of every gear that is in the output.
+
+    Row k is phi with y - y0 = sum phi_i dy_i (before any relaxation), or, cumulative, psi with
+    psi_j = sum over i >= j of dx_i phi_i, so that y - y0 = sum psi_j (slope_j - slope_{j-1}).
+    """
+    walk = _Walk(gears, words)
+    n = walk.n
+
+    def shift(gear: int, sign: float) -> None:
+        if cumulative:
+            base[: gear + 1] += sign * walk.gears[gear][0]
+        else:
+            base[gear] += sign
+
+    base[:] = 0.0
+    for i in range(n):
+        if walk.bits >> i & 1:
+            shift(i, 1.0)
+    for row, value in zip(rows.reshape(-1, n), x.tolist(), strict=True):
+        gear, d = _engage(walk, value - x0, shift)
+        row[:] = base
+        if gear == n and not extend:
+            continue
+        gear = min(gear, n - 1)
+        if cumulative:
+            row[: gear + 1] += d
+        else:
+            row[gear] += d / walk.gears[gear][0]
+    walk.finish()
+
+
+def memory_run(reference: float, memory: Floats, x: Floats, rows: Floats, decay: Floats) -> None:
+    """Fill ``rows`` (samples × terms) with L_j after each sample; ``memory`` becomes the last row."""
+    held: list[float] = memory.tolist()
+    terms = len(held)
+    table = rows.reshape(-1, terms) if terms else rows
+    for k, (value, a) in enumerate(zip(x.tolist(), _decay_rows(decay, terms, x.size), strict=True)):
+        for j in range(terms):
+            held[j] = a[j] * held[j] + (1.0 - a[j]) * (value - reference)
+        if terms:
+            table[k] = held
+    memory[:] = held
+
+
+def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> None:
+    """Fill ``y`` by (13)-(16); rows of ``segments`` are (X_C - X_0, Y_C - Y_0, slope).
+
+    The paper leaves a breakpoint to the segment found last; here it always begins the upper one, so that
+    the last bit of the output does not depend on the past. The end segments extend.
+    """
+    u = x - x0
+    c = np.searchsorted(segments[1:, 0], u, side="right")
+    start, height, slope = segments[c].T
+    y[:] = y0 + (height + slope * (u - start))
+
+
+class Kernel(Protocol):
+    """What both kernels offer; this module and the extension fulfil it."""
+
+    def backlash_run(self, *arguments: Any) -> tuple[int, int, int, int]:
+        """Equations (1)-(12) over a block."""
+
+    def backlash_engagement(self, *arguments: Any) -> None:
+        """Return the part of every gear in every sample."""
+
+    def memory_run(self, *arguments: Any) -> None:
+        """Relaxation terms over a block."""
+
+    def point_run(self, *arguments: Any) -> None:
+        """Equations (13)-(16) over a block."""
+
+
+def compiled_kernel() -> ModuleType | None:
+    """Return the extension, or None where it was not built at installation."""
+    try:
+        from dbo_cli.hysteresis import _kernel  # type: ignore[attr-defined,unused-ignore]
+    except ImportError:
+        return None
+    module: ModuleType = _kernel
+    return module
+
+
+class PythonKernel:
+    """The functions of this module as a kernel."""
+
+    backlash_run = staticmethod(backlash_run)
+    backlash_engagement = staticmethod(backlash_engagement)
+    memory_run = staticmethod(memory_run)
+    point_run = staticmethod(point_run)
+
+
+def choose(wish: str) -> tuple[str, Any]:
+    """Return the kind and the kernel for ``wish``, the value of DBO_KERNEL.
+
+    Raises
+    ------
+    UsageError
+        ``wish`` names no kernel, or the compiled one where it was not built.
+    """
+    if wish not in {"", "python", "compiled"}:
+        raise UsageError(f"environment DBO_KERNEL: no kernel is called {wish!r} (use python or compiled)")
+    compiled = None if wish == "python" else compiled_kernel()
+    if compiled is not None:
+        return "compiled", compiled
+    if wish == "compiled":
+        raise UsageError(
+            "environment DBO_KERNEL: the compiled kernel was not built at installation"
+            " (install again where a C compiler is, or unset DBO_KERNEL)"
+        )
+    return "python", PythonKernel
+
+
+KIND, CHOSEN = choose(os.environ.get("DBO_KERNEL", ""))

@@ -1,0 +1,394 @@
+"""The Discrete Backlash Operator, the Discrete Point Operator, their states and their inverses.
+
+Operators are values: they hold no state and are never changed. A state goes in and a new one comes out,
+and the output does not depend, to the last bit, on how a signal is cut into blocks.
+
+Source: Y. N. Aye and W. T. Ang (2018), "A Discrete Backlash Operator for Identification and Compensation of
+Hysteresis and Non-linearity for Piezoelectric Actuator"; equation numbers are the paper's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.gears import checked_pair, gear_table, on_binary_grid
+from dbo_cli.hysteresis.relaxation import Relaxation
+
+__all__ = [
+    "BacklashState",
+    "Counts",
+    "DiscreteBacklashOperator",
+    "DiscretePointOperator",
+    "OutputLimits",
+    "Relaxation",
+]
+
+Floats = NDArray[np.float64]
+Axis = Literal["input", "output"]
+Outside = Literal["extend", "hold", "error"]
+
+
+@dataclass(frozen=True)
+class BacklashState:
+    """The state of a backlash operator: the number B of (1), and what relaxation remembers.
+
+    Attributes
+    ----------
+    bits : int
+        B = b_{n-1} … b_0.
+    memory : tuple of float, or None
+        L_j, one for each relaxation term; None: at rest at the sample to come.
+    """
+
+    bits: int
+    memory: tuple[float, ...] | None = None
+
+    def to_json_dict(self) -> dict[str, object]:
+        """Return the state as plain JSON values; ``bits`` is hexadecimal."""
+        return {"bits": f"{self.bits:x}", "memory": None if self.memory is None else list(self.memory)}
+
+
+@dataclass(frozen=True)
+class OutputLimits:
+    """Limits on the output of an inverse operator, the drive voltage.
+
+    Attributes
+    ----------
+    low, high : float
+        The range of the output; it wins over the slew limit.
+    step : float, array, or None
+        Largest change of the output since the sample before, one number or one for each sample.
+    slack : float
+        A sample counts as clipped when clipping moved it by more than this.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    step: float | Floats | None = None
+    slack: float = 0.0
+
+
+class Counts(NamedTuple):
+    """How many samples lay outside the range or were clipped, and the index of the first of each."""
+
+    outside: int = 0
+    first_outside: int = 0
+    clipped: int = 0
+    first_clipped: int = 0
+
+    def __add__(self, other: object) -> Counts:
+        """Return the counts of two blocks, ``other`` being the later, with its indices already shifted."""
+        if not isinstance(other, Counts):
+            return NotImplemented
+        return Counts(
+            self.outside + other.outside,
+            self.first_outside if self.outside else other.first_outside,
+            self.clipped + other.clipped,
+            self.first_clipped if self.clipped else other.first_clipped,
+        )
+
+    def shifted(self, samples: int) -> Counts:
+        """Return the counts of a block that begins ``samples`` later."""
+        return self._replace(
+            first_outside=self.first_outside + samples, first_clipped=self.first_clipped + samples
+        )
+
+
+class DiscreteBacklashOperator:
+    """The Discrete Backlash Operator of n gears, (1)-(12), with relaxation beside the gears.
+
+    Parameters
+    ----------
+    dx, dy : array_like
+        Widths ΔX_i and ΔY_i of (10), > 0, gear 0 first.
+    x0, y0 : float
+        X_0 and Y_0, the coordinates of B = 0.
+    relaxation : Relaxation, optional
+        Lag and creep; they follow the voltage.
+    memory_on : {"input", "output"}
+        Which of the two signals is the voltage: the input of a forward operator, the output of an inverse.
+
+    Raises
+    ------
+    ModelError
+        Lengths differ, a width is not > 0, or too narrow beside the others; the message begins with the key.
+
+    Notes
+    -----
+    Outside [X_0, X_0 + Σ ΔX_i] the paper says nothing. ``extend`` goes on with the slope of gear n - 1, the
+    last one engaged on the way there; ``hold`` keeps Y_B.
+
+    A gear counts as crossed when all but 1e-9 of it is travelled (see ``gears.gear_table``).
+    """
+
+    def __init__(
+        self,
+        dx: ArrayLike,
+        dy: ArrayLike,
+        x0: float = 0.0,
+        y0: float = 0.0,
+        relaxation: Relaxation | None = None,
+        memory_on: Axis = "input",
+    ) -> None:
+        self.dx, self.dy = checked_pair(dx, dy, x0, y0)
+        self.x0, self.y0 = float(x0), float(y0)
+        self.relaxation, self.memory_on = relaxation, memory_on
+        self.n = self.dx.size
+        self.gears = self._gears()
+        self._width, self._height = (math.fsum(self.gears[:, axis].tolist()) for axis in (0, 1))
+
+    def __repr__(self) -> str:
+        """Return a short description for debugging."""
+        return f"{type(self).__name__}(n={self.n}, x_range={self.x_range}, y_range={self.y_range})"
+
+    def _gears(self) -> Floats:
+        """Return the kernel's rows (dx, dy, slope, keep), on the binary grid."""
+        dx, dy = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
+        width, height = math.fsum(dx.tolist()), math.fsum(dy.tolist())
+        scale_x = max(abs(self.x0), abs(self.x0 + width), width)
+        scale_y = max(abs(self.y0), abs(self.y0 + height), height)
+        if self.relaxation is not None:
+            drive = scale_x if self.memory_on == "input" else scale_y
+            remembered = math.fsum(self.relaxation.gain) * (drive + abs(self.relaxation.reference))
+            if self.memory_on == "input":
+                scale_y += remembered
+            else:
+                scale_x += remembered
+        return gear_table(dx, dy, scale_x, scale_y)
+
+    def _at_rest(self, voltage: float) -> float:
+        """Return what the relaxation terms add up to after a long rest at ``voltage``."""
+        if self.relaxation is None:
+            return 0.0
+        return math.fsum(self.relaxation.gain) * (voltage - self.relaxation.reference)
+
+    @property
+    def x_range(self) -> tuple[float, float]:
+        """The input at B = 0 and at B = 2^n - 1, after a rest."""
+        low, high = self.x0, self.x0 + self._width
+        if self.memory_on == "input":
+            return low, high
+        return low + self._at_rest(self.y0), high + self._at_rest(self.y0 + self._height)
+
+    @property
+    def y_range(self) -> tuple[float, float]:
+        """The output at B = 0 and at B = 2^n - 1, after a rest."""
+        low, high = self.y0, self.y0 + self._height
+        if self.memory_on == "output":
+            return low, high
+        return low + self._at_rest(self.x0), high + self._at_rest(self.x0 + self._width)
+
+    def inverse(self) -> DiscreteBacklashOperator:
+        """Return the inverse (17)-(18): ΔX and ΔY exchanged in every gear, and the origins."""
+        other: Axis = "output" if self.memory_on == "input" else "input"
+        return DiscreteBacklashOperator(self.dy, self.dx, self.y0, self.x0, self.relaxation, other)
+
+    def empty(self) -> BacklashState:
+        """Return B = 0: the actuator has been at or below its lower end."""
+        return BacklashState(0)
+
+    def full(self) -> BacklashState:
+        """Return B = 2^n - 1: the actuator has been at or above its upper end."""
+        return BacklashState((1 << self.n) - 1)
+
+    def settled(self, voltage: float) -> BacklashState:
+        """Return the state after an oscillation that decays from the whole range to ``voltage``.
+
+        The oscillation turns at ``voltage + r (upper - voltage)`` and ``voltage - r (voltage - lower)``,
+        r falling from 1 to 0 arbitrarily slowly; the first turn is the upper one. The gears then stop
+        flipping from the highest to the lowest, and gear k stops where r is too small for its upper end
+        (it stays 0) or for its lower end (it stays 1), whichever comes first. A tie, as with even gears
+        halfway, stays 1; a tolerance decides that, not rounding.
+        """
+        axis = 0 if self.memory_on == "input" else 1
+        widths: list[float] = self.gears[:, axis].tolist()
+        span = self._width if axis == 0 else self._height
+        target = float(voltage) - (self.x0 if axis == 0 else self.y0)
+        if target <= 0.0:
+            return self.empty()
+        if target >= span:
+            return self.full()
+        tolerance = 1e-9 * span * span
+        bits, low, high = 0, 0.0, span
+        for k in range(self.n - 1, -1, -1):
+            if (target - low) * (span - target) >= (high - target) * target - tolerance:
+                bits |= 1 << k
+                low += widths[k]
+            else:
+                high -= widths[k]
+        return BacklashState(bits)
+
+    def coordinates(self, state: BacklashState) -> tuple[float, float]:
+        """Return X_B and Y_B, (2)-(3)."""
+        chosen = [i for i in range(self.n) if state.bits >> i & 1]
+        return (
+            self.x0 + math.fsum(self.gears[chosen, 0].tolist()),
+            self.y0 + math.fsum(self.gears[chosen, 1].tolist()),
+        )
+
+    def _words(self, state: BacklashState) -> NDArray[np.uint64]:
+        """Return the kernel's buffer with the state's bits in it."""
+        if state.bits < 0 or state.bits >> self.n:
+            raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
+        words = np.zeros(kernel.buffer_words(self.n), dtype=np.uint64)
+        size = kernel.state_words(self.n)
+        words[:size] = np.frombuffer(state.bits.to_bytes(8 * size, "little"), dtype="<u8")
+        return words
+
+    def _bits(self, words: NDArray[np.uint64]) -> int:
+        """Return B out of the kernel's buffer."""
+        return int.from_bytes(words[: kernel.state_words(self.n)].astype("<u8").tobytes(), "little")
+
+    def run(
+        self,
+        x: ArrayLike,
+        state: BacklashState,
+        *,
+        decay: Floats | None = None,
+        outside: Outside = "extend",
+        limits: OutputLimits | None = None,
+        last: float | None = None,
+    ) -> tuple[Floats, BacklashState, Counts]:
+        """Return the output of (1)-(12), the state after it, and what was unusual.
+
+        Parameters
+        ----------
+        x : array_like
+            One block of the input.
+        state : BacklashState
+            The state before it.
+        decay : array, optional
+            ``Relaxation.decay`` of the time steps: one row, or one for each sample. Needed with relaxation.
+        outside : {"extend", "hold", "error"}
+            ``error`` computes what ``extend`` does; the caller refuses by the counts.
+        limits : OutputLimits, optional
+            Clip the output; the state is then that of the inverse of this operator driven by the clipped
+            output. Not for an operator whose memory follows its input.
+        last : float, optional
+            The output before this block, for the slew limit.
+
+        Raises
+        ------
+        ModelError
+            The state is not of this operator, or ``decay`` is missing.
+        """
+        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        y = np.empty_like(signal)
+        words = self._words(state)
+        gain = np.array(self.relaxation.gain if self.relaxation else (), dtype=np.float64)
+        reference = self.relaxation.reference if self.relaxation else 0.0
+        if limits is not None and self.relaxation is not None and self.memory_on == "input":
+            raise ModelError("limits on the output of an operator whose memory follows its input")
+        bound = limits or OutputLimits()
+        memory = np.array(state.memory or [0.0] * gain.size, dtype=np.float64)
+        if memory.size != gain.size:
+            raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {gain.size}")
+        counts, before = Counts(), math.nan if last is None else last
+        for begin, end, factors, steps in self._spans(signal.size, state, decay, bound.step):
+            found = kernel.CHOSEN.backlash_run(
+                self.gears, self.x0, self.y0, outside != "hold", gain, reference, self.memory_on == "output",
+                words, memory, before, signal[begin:end], y[begin:end], factors,
+                limits is not None, bound.low, bound.high, bound.slack, steps,
+            )  # fmt: skip
+            counts = counts + Counts(*found).shifted(begin)
+            before = float(y[end - 1])
+        if signal.size == 0:
+            return y, state, counts
+        held = tuple(memory.tolist()) if gain.size else state.memory
+        return y, BacklashState(self._bits(words), held), counts
+
+    def _spans(
+        self, count: int, state: BacklashState, decay: Floats | None, step: float | Floats | None
+    ) -> list[tuple[int, int, Floats, Floats]]:
+        """Return (begin, end, decay, step) of the kernel's calls: a sample at rest is one of its own."""
+        steps = np.array([], dtype=np.float64) if step is None else np.array(step, np.float64).reshape(-1)
+        cuts = [0, count] if count else [0]
+        if self.relaxation is None:
+            return [(0, count, np.array([], dtype=np.float64), steps)][: len(cuts) - 1]
+        terms = len(self.relaxation.tau)
+        rest = np.zeros((1, terms))
+        if state.memory is None and count:
+            cuts = [0, 1, count] if count > 1 else [0, 1]
+        spans = []
+        for begin, end in pairwise(cuts):
+            factors = decay
+            if state.memory is None and begin == 0:
+                factors = rest
+            elif factors is None:
+                raise ModelError("relaxation needs the time between samples (--sample-rate)")
+            if len(factors) not in (1, end - begin):
+                factors = factors[begin:end]
+            own = steps[begin:end] if steps.size > 1 else steps
+            spans.append((begin, end, np.ascontiguousarray(factors), np.ascontiguousarray(own)))
+        return spans
+
+    def engagement(
+        self, x: ArrayLike, state: BacklashState, *, cumulative: bool = False, outside: Outside = "extend"
+    ) -> tuple[Floats, BacklashState]:
+        """Return the part of every gear that is in the output of every sample, and the state after.
+
+        The rows phi (len(x) × n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for an open one, a
+        fraction for the engaged one, so that heights are linear unknowns of the output. With ``cumulative``
+        the rows are psi_j = sum over i >= j of dx_i phi_i, and y - y0 = psi @ (increments of dy/dx from gear
+        to gear, the first from 0). Relaxation is not in them (see ``Relaxation.lags``).
+        """
+        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        words = self._words(state)
+        rows, base = np.empty((signal.size, self.n)), np.empty(self.n)
+        kernel.CHOSEN.backlash_engagement(
+            self.gears, self.x0, outside != "hold", words, signal, rows, base, cumulative
+        )
+        return rows, BacklashState(self._bits(words), state.memory)
+
+
+class DiscretePointOperator:
+    """The Discrete Point Operator of m segments, (13)-(16): memory-free, increasing, piecewise linear.
+
+    Parameters
+    ----------
+    dx, dy : array_like
+        ΔX_i and ΔY_i of (15), > 0, lowest segment first.
+    x0, y0 : float
+        X_0 and Y_0, where the first segment begins. The end segments extend beyond the range.
+
+    Raises
+    ------
+    ModelError
+        Lengths differ or a width is not > 0; the message begins with the key.
+    """
+
+    def __init__(self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0) -> None:
+        self.dx, self.dy = checked_pair(dx, dy, x0, y0)
+        self.x0, self.y0 = float(x0), float(y0)
+        self.m = self.dx.size
+        widths, heights = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
+        starts = [np.concatenate([[0.0], np.cumsum(axis)]) for axis in (widths, heights)]
+        self.x_range = (self.x0, self.x0 + float(starts[0][-1]))
+        self.y_range = (self.y0, self.y0 + float(starts[1][-1]))
+        self.segments: Floats = np.ascontiguousarray(
+            np.column_stack([starts[0][:-1], starts[1][:-1], heights / widths])
+        )
+        self.segments.flags.writeable = False
+
+    def __repr__(self) -> str:
+        """Return a short description for debugging."""
+        return f"{type(self).__name__}(m={self.m}, x_range={self.x_range}, y_range={self.y_range})"
+
+    def inverse(self) -> DiscretePointOperator:
+        """Return the inverse (17)-(18): ΔX and ΔY exchanged in every segment, and the origins."""
+        return DiscretePointOperator(self.dy, self.dx, self.y0, self.x0)
+
+    def run(self, x: ArrayLike) -> Floats:
+        """Return the output of (13)-(16) for one block of the input."""
+        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        y = np.empty_like(signal)
+        kernel.CHOSEN.point_run(self.segments, self.x0, self.y0, signal, y)
+        return y
