@@ -1,0 +1,129 @@
+"""Signals written row by row: delimited text (also gzipped) or HDF5, to a file or to standard output."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import IO, Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dbo_cli.errors import UsageError
+from dbo_cli.records.addresses import Address, parse_address
+from dbo_cli.records.numbers import rows_as_text
+from dbo_cli.records.outputs import check_output, replacing, standard_output
+
+
+@dataclass(frozen=True)
+class OutColumn:
+    """A column to be written: a header of its own, or else the quantity with its unit (``voltage_V``)."""
+
+    quantity: str
+    unit: str | None = None
+    name: str | None = None
+
+    @property
+    def header(self) -> str:
+        """The header cell: ``name`` where given, else quantity and unit."""
+        if self.name is not None:
+            return self.name
+        return f"{self.quantity}_{self.unit}" if self.unit else self.quantity
+
+
+class SignalWriter(Protocol):
+    """Takes rows as one array a column."""
+
+    def write(self, *arrays: ArrayLike) -> None:
+        """Append rows."""
+
+
+class TextWriter:
+    """Appends rows of delimited text to a binary stream."""
+
+    def __init__(self, stream: IO[bytes], columns: Sequence[OutColumn], delimiter: str, flush: bool) -> None:
+        self._stream = stream
+        self._delimiter = delimiter
+        self._flush = flush
+        stream.write((delimiter.join(_cell(column.header, delimiter) for column in columns) + "\n").encode())
+        if flush:
+            stream.flush()
+
+    def write(self, *arrays: ArrayLike) -> None:
+        """Append rows, one float64 array a column; flushed at once where that was asked for."""
+        columns = [np.asarray(array, dtype=np.float64) for array in arrays]
+        if len(columns[0]):
+            self._stream.write(rows_as_text(columns, self._delimiter))
+        if self._flush:
+            self._stream.flush()
+
+
+def _cell(text: str, delimiter: str) -> str:
+    if delimiter in text or '"' in text or "\n" in text or text[:1] in ("#", "%"):
+        return '"' + text.replace('"', '""').replace("\n", " ") + '"'
+    return text
+
+
+@contextlib.contextmanager
+def signal_writer(
+    address: str,
+    columns: Sequence[OutColumn],
+    *,
+    format: str | None = None,
+    attributes: Mapping[str, str | float] | None = None,
+    flush: bool = False,
+    protect: Sequence[str] = (),
+) -> Iterator[SignalWriter]:
+    """Open an output for signals; it appears when the block is left without an error, and not otherwise.
+
+    Parameters
+    ----------
+    address
+        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard output.
+    columns
+        What the columns are called.
+    format
+        ``csv``, ``tsv`` or ``hdf5``, where the name does not tell.
+    attributes
+        What an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``); text
+        has no place for it.
+    flush
+        Hand every write on at once.
+    protect
+        The command's inputs, which must not be overwritten.
+
+    Raises
+    ------
+    UsageError
+        The output is an input, or HDF5 is to go down a pipe.
+    OutputError
+        It cannot be written.
+    """
+    target = parse_address(address, format)
+    check_output(address, protect)
+    if target.kind == "hdf5":
+        raise UsageError("HDF5 is not written yet")
+    with _text_stream(target) as stream:
+        yield TextWriter(stream, columns, _delimiter(target, format), flush)
+
+
+def _delimiter(target: Address, format: str | None) -> str:
+    tabs = format == "tsv" or (format is None and target.path.lower().removesuffix(".gz").endswith(".tsv"))
+    return "\t" if tabs else ","
+
+
+@contextlib.contextmanager
+def _text_stream(target: Address) -> Iterator[IO[bytes]]:
+    if target.is_stream:
+        with standard_output() as stream:
+            yield stream
+        return
+    with replacing(target.path) as path, open(path, "wb", buffering=1 << 20) as file:
+        if not target.compressed:
+            yield file
+            return
+        # no name and no time in the gzip header: the same signal gives the same bytes
+        with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
+            yield cast(IO[bytes], cast(Any, packed))
