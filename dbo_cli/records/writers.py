@@ -13,24 +13,25 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import UsageError
 from dbo_cli.records.addresses import Address, parse_address
+from dbo_cli.records.columns import is_known_unit, split_header
 from dbo_cli.records.numbers import rows_as_text
 from dbo_cli.records.outputs import check_output, replacing, standard_output
 
 
 @dataclass(frozen=True)
 class OutColumn:
-    """A column to be written: a header of its own, or else the quantity with its unit (``voltage_V``)."""
+    """A column to be written: name, unit, and what it measures (told by HDF5 alone; the name by default)."""
 
-    quantity: str
+    name: str
     unit: str | None = None
-    name: str | None = None
+    quantity: str | None = None
 
     @property
     def header(self) -> str:
-        """The header cell: ``name`` where given, else quantity and unit."""
-        if self.name is not None:
+        """The header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
+        if not self.unit or split_header(self.name)[1] == self.unit:
             return self.name
-        return f"{self.quantity}_{self.unit}" if self.unit else self.quantity
+        return f"{self.name}_{self.unit}" if is_known_unit(self.unit) else f"{self.name} ({self.unit})"
 
 
 class SignalWriter(Protocol):
