@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.gears import checked_pair, gear_table, on_binary_grid
+from dbo_cli.hysteresis.gears import CROSSING_TOLERANCE, checked_pair, gear_table, on_binary_grid
 from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
@@ -202,24 +202,24 @@ class DiscreteBacklashOperator:
     def settled(self, voltage: float) -> BacklashState:
         """Return the state after an oscillation that decays from the whole range to ``voltage``.
 
-        The oscillation turns at ``voltage + r (upper - voltage)`` and ``voltage - r (voltage - lower)``,
-        r falling from 1 to 0 arbitrarily slowly; the first turn is the upper one. The gears then stop
-        flipping from the highest to the lowest, and gear k stops where r is too small for its upper end
-        (it stays 0) or for its lower end (it stays 1), whichever comes first. A tie, as with even gears
-        halfway, stays 1; a tolerance decides that, not rounding.
+        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at the ends of the range;
+        A falls arbitrarily slowly to 0 and the first turn is the upper one. The gears stop flipping from
+        the highest to the lowest. With the gears up to k spanning [low, high], gear k stops when A no longer
+        reaches high (it stays 0) or low (it stays 1), whichever comes first: the end that is farther from
+        ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance decides that, not rounding.
+        Close to an end the state passes over into ``empty`` or ``full``.
         """
         axis = 0 if self.memory_on == "input" else 1
-        widths: list[float] = self.gears[:, axis].tolist()
         span = self._width if axis == 0 else self._height
         target = float(voltage) - (self.x0 if axis == 0 else self.y0)
         if target <= 0.0:
             return self.empty()
         if target >= span:
             return self.full()
-        tolerance = 1e-9 * span * span
         bits, low, high = 0, 0.0, span
+        widths: list[float] = self.gears[:, axis].tolist()
         for k in range(self.n - 1, -1, -1):
-            if (target - low) * (span - target) >= (high - target) * target - tolerance:
+            if target - low >= high - target - CROSSING_TOLERANCE * span:
                 bits |= 1 << k
                 low += widths[k]
             else:

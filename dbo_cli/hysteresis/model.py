@@ -1,0 +1,378 @@
+"""The model of an actuator: a cascade of stages, its inverse, its states, simulation and compensation.
+
+displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K and Y0 a scale stage. A
+delay stands last, on the output. The inverse (17)-(18) inverts every stage and reverses their order; started
+in the same state, model and inverse compose to the identity, to rounding.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    Counts,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    OutputLimits,
+    Outside,
+)
+from dbo_cli.hysteresis.relaxation import Relaxation
+from dbo_cli.hysteresis.stages import DelayStage, ScaleStage, Stage
+from dbo_cli.hysteresis.starts import StartName, start_drive, start_state
+from dbo_cli.hysteresis.states import DriveLimits, ModelState, OutsideError, Quantity, Simulated
+
+__all__ = [
+    "ActuatorModel",
+    "BacklashStage",
+    "DelayStage",
+    "DriveLimits",
+    "ModelState",
+    "OutsideError",
+    "PointStage",
+    "Quantity",
+    "Relaxation",
+    "ScaleStage",
+    "Simulated",
+    "Stage",
+    "slow_output_range",
+]
+
+Floats = NDArray[np.float64]
+Direction = Literal["forward", "inverse"]
+BacklashStage = DiscreteBacklashOperator
+PointStage = DiscretePointOperator
+
+NEGLIGIBLE = 1e-9
+"""Clipping, and missing a first value, count from this fraction of the range on."""
+
+
+@dataclass(frozen=True)
+class ActuatorModel:
+    """A cascade of stages from voltage to displacement (forward) or back (inverse).
+
+    Parameters
+    ----------
+    direction : {"forward", "inverse"}
+        Forward: the backlash stage first, then points and scales, a delay at most once and last.
+        Inverse: the mirror image.
+    input, output : Quantity
+        What goes in and comes out; the output's range is what the model reaches slowly.
+    stages : tuple of Stage
+        The cascade, in the order a signal passes it.
+    fit, provenance : mapping
+        Figures of the identification and where the model comes from; carried along.
+
+    Raises
+    ------
+    ModelError
+        The cascade is not of that form; the message begins with the key.
+    """
+
+    direction: Direction
+    input: Quantity
+    output: Quantity
+    stages: tuple[Stage, ...]
+    fit: Mapping[str, object] = field(default_factory=dict)
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the order of the stages."""
+        forward = self.direction == "forward"
+        ordered = self.stages if forward else self.stages[::-1]
+        places = range(len(ordered)) if forward else range(len(ordered) - 1, -1, -1)
+        end = "first" if forward else "last"
+        if not ordered or not isinstance(ordered[0], DiscreteBacklashOperator):
+            raise ModelError(f"stages: a backlash stage must come {end} in the {self.direction} direction")
+        axis = "input" if forward else "output"
+        if ordered[0].relaxation is not None and ordered[0].memory_on != axis:
+            raise ModelError(f"stages[{places[0]}].relaxation.on: must be {axis!r} in this direction")
+        for place, stage in list(zip(places, ordered, strict=True))[1:]:
+            if isinstance(stage, DiscreteBacklashOperator):
+                raise ModelError(f"stages[{place}]: only one backlash stage is possible")
+            if isinstance(stage, DelayStage):
+                if place != places[-1]:
+                    raise ModelError(f"stages[{place}]: a delay stands {'last' if forward else 'first'}")
+                if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
+                    raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
+
+    def require(self, direction: Direction, place: str = "the model") -> None:
+        """Raise ModelError, with the remedy, where the model is of the other direction."""
+        if self.direction != direction:
+            raise ModelError(
+                f"{place}: is {'an' if self.direction == 'inverse' else 'a'} {self.direction} model where"
+                f" {'an' if direction == 'inverse' else 'a'} {direction} one is needed (dbo invert turns it)"
+            )
+
+    def inverse(self) -> ActuatorModel:
+        """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
+        return ActuatorModel(
+            "inverse" if self.direction == "forward" else "forward",
+            self.output,
+            self.input,
+            tuple(stage.inverse() for stage in reversed(self.stages)),
+            self.fit,
+            self.provenance,
+        )
+
+    @cached_property
+    def backlash(self) -> DiscreteBacklashOperator:
+        """The backlash stage as it stands in this model."""
+        stage = self.stages[0 if self.direction == "forward" else -1]
+        assert isinstance(stage, DiscreteBacklashOperator)
+        return stage
+
+    @cached_property
+    def forward_backlash(self) -> DiscreteBacklashOperator:
+        """The backlash stage from voltage to displacement, whatever the direction of the model."""
+        return self.backlash if self.direction == "forward" else self.backlash.inverse()
+
+    @cached_property
+    def _memory_free(self) -> tuple[DiscretePointOperator | ScaleStage, ...]:
+        return tuple(s for s in self.stages if isinstance(s, DiscretePointOperator | ScaleStage))
+
+    @cached_property
+    def _delay(self) -> DelayStage | None:
+        return next((stage for stage in self.stages if isinstance(stage, DelayStage)), None)
+
+    @property
+    def delay_seconds(self) -> float:
+        """Seconds by which the output lags; an inverse model must read its input that far ahead."""
+        return abs(self._delay.seconds) if self._delay else 0.0
+
+    @property
+    def needs_time(self) -> bool:
+        """Whether the time between samples matters."""
+        return self.backlash.relaxation is not None or (
+            self.direction == "forward" and self.delay_seconds > 0.0
+        )
+
+    @cached_property
+    def digest(self) -> str:
+        """A name for everything a state refers to: equal for a model and its inverse."""
+        gears = self.forward_backlash
+        parts: dict[str, object] = {
+            "dx": gears.dx.tolist(), "dy": gears.dy.tolist(), "x0": gears.x0, "y0": gears.y0,
+            "relaxation": dataclasses.asdict(gears.relaxation) if gears.relaxation else None,
+            "delay": self.delay_seconds,
+        }  # fmt: skip
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+    def _before_backlash(self, x: ArrayLike) -> Floats:
+        """Return what reaches the backlash stage of this model."""
+        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        return _through(self._memory_free, signal) if self.direction == "inverse" else signal
+
+    def start(
+        self,
+        first_input: float,
+        state: StartName | ModelState = "auto",
+        limits: DriveLimits | None = None,
+    ) -> ModelState:
+        """Return the state before the first sample.
+
+        For an inverse model ``auto`` and ``settled`` ask for the voltage (within ``limits``) whose own start
+        leads to the first displacement, so that the forward model, driven by the output, starts alike.
+        """
+        if isinstance(state, ModelState):
+            return state
+        value = float(self._before_backlash([first_input])[0])
+        operator = self.forward_backlash
+        if self.direction == "forward" or state in {"empty", "full"}:
+            return ModelState(start_state(operator, value, state))
+        start_state(operator, value, state)  # refuses a name that is none
+        bounds = (limits.v_min, limits.v_max) if limits else (-math.inf, math.inf)
+        first = start_drive(operator, value, *bounds)
+        return ModelState(first.state, first=first)
+
+    def simulate(
+        self,
+        x: ArrayLike,
+        state: ModelState,
+        *,
+        time_step: float | ArrayLike | None = None,
+        outside: Outside = "extend",
+        limits: DriveLimits | None = None,
+    ) -> Simulated:
+        """Return the output for one block; cut a signal as you like, the bits stay the same.
+
+        Parameters
+        ----------
+        x : array_like
+            The input. An inverse model with a delay gets it read ahead (``waveforms.read_ahead``).
+        state : ModelState
+            From ``start``, or from the block before.
+        time_step : float or array_like, optional
+            Seconds since the sample before, one number or one for each; that of the very first sample does
+            not matter. Needed with relaxation, a delay or a slew limit.
+        outside : {"extend", "hold", "error"}
+            Beyond the range: go on with the last slope, hold, or raise OutsideError.
+        limits : DriveLimits, optional
+            Of an inverse model: clip the voltage; the state is that of the forward model it drives.
+
+        Raises
+        ------
+        ModelError
+            The time between samples is needed and not given.
+        OutsideError
+            ``outside`` is ``error`` and a sample is outside.
+        """
+        if limits is not None:
+            self.require("inverse")
+        signal = self._before_backlash(x)
+        steps = self._steps(time_step, signal.size, state, limits)
+        y, after, counts, missed = self._backlash_block(signal, state, steps, outside, limits)
+        if outside == "error" and counts.outside:
+            low, high = self.backlash.x_range
+            raise OutsideError(counts.first_outside, float(signal[counts.first_outside]), low, high)
+        if self.direction == "forward":
+            if signal.size:
+                after = dataclasses.replace(after, drive=float(signal[-1]))
+            y = _through(self._memory_free, y)
+            if self._delay and self._delay.seconds > 0.0 and steps is not None:
+                y, history = self._delay.lag(y, steps, state.history)
+                after = dataclasses.replace(after, history=history)
+        return Simulated(y, after, *counts, missed)
+
+    def _steps(
+        self,
+        time_step: float | ArrayLike | None,
+        count: int,
+        state: ModelState,
+        limits: DriveLimits | None,
+    ) -> float | Floats | None:
+        """Return the time steps, checked; that of a first sample is set to 0."""
+        if time_step is None:
+            if self.needs_time or (limits is not None and limits.max_slew is not None):
+                raise ModelError("this needs the time between samples (a time column, or --sample-rate)")
+            return None
+        if np.ndim(time_step) == 0:
+            return float(np.asarray(time_step))
+        steps = np.array(time_step, dtype=np.float64)
+        if steps.shape != (count,):
+            raise ModelError(f"{steps.size} time steps for {count} samples")
+        if count and state.drive is None and (state.history is None):
+            steps[0] = 0.0
+        return steps
+
+    def _backlash_block(
+        self,
+        signal: Floats,
+        state: ModelState,
+        steps: float | Floats | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+    ) -> tuple[Floats, ModelState, Counts, float]:
+        """Return the backlash stage's block, the state after, the counts, and the first value missed."""
+        if signal.size == 0:
+            return signal, state, Counts(), 0.0
+        if state.first is not None:
+            return self._first_block(signal, state, steps, outside, limits)
+        stage = self.backlash
+        relaxation = stage.relaxation
+        y, backlash, counts = stage.run(
+            signal,
+            state.backlash,
+            decay=relaxation.decay(steps) if relaxation and steps is not None else None,
+            outside=outside,
+            limits=_output_limits(limits, steps),
+            last=state.drive,
+        )
+        return y, ModelState(backlash, float(y[-1]), state.history), counts, 0.0
+
+    def _first_block(
+        self,
+        signal: Floats,
+        state: ModelState,
+        steps: float | Floats | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+    ) -> tuple[Floats, ModelState, Counts, float]:
+        """As ``_backlash_block``, for the block that begins with a voltage found by ``start``."""
+        assert state.first is not None
+        first = state.first
+        _, backlash, _ = self.forward_backlash.run([first.voltage], state.backlash)
+        _, _, unbound = self.backlash.run(signal[:1], state.backlash)
+        missed = float(signal[0]) - first.reached
+        short = abs(missed) > NEGLIGIBLE * (self.backlash.x_range[1] - self.backlash.x_range[0])
+        clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)
+        rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
+        begun = ModelState(backlash, first.voltage, state.history)
+        y, after, counts, _ = self._backlash_block(signal[1:], begun, rest_steps, outside, limits)
+        total = Counts(unbound.outside, 0, int(clipped), 0) + counts.shifted(1)
+        miss = missed if short and not clipped and not unbound.outside else 0.0
+        return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
+
+    def _input_per_stage_input(self) -> float:
+        """Return the mean size of this model's input per unit of the backlash stage's input."""
+        low, high = self.backlash.x_range
+        return self.input.span / (high - low)
+
+    def compensate(
+        self,
+        desired: ArrayLike,
+        state: ModelState,
+        *,
+        limits: DriveLimits,
+        time_step: float | ArrayLike | None = None,
+    ) -> Simulated:
+        """Return the drive of a forward model for one block of desired displacement; see ``simulate``.
+
+        The state may have come from ``start_compensation``, or from ``simulate`` of this model.
+        """
+        self.require("forward")
+        return self._inverted.simulate(desired, state, time_step=time_step, limits=limits)
+
+    def start_compensation(
+        self, first_desired: float, state: StartName | ModelState, limits: DriveLimits
+    ) -> ModelState:
+        """Return the state of ``compensate`` in which ``simulate`` of its output starts."""
+        self.require("forward")
+        return self._inverted.start(first_desired, state, limits)
+
+    @cached_property
+    def _inverted(self) -> ActuatorModel:
+        return self.inverse()
+
+
+def _through(stages: Sequence[DiscretePointOperator | ScaleStage], signal: Floats) -> Floats:
+    """Pass a block through memory-free stages."""
+    for stage in stages:
+        signal = stage.run(signal)
+    return signal
+
+
+def _output_limits(limits: DriveLimits | None, steps: float | Floats | None) -> OutputLimits | None:
+    """Return the limits of a block in the operator's terms."""
+    if limits is None:
+        return None
+    step = None if limits.max_slew is None or steps is None else limits.max_slew * steps
+    return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))
+
+
+def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tuple[float, float]:
+    """Return the least and the greatest output of a forward cascade at rest at the ends of its input.
+
+    Slowly: relaxation has come to rest at either end, and a delay does not matter. The voltage goes from
+    empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
+    """
+    operator = stages[0]
+    assert isinstance(operator, DiscreteBacklashOperator)
+    memory_free = [s for s in stages if isinstance(s, DiscretePointOperator | ScaleStage)]
+    state, ends = operator.empty(), []
+    for voltage in (v_max, v_min):
+        y, after, _ = operator.run([voltage], state)
+        state = BacklashState(after.bits)
+        ends.append(float(_through(memory_free, y)[0]))
+    return min(ends), max(ends)
