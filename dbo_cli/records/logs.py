@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.records.addresses import parse_address
+from dbo_cli.records.addresses import HDF5_SIGNATURE, Address, parse_address
 from dbo_cli.records.blocks import Block, ColumnInfo, RawBlock, join_places
 from dbo_cli.records.columns import TIME_GUESSES, ColumnWish, choose_columns, find_column, guess_columns
 from dbo_cli.records.dialect import DialectOptions
@@ -242,7 +242,8 @@ def open_log(
             "--time and --sample-rate exclude each other: the log has the one or needs the other"
         )
     limits = parse_rows(rows)
-    table = _open_table(address, format, dialect or DialectOptions(), live, digest)
+    named = [wish.selector for wish in want.values() if wish.selector] + ([time] if time else [])
+    table = _open_table(parse_address(address, format), dialect or DialectOptions(), live, digest, named)
     try:
         clock, notes = _find_time(table, time, sample_rate, want)
         columns = choose_columns(table.place, table.columns, want, [clock] if clock else [])
@@ -256,14 +257,18 @@ def open_log(
     return SignalLog(table, columns, clock, rate, limits, skip_bad, block_rows, resample)
 
 
-def _open_table(text: str, format: str | None, dialect: DialectOptions, live: bool, digest: bool) -> Table:
-    address = parse_address(text, format)
+def _open_table(
+    address: Address, dialect: DialectOptions, live: bool, digest: bool, named: Sequence[str]
+) -> Table:
     kind = address.kind
-    if kind is None and not address.is_stream and os.path.isfile(address.path):
-        with open(address.path, "rb") as file:
-            kind = "hdf5" if file.read(8) == b"\x89HDF\r\n\x1a\n" else "text"
+    if not address.is_stream and os.path.isfile(address.path) and os.access(address.path, os.R_OK):
+        with open(address.path, "rb") as file:  # what a file is called matters less than what it is
+            if file.read(8) == HDF5_SIGNATURE:
+                kind = "hdf5"
     if kind == "hdf5":
-        raise InputError(f"{address.name}: HDF5 is not read yet")
+        from dbo_cli.records.hdf5_logs import Hdf5Table
+
+        return Hdf5Table(address, named)
     return TextTable(address, dialect, live=live, digest=digest)
 
 

@@ -20,12 +20,12 @@ from types import FrameType
 from typing import IO
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.records.addresses import parse_address
+from dbo_cli.records.addresses import Address, parse_address
 
 _ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-def check_output(address: str, protect: Sequence[str] = ()) -> None:
+def check_output(address: str | Address, protect: Sequence[str] = ()) -> None:
     """Refuse an output that cannot be written, before any long work starts.
 
     Parameters
@@ -42,7 +42,7 @@ def check_output(address: str, protect: Sequence[str] = ()) -> None:
     OutputError
         Its folder is missing or not writable, or it is a folder itself.
     """
-    target = parse_address(address)
+    target = parse_address(address) if isinstance(address, str) else address
     if target.is_stream:
         return
     for given in protect:
@@ -71,10 +71,10 @@ def _is_same_file(path: str, given: str) -> bool:
 
 
 @contextlib.contextmanager
-def replacing(path: str) -> Iterator[str]:
+def replacing(path: str, *, devices: bool = True) -> Iterator[str]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` at the end, or remove it.
 
-    A device or named pipe cannot be replaced and is given as it is.
+    A device or named pipe cannot be replaced and is given as it is, unless ``devices`` is False.
 
     Raises
     ------
@@ -82,6 +82,8 @@ def replacing(path: str) -> Iterator[str]:
         Writing failed (disk full, folder gone, no permission).
     """
     if os.path.exists(path) and not os.path.isfile(path):
+        if not devices:
+            raise OutputError(f"{path}: this is no regular file: name a file")
         with _telling(path):
             yield path
         return
@@ -111,9 +113,9 @@ def _telling(path: str) -> Iterator[None]:
 
 def reason_of(problem: OSError) -> str:
     """Say why writing failed."""
-    if problem.errno in (errno.ENOSPC, errno.EDQUOT):
+    if problem.errno in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(problem):
         return "the disk is full: nothing was written"
-    return f"cannot be written: {problem.strerror or problem}"
+    return f"cannot be written: {problem.strerror or str(problem).splitlines()[0]}"
 
 
 def _adopt_mode(target: str, temporary: str) -> None:

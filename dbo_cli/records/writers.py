@@ -103,11 +103,31 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_address(address, format)
-    check_output(address, protect)
+    check_output(target, protect)
     if target.kind == "hdf5":
-        raise UsageError("HDF5 is not written yet")
+        with _hdf5(target, columns, attributes or {}) as hdf5:
+            yield hdf5
+        return
     with _text_stream(target) as stream:
         yield TextWriter(stream, columns, _delimiter(target, format), flush)
+
+
+@contextlib.contextmanager
+def _hdf5(
+    target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
+) -> Iterator[SignalWriter]:
+    from dbo_cli.records.hdf5_writer import Hdf5Writer
+
+    if target.is_stream:
+        raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
+    with replacing(target.path, devices=False) as path:
+        writer = Hdf5Writer(path, target.group or "/", columns, attributes)
+        try:
+            yield writer
+            writer.finish()
+        except BaseException:
+            writer.abandon()
+            raise
 
 
 def _delimiter(target: Address, format: str | None) -> str:
