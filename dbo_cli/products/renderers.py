@@ -12,7 +12,7 @@ from dbo_cli.products.report import LogReport, Report
 
 JSON_VERSION = 1
 WIDTH = 80
-NAME_WIDTH = 24
+NAME_WIDTH = 20
 
 
 def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.hysteresis.accumulators import ErrorDistribution
 from dbo_cli.hysteresis.metrics import TrackingFigures, TrackingMetrics
 from dbo_cli.products.pairs import PairBlock, batched, find_lag, lagged
 from dbo_cli.products.segments import cycles, spans
@@ -32,6 +33,9 @@ class Collector(Protocol):
 
     def add(self, block: PairBlock) -> None:
         """Take one block."""
+
+    def finish(self, figures: TrackingFigures, distribution: ErrorDistribution) -> None:
+        """Take the figures of the whole log and the distribution of its error."""
 
 
 @dataclass(frozen=True)
@@ -222,10 +226,13 @@ def evaluate(
     if figures is None:
         raise InputError(_nothing(name, options.labels, whole.missing))
     ledger.close()
+    figures = _with_rate(figures, sample_rate)
+    if traces is not None:
+        traces.finish(figures, whole.distribution)
     notes += _notes(name, options.labels, figures)
     return LogReport(
         name,
-        _with_rate(figures, sample_rate),
+        figures,
         lag,
         segments=tuple(
             replace(part, figures=_with_rate(part.figures, sample_rate)) for part in ledger.segments

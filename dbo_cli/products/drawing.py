@@ -1,0 +1,138 @@
+"""Turn figures into PNG, SVG, or SVG fit to stand inside a page: the same values give the same bytes."""
+
+from __future__ import annotations
+
+import io
+import re
+import tempfile
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from dbo_cli.errors import OutputError
+from dbo_cli.products import figure_style as style
+from dbo_cli.records.outputs import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One figure: the stem of its file name, its title, what it shows in words, and how it is drawn."""
+
+    key: str
+    title: str
+    words: str
+    size: tuple[float, float]
+    paint: Callable[[Axes], None]
+
+
+def draw(plot: Plot, kind: Literal["png", "svg", "inline"], note: str = "") -> bytes:
+    """Return the figure as PNG, as SVG (letters as outlines), or as SVG to stand inside a page.
+
+    ``note`` is set small above the axes, at the right. The inline form has letters as text, no background,
+    ids of its own and the colours of ``figure_style.SCHEME`` as variables.
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    inline = kind == "inline"
+    changes = {"svg.fonttype": "none"} if inline else {}
+    with rc_context(style.RC | changes):
+        figure = Figure(figsize=plot.size)
+        FigureCanvasAgg(figure)
+        axes = figure.add_axes(_frame(plot.size))
+        plot.paint(axes)
+        if note:
+            axes.set_title(note, loc="right", color=style.MUTED, fontsize=8.0, pad=5.0)
+        _fit_left(figure, axes)
+        out = io.BytesIO()
+        metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+        figure.savefig(out, format="png" if kind == "png" else "svg", metadata=metadata, transparent=inline)
+    content = out.getvalue()
+    return _for_page(content.decode(), plot).encode() if inline else content
+
+
+def check_folder(folder: str) -> Path:
+    """Make the folder for figures and prove that files can be written there, before any long work.
+
+    Raises OutputError with the folder's name.
+    """
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as problem:
+        reason = problem.strerror or str(problem)
+        raise OutputError(
+            f"{folder}: figures cannot be written there: {reason} (--figures with another folder)"
+        ) from problem
+    return path
+
+
+def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list[Path]:
+    """Write every figure as ``STEM-KEY.png`` and ``.svg``; each appears whole or not at all."""
+    written = []
+    for plot in plots:
+        for kind in ("png", "svg"):
+            path = folder / f"{stem}-{plot.key}.{kind}"
+            content = draw(plot, "png" if kind == "png" else "svg", note)
+            write_whole(str(path), content)
+            written.append(path)
+    return written
+
+
+def file_stems(names: Sequence[str]) -> list[str]:
+    """Return a stem for the figure files of every log: its name without folder and ending, all different."""
+    stems: list[str] = []
+    for name in names:
+        base = name.split("::")[0].replace("\\", "/").rsplit("/", 1)[-1]
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", base.split(".")[0] or base) or "log"
+        if name == "-":
+            stem = "stdin"
+        count, unique = 2, stem
+        while unique in stems:
+            unique = f"{stem}-{count}"
+            count += 1
+        stems.append(unique)
+    return stems
+
+
+def _frame(size: tuple[float, float]) -> tuple[float, float, float, float]:
+    """Return left, bottom, width and height of the axes for margins fixed in inches."""
+    left, right, bottom, top = 0.66, 0.12, 0.48, 0.34
+    width, height = size
+    return left / width, bottom / height, (width - left - right) / width, (height - bottom - top) / height
+
+
+def _fit_left(figure: Figure, axes: Axes) -> None:
+    """Give tick labels wider than usual the room they need."""
+    box = axes.get_tightbbox(figure.canvas.get_renderer())  # type: ignore[attr-defined]
+    if box is None:
+        return
+    width = figure.get_size_inches()[0] * figure.dpi
+    place = axes.get_position()
+    x0 = max(place.x0 + (0.06 * figure.dpi - box.x0) / width, 0.0)
+    x1 = min(place.x1, place.x1 - (box.x1 - width + 0.06 * figure.dpi) / width)
+    axes.set_position((x0, place.y0, x1 - x0, place.height))
+
+
+def _for_page(svg: str, plot: Plot) -> str:
+    """Turn a whole SVG file into an element of a page: own ids, colours as variables, no fixed size."""
+    svg = svg[svg.index("<svg") :]
+    prefix = f"{plot.key}-{zlib.crc32(svg.encode()):08x}-"
+    used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", svg))
+    svg = re.sub(r' id="([^"]+)"', lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", svg)
+    svg = re.sub(r"(url\(#|href=\"#)", lambda found: found[1] + prefix, svg)
+    for color, name in style.SCHEME.items():
+        svg = svg.replace(color, f"var(--{name})")
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
+    svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
+    return svg.replace("<svg ", f'<svg role="img" aria-label="{plot.words}" ', 1).strip()
