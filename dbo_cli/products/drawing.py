@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import re
 import tempfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,11 +31,12 @@ class Plot:
     paint: Callable[[Axes], None]
 
 
-def draw(plot: Plot, kind: Literal["png", "svg", "inline"], note: str = "") -> bytes:
+def draw(plot: Plot, kind: Literal["png", "svg", "inline"], note: str = "", scope: str = "") -> bytes:
     """Return the figure as PNG, as SVG (letters as outlines), or as SVG to stand inside a page.
 
     ``note`` is set small above the axes, at the right. The inline form has letters as text, no background,
-    ids of its own and the colours of ``figure_style.SCHEME`` as variables.
+    the colours of ``figure_style.SCHEME`` as variables, and ids that begin with ``scope`` and the figure's
+    key (they must differ within a page).
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -55,7 +56,7 @@ def draw(plot: Plot, kind: Literal["png", "svg", "inline"], note: str = "") -> b
         metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
         figure.savefig(out, format="png" if kind == "png" else "svg", metadata=metadata, transparent=inline)
     content = out.getvalue()
-    return _for_page(content.decode(), plot).encode() if inline else content
+    return _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode() if inline else content
 
 
 def check_folder(folder: str) -> Path:
@@ -123,10 +124,9 @@ def _fit_left(figure: Figure, axes: Axes) -> None:
     axes.set_position((x0, place.y0, x1 - x0, place.height))
 
 
-def _for_page(svg: str, plot: Plot) -> str:
+def _for_page(svg: str, plot: Plot, prefix: str) -> str:
     """Turn a whole SVG file into an element of a page: own ids, colours as variables, no fixed size."""
     svg = svg[svg.index("<svg") :]
-    prefix = f"{plot.key}-{zlib.crc32(svg.encode()):08x}-"
     used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", svg))
     svg = re.sub(r' id="([^"]+)"', lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", svg)
     svg = re.sub(r"(url\(#|href=\"#)", lambda found: found[1] + prefix, svg)
@@ -135,4 +135,4 @@ def _for_page(svg: str, plot: Plot) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
     svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
-    return svg.replace("<svg ", f'<svg role="img" aria-label="{plot.words}" ', 1).strip()
+    return svg.replace("<svg ", f'<svg role="img" aria-label="{escape(plot.words)}" ', 1).strip()

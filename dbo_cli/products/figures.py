@@ -111,7 +111,7 @@ class _LogView:
         measured = self._traces.against_time("measured")
         _against_time(axes, measured, style.DASHED, self._offset, label=second)
         axes.set(xlabel=self._time(), ylabel=self._length(self._quantity))
-        _legend(axes)
+        mark_curves(axes)
 
     def error(self, axes: Axes) -> None:
         rmse = self._figures.rmse
@@ -119,7 +119,7 @@ class _LogView:
         axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=said)
         _against_time(axes, self._traces.against_time("error"), style.ALONE, self._offset)
         axes.set(xlabel=self._time(), ylabel=self._length("Error"))
-        _legend(axes)
+        mark_curves(axes)
 
     def output(self, axes: Axes) -> None:
         first, second = self._report.options.labels
@@ -129,7 +129,7 @@ class _LogView:
         what = self._quantity.lower()
         axes.set(xlabel=self._length(f"{first.capitalize()} {what}"))
         axes.set(ylabel=self._length(f"{second.capitalize()} {what}"))
-        _legend(axes)
+        mark_curves(axes)
 
     def loop(self, axes: Axes) -> None:
         first, second = self._report.options.labels
@@ -140,7 +140,7 @@ class _LogView:
         self._curve(axes, "drive", "measured", look, second, self._offset)
         axes.set(xlabel=axis_label("Drive voltage", self._traces.drive_unit))
         axes.set(ylabel=self._length(self._quantity))
-        _legend(axes)
+        mark_curves(axes)
 
     def histogram(self, axes: Axes) -> None:
         values, counts = self._traces.distribution.values()
@@ -226,6 +226,7 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
     axes.autoscale(enable=True)
 
 
-def _legend(axes: Axes) -> None:
+def mark_curves(axes: Axes) -> None:
+    """Set the legend in one line above the axes, where it hides nothing."""
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, columnspacing=1.6)
