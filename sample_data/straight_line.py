@@ -3,8 +3,8 @@
 
     python straight_line.py identification.csv trajectory.csv -o drive.csv
 
-The line is the least-squares fit of voltage on displacement over the whole identification log, the best that a
-single gain and offset can do there; the drive is kept within the voltages of that log.
+The line is the least-squares fit of voltage on displacement over the whole identification log, the best that
+one gain and one offset can do there; the drive is kept within the voltages of that log.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rooms of the package: imports point one way, and the command line loads what a command needs, no more."""
+"""The rooms of the package: imports point one way, and a command loads what it needs, no more."""
 
 from __future__ import annotations
 

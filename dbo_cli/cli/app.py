@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from collections.abc import Sequence
-from types import FrameType
 
 from dbo_cli.errors import DboError
 
 INTERRUPTED = 130
-TERMINATED = 143
-
-
-class _Termination(BaseException):
-    """The process was asked to end; an exception, so that unfinished outputs are removed."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -36,9 +29,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say("interrupted")
         return INTERRUPTED
-    except _Termination:
-        _say("terminated")
-        return TERMINATED
     except Exception as problem:
         if "--debug" in words:
             import traceback
@@ -50,8 +40,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run() -> None:
     """Serve the console script: ``main`` as a process."""
-    if hasattr(signal, "SIGTERM"):
-        signal.signal(signal.SIGTERM, _on_termination)
     sys.exit(main())
 
 
@@ -59,8 +47,10 @@ def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
     import typer
 
+    from dbo_cli.cli.bundles import COMMAND_LINE
     from dbo_cli.cli.commands import root_command
 
+    COMMAND_LINE.set(tuple(words))
     command = root_command()
     try:
         # Not command.main(): it words errors its own way and turns an interrupt into something else.
@@ -114,9 +104,3 @@ def _abandon_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (OSError, ValueError):
         pass
-
-
-def _on_termination(signum: int, frame: FrameType | None) -> None:
-    """Answer the signal by an exception; a second one ends the process at once."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    raise _Termination

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +33,7 @@ class Reading:
     header_lines: int | None
     skip_lines: int | None
     encoding: str | None
-    block_rows: int
+    block_rows: int | None
 
 
 FORMATS = ("csv", "tsv", "hdf5")
@@ -50,7 +51,7 @@ READING: dict[str, tuple[Any, Any]] = {
     "header_lines": (options.HeaderLines, None),
     "skip_lines": (options.SkipLines, None),
     "encoding": (options.Encoding, None),
-    "block_rows": (options.BlockRows, "65536"),
+    "block_rows": (options.BlockRows, None),
 }
 LOG_READING = READING | {"file_format": (options.LogFormat, None)}
 VOICE: dict[str, tuple[Any, Any]] = {
@@ -75,7 +76,7 @@ def reading_of(typed: Mapping[str, Any]) -> Reading:
         header_lines=values.optional(_header_lines, "--header-lines", typed["header_lines"]),
         skip_lines=values.optional(_count, "--skip-lines", typed["skip_lines"]),
         encoding=typed["encoding"],
-        block_rows=values.whole("--block-rows", typed["block_rows"], 1),
+        block_rows=values.optional(_rows, "--block-rows", typed["block_rows"]),
     )
 
 
@@ -84,11 +85,15 @@ def voice_of(typed: Mapping[str, Any]) -> Voice:
     return Voice(quiet=typed["quiet"], verbose=typed["verbose"])
 
 
+COMMAND_LINE: ContextVar[tuple[str, ...]] = ContextVar("COMMAND_LINE", default=())
+"""The words that were typed, set by ``app.main``; a command takes them as ``command_line``."""
+
 Bundle = tuple[dict[str, tuple[Any, Any]], Callable[[Mapping[str, Any]], Any]]
 BUNDLES: dict[str, Bundle] = {
     "reading": (READING, reading_of),
     "log_reading": (LOG_READING, reading_of),
     "voice": (VOICE, voice_of),
+    "command_line": ({}, lambda typed: COMMAND_LINE.get()),
 }
 
 
@@ -118,6 +123,10 @@ def _file_format(option: str, text: str) -> str:
 
 def _header_lines(option: str, text: str) -> int:
     return int(values.choice(option, text, ("0", "1", "2")))
+
+
+def _rows(option: str, text: str) -> int:
+    return values.whole(option, text, 1)
 
 
 def _count(option: str, text: str) -> int:

@@ -60,6 +60,10 @@ Flush = Annotated[bool, _common("--flush", None, "Write each row as soon as it i
 
 # --- columns: a header name, a dataset path, or a number counted from 1 ---
 Voltage = Annotated[str | None, _reading("--voltage", "COLUMN", "The drive voltage; guessed by name.")]
+ReportVoltage = Annotated[
+    str | None,
+    _reading("--voltage", "COLUMN", "The drive voltage, for --model and the figures; guessed by name."),
+]
 Displacement = Annotated[str | None, _reading("--displacement", "COLUMN", "Displacement; guessed by name.")]
 Input = Annotated[str | None, _reading("--input", "COLUMN", "The model's input; guessed by name.")]
 Desired = Annotated[str | None, _reading("--desired", "COLUMN", "What was wanted; guessed by name.")]
@@ -97,8 +101,7 @@ HeaderLines = Annotated[
 SkipLines = Annotated[str | None, _reading("--skip-lines", "N", "Lines to pass over before the header.")]
 Encoding = Annotated[str | None, _reading("--encoding", "NAME", "The text encoding, if not UTF-8.")]
 BlockRows = Annotated[
-    str,
-    _reading("--block-rows", "N", "Rows held at a time; changes no digit of a result."),
+    str | None, _reading("--block-rows", "N", "Rows held at a time; changes no digit of a result.")
 ]
 
 # --- identify ---

@@ -1,0 +1,89 @@
+"""What the commands that read signals share: opening a log as the user asked, column by column."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from dbo_cli.cli.bundles import Reading
+from dbo_cli.cli.messages import Voice
+from dbo_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from dbo_cli.hysteresis.model import Quantity
+    from dbo_cli.records.columns import ColumnWish
+    from dbo_cli.records.logs import SignalLog
+
+VOLTAGE = ("voltage", "drive", "command", "u", "v", "volt", "volts")
+DISPLACEMENT = ("displacement", "position", "measured", "sensor", "y", "disp", "pos")
+DESIRED = ("desired", "reference", "setpoint", "target", "trajectory", "wanted", "ref")
+GUESSES = {"voltage": VOLTAGE, "displacement": DISPLACEMENT}
+
+
+def guesses_for(quantity: str) -> tuple[str, ...]:
+    """Return the column names under which a model's quantity is looked for."""
+    known = GUESSES.get(quantity, ())
+    return (quantity.lower(), *(name for name in known if name != quantity.lower()))
+
+
+def open_signals(
+    address: str,
+    want: Mapping[str, ColumnWish],
+    reading: Reading,
+    voice: Voice,
+    *,
+    rows: str | None = None,
+    live: bool = False,
+    digest: bool = False,
+) -> SignalLog:
+    """Open a log as the reading options say; ``rows`` goes before ``reading.rows`` where given."""
+    from dbo_cli.records.dialect import DialectOptions
+    from dbo_cli.records.logs import open_log
+
+    dialect = DialectOptions(
+        delimiter=reading.delimiter,
+        decimal=reading.decimal,
+        comment=reading.comment,
+        skip_lines=reading.skip_lines,
+        header_lines=reading.header_lines,
+        encoding=reading.encoding,
+    )
+    blocks = {} if reading.block_rows is None else {"block_rows": reading.block_rows}
+    log = open_log(
+        address,
+        want,
+        time=reading.time,
+        sample_rate=reading.sample_rate,
+        rows=rows if rows is not None else reading.rows,
+        skip_bad=reading.skip_bad,
+        format=format_for(address, reading.file_format),
+        dialect=dialect,
+        live=live,
+        digest=digest,
+        resample=reading.resample,
+        **blocks,
+    )
+    voice.detail(log.describe())
+    return log
+
+
+def format_for(address: str, named: str | None) -> str | None:
+    """Return ``--format`` for an address whose own name does not tell its format, else None."""
+    from dbo_cli.records.addresses import parse_address
+
+    return named if named is not None and parse_address(address).kind is None else None
+
+
+def spoken(address: str) -> str:
+    """Return how a message calls a file."""
+    return "standard input" if address == "-" else address
+
+
+def check_unit(log: SignalLog, role: str, wanted: Quantity, model: str) -> None:
+    """Refuse a column whose unit is known and differs from the model's (InputError)."""
+    column = log.columns[role]
+    if column.unit is not None and wanted.unit is not None and column.unit != wanted.unit:
+        raise InputError(
+            f"{log.name}: column '{column.name}' is in {column.unit}, but {model} takes {wanted.quantity} in "
+            f"{wanted.unit} (convert the column)"
+        )
