@@ -9,7 +9,7 @@ silence.
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
@@ -138,7 +138,8 @@ def detect(place: str, head: bytes, options: DialectOptions) -> Dialect:
     decimal = shape.decimal
     if options.decimal is None and shape.delimiter != "," and decimal == "." and shape.whole_numbers:
         decimal = _late_decimal(lines[layout.first :], comments)
-    headers, units = _aligned(place, layout, shape.width)
+    row = split_cells(lines[layout.first], shape.delimiter) if layout.first < len(lines) else []
+    headers, units = _aligned(place, layout, shape.width, row)
     return Dialect(shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units)
 
 
@@ -178,7 +179,11 @@ def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
     numbered = [number for number, verdict in enumerate(verdicts) if any(verdict)]
     if not numbered:
         return None
-    width, votes = Counter(len(rows[number]) for number in numbered).most_common(1)[0]
+    shares = {number: sum(verdicts[number]) / sum(1 for cell in rows[number] if cell) for number in numbered}
+    votes: dict[int, float] = defaultdict(float)
+    for number in numbered:  # a key beside its value counts half of a full row of numbers
+        votes[len(rows[number])] += shares[number]
+    width = max(votes, key=lambda one: (votes[one], one))
     usual = [number for number in numbered if len(rows[number]) == width]
     numeric = frozenset(
         column
@@ -187,12 +192,9 @@ def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
     )
     if not numeric:
         return None
-    filled = [sum(1 for cell in rows[number] if cell) for number in usual]
-    quality = sum(sum(verdicts[number]) / count for number, count in zip(usual, filled, strict=True)) / len(
-        usual
-    )
+    quality = sum(shares[number] for number in usual) / len(sample)
     whole = all(cell.lstrip("+-").isdigit() for number in usual for cell in rows[number] if cell)
-    return _Shape(delimiter, decimal, width, numeric, quality * votes / len(numbered), whole)
+    return _Shape(delimiter, decimal, width, numeric, quality, whole)
 
 
 @dataclass(frozen=True)
@@ -264,13 +266,18 @@ def _unbroken(data: list[int], lines: list[str], good: int) -> list[int]:
 def _names_and_units(
     rows: dict[int, list[str]], above: list[int], header: list[int], shape: _Shape
 ) -> tuple[list[str], list[str]]:
-    last = header[-1]
-    if not _all_units(rows[last]):
-        return rows[last], []
-    place = above.index(last)
-    if place and len(rows[above[place - 1]]) == len(rows[last]) and not _all_units(rows[above[place - 1]]):
-        return rows[above[place - 1]], rows[last]
-    return rows[last], []
+    """Tell the line of names from a line of units below it (and one of remarks below that)."""
+    joined = [header[-1]]
+    for number in reversed(above[: above.index(header[-1])]):
+        if number in header and len(joined) < 3 and number == joined[0] - 1:
+            joined.insert(0, number)
+    for number in reversed(joined):
+        place = above.index(number)
+        if _all_units(rows[number]):
+            over = rows[above[place - 1]] if place else []
+            fits = bool(over) and abs(len(over) - len(rows[number])) <= 1 and not _all_units(over)
+            return (over, rows[number]) if fits else (rows[number], [])
+    return rows[header[-1]], []
 
 
 def _all_units(cells: list[str]) -> bool:
@@ -299,8 +306,8 @@ def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) ->
 
 def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
     """Split a header line in the way that gives as many cells as the data have columns."""
-    ways = [split_cells(text, shape.delimiter)]
-    ways += [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
+    ways = [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
+    ways.append(split_cells(text, shape.delimiter))
     ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
     ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]*[)\]])?", text)])
     ways.append(text.split())
@@ -336,10 +343,16 @@ def _trimmed(cells: list[str], width: int) -> list[str]:
     return cells
 
 
-def _aligned(place: str, layout: _Layout, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _aligned(
+    place: str, layout: _Layout, width: int, row: list[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Bring the header to the width of the rows, or refuse one that cannot be meant for them."""
     names = _trimmed(layout.names, width)
     if names and len(names) == width - 1:
-        names = [*names, ""]  # the rows end with a delimiter, or carry a remark without a header
+        if row and not row[-1]:
+            names = [*names, ""]  # the rows end with a delimiter
+        elif row and row[0].isdigit():
+            names = ["", *names]  # numbered rows, their column without a name
     if names and len(names) != width:
         raise InputError(
             f"{place}:{layout.first + 1}: {width} cells where the header names {len(names)} columns "
