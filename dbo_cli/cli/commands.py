@@ -118,6 +118,7 @@ def _build(name: str) -> Any:
 def _as_typed(parameter: Any, context: Any, value: Any) -> Any:
     """Return a value unchanged, unless it is missing where one must be."""
     if parameter.required and value in (None, (), []) and not context.resilient_parsing:
-        name = parameter.metavar or parameter.name
+        is_option = parameter.param_type_name == "option"
+        name = max(parameter.opts, key=len) if is_option else parameter.metavar
         raise UsageError(f"{name} is missing ({context.command_path} --help lists what there is)")
     return parameter.callback(context, parameter, value) if parameter.callback else value

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -20,11 +21,18 @@ if TYPE_CHECKING:
     from dbo_cli.records.logs import SignalLog
 
 
+def short_names(addresses: Sequence[str]) -> dict[str, str]:
+    """Return the names of logs without their folders, where that tells them apart."""
+    short = {address: os.path.basename(address) for address in addresses if address != "-"}
+    return short if len(set(short.values())) == len(short) else {}
+
+
 @dataclass
 class PairReader:
     """Compares logs one after the other, and keeps what the report and its figures need of each.
 
-    ``desired``, ``measured`` and ``voltage`` are the columns the user named, None where they are guessed.
+    ``desired``, ``measured`` and ``voltage`` are the columns the user named, None where they are guessed;
+    ``names`` says how the report calls a log.
     """
 
     compared: ReportOptions
@@ -36,6 +44,7 @@ class PairReader:
     desired: str | None
     measured: str | None
     voltage: str | None
+    names: Mapping[str, str]
     units: list[tuple[str, str | None]] = field(default_factory=list)
     traces: list[Traces] = field(default_factory=list)
 
@@ -51,7 +60,8 @@ class PairReader:
             self._note_units(log)
             traces = self._new_traces(log) if self.traced else None
             rate = self.reading.resample or log.sample_rate
-            merit = evaluate(log.name, self._pairs(log), self.compared, sample_rate=rate, traces=traces)
+            name = self.names.get(address, log.name)
+            merit = evaluate(name, self._pairs(log), self.compared, sample_rate=rate, traces=traces)
         self.voice.notes(log.notes)
         return merit
 

@@ -205,7 +205,10 @@ ReportFormat = Annotated[
 
 # --- excite ---
 ExciteMin = Annotated[str, _option("--v-min", "VOLT", "Lowest drive voltage.")]
-ExciteMax = Annotated[str | None, _option("--v-max", "VOLT", "Highest drive voltage, the actuator's rating.")]
+ExciteMax = Annotated[str, _option("--v-max", "VOLT", "Highest drive voltage: the actuator's rating.")]
 ExciteRate = Annotated[str, _option("--sample-rate", "HZ", "Rows per second.")]
 Duration = Annotated[str, _option("--duration", "SECONDS", "Length of the drive.")]
 Frequency = Annotated[str, _option("--frequency", "HZ", "Full cycles per second.")]
+OutputFormat = Annotated[
+    str | None, _common("--format", "csv|tsv|hdf5", "Form of the output where no file name tells.")
+]

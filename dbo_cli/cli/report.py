@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.cli import options, values
 from dbo_cli.cli.bundles import Reading, bundled
-from dbo_cli.cli.comparison import PairReader
+from dbo_cli.cli.comparison import PairReader, short_names
 from dbo_cli.cli.messages import Voice
 
 if TYPE_CHECKING:
@@ -62,7 +62,16 @@ def report(
     operator = None if model is None else _forward(model)
     traced = folder is not None or chosen == "html"
     reader = PairReader(
-        compared, log_reading, voice, operator, str(model), traced, desired, measured, voltage
+        compared,
+        log_reading,
+        voice,
+        operator,
+        str(model),
+        traced,
+        desired,
+        measured,
+        voltage,
+        short_names(logs),
     )
     merits = [reader.evaluate(address) for address in logs]
     result = reports.Report.of(merits, compared, reports.common_unit(reader.units))
@@ -93,11 +102,24 @@ def _rendered(form: str, result: Report, reader: PairReader) -> bytes:
     from dbo_cli.products import renderers
 
     if form == "html":
-        from dbo_cli.products.html import to_html
-
-        return to_html(result, reader.traces, reader.model).encode()
+        return _page(result, reader).encode()
     texts = {"text": renderers.to_text, "json": renderers.to_json, "csv": renderers.to_csv}
     return texts[form](result).encode()
+
+
+def _page(result: Report, reader: PairReader) -> str:
+    from dbo_cli.products.figures import plots_of_log
+    from dbo_cli.products.model_figures import plots_of_model
+    from dbo_cli.products.page import to_html
+    from dbo_cli.records.provenance import program_version_string
+
+    pairs = zip(result.logs, reader.traces, strict=True)
+    return to_html(
+        result,
+        [plots_of_log(result, log, traces) for log, traces in pairs],
+        model_plots=() if reader.model is None else plots_of_model(reader.model),
+        program=program_version_string(),
+    )
 
 
 def _draw(folder: Path, result: Report, reader: PairReader) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
     from dbo_cli.hysteresis.starts import StartName
     from dbo_cli.hysteresis.states import ModelState
-    from dbo_cli.records.blocks import Block
+    from dbo_cli.records.blocks import Block, FloatArray
     from dbo_cli.records.writers import OutColumn
 
 
@@ -57,13 +57,18 @@ def start_of(state: str, model: ActuatorModel) -> StartName | ModelState:
 
 def write_response(
     stream: ModelStream,
-    blocks: Iterable[Block],
+    blocks: Iterable[tuple[Block, FloatArray]],
     result: Quantity,
     reading: Reading,
     voice: Voice,
     destination: Destination,
+    prelude: Sequence[FloatArray] | None = None,
 ) -> None:
-    """Feed every block to the stream and write time (when known), input and result, then the state."""
+    """Feed every block to the stream and write time (when known), input and result, then the state.
+
+    ``blocks`` are the log's, each with what goes into the model, which may be the log's signal read ahead;
+    ``prelude`` are rows to write before them.
+    """
     from dbo_cli.records.outputs import write_whole
     from dbo_cli.records.writers import signal_writer
 
@@ -79,9 +84,11 @@ def write_response(
         flush=destination.flush,
         protect=destination.protect,
     ) as writer:
-        for block in blocks:
-            x = block.values[role]
+        if prelude is not None:
+            writer.write(*prelude)
+        for block, x in blocks:
             y = stream.feed(block, x)
+            x = block.values[role]
             if block.time is not None:
                 writer.write(block.time, x, y)
             else:

@@ -53,4 +53,5 @@ def simulate(
         why = "this model's lag, creep or delay depends on it" if operator.needs_time else None
         clock = Clock(source, reading, why)
         stream = ModelStream(operator, source, clock, start_of(state, operator), behaviour)
-        write_response(stream, source.blocks(), operator.output, reading, voice, destination)
+        blocks = ((block, block.values[taken.quantity]) for block in source.blocks())
+        write_response(stream, blocks, operator.output, reading, voice, destination)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from dbo_cli.cli.bundles import Reading
 from dbo_cli.cli.messages import Voice
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, LimitError
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
@@ -87,6 +87,7 @@ class ModelStream:
     start: StartName | ModelState = "auto"
     outside: Outside = "extend"
     limits: DriveLimits | None = None
+    refuse_clipping: bool = False
     state: ModelState | None = None
     rows: int = 0
     beyond: Tally = field(default_factory=Tally)
@@ -109,16 +110,34 @@ class ModelStream:
         self.beyond.add(done.outside_count, done.first_outside, block)
         self.clipped.add(done.clipped_count, done.first_clipped, block)
         self.missed = self.missed or done.first_missed
+        if self.refuse_clipping and self.clipped.count:
+            raise LimitError(f"{self.clipping()} (--on-limit clip goes on)")
         return done.y
 
     def tell(self, voice: Voice) -> None:
         """Say what was counted."""
-        if self.beyond.count:
+        if self.clipped.count:
+            voice.warning(f"{self.clipping()}: clipped (--on-limit error refuses this)")
+        elif self.beyond.count:
             fate = "held" if self.outside == "hold" else "extended with the last slope"
+            counted = self._counted(self.beyond)
+            voice.warning(f"{counted} outside the range of the model ({self._range()}): {fate}")
+        if self.missed:
             voice.warning(
-                f"{self._counted(self.beyond)} outside the range of the model ({self._range()}): {fate}"
+                f"{self.log.name}: the drive starts {abs(self.missed):.3g}{self._unit()} off the first "
+                "value, which the actuator does not pass when it settles (--state empty or --condition)"
             )
         self._tell_kernel(voice)
+
+    def clipping(self) -> str:
+        """Say how much of a trajectory the drive's limits do not allow."""
+        assert self.limits is not None
+        drive = self.model.input
+        unit = f" {drive.unit}" if drive.unit else ""
+        limits = f"{drive.quantity} {self.limits.v_min:.6g} to {self.limits.v_max:.6g}{unit}"
+        if self.limits.max_slew is not None:
+            limits += f", {self.limits.max_slew:.6g}{unit}/s"
+        return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({limits})"
 
     def _tell_kernel(self, voice: Voice) -> None:
         """Say that the Python kernel does the work, where the work is long."""
@@ -132,8 +151,10 @@ class ModelStream:
         return f"{self.log.name}: {tally.count:,} of {self.rows:,} samples ({first})"
 
     def _range(self) -> str:
-        unit = f" {self.taken.unit}" if self.taken.unit else ""
-        return f"{self.taken.quantity} {self.taken.minimum:.6g} to {self.taken.maximum:.6g}{unit}"
+        return f"{self.taken.quantity} {self.taken.minimum:.6g} to {self.taken.maximum:.6g}{self._unit()}"
+
+    def _unit(self) -> str:
+        return f" {self.taken.unit}" if self.taken.unit else ""
 
     def _begun(self, first: float) -> ModelState:
         if self.limits is None:
