@@ -59,6 +59,17 @@ def is_number(cell: str, decimal: str) -> bool:
     return cell.lstrip("+-").lower() in NOT_FINITE
 
 
+SKIP_REMEDY = "(--skip-bad drops such rows)"
+_CLOCK = re.compile(r"\d{1,2}:\d\d|\d{4}-\d\d-\d\d|\d{1,2}[./]\d{1,2}[./]\d{2,4}")
+
+
+def remedy(cell: str) -> str:
+    """Say what to do about a cell that holds no finite number."""
+    if _CLOCK.match(cell):
+        return "(clock times and dates are not read: --sample-rate HZ gives the time instead)"
+    return SKIP_REMEDY
+
+
 def complain(cell: str, decimal: str) -> str:
     """Say what is wrong with a cell that holds no finite number."""
     if not cell:

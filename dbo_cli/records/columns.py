@@ -124,7 +124,7 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
         if len(found) == 1:
             return found[0]
         if found:
-            numbers = ", ".join(str(column.number) for column in found)
+            numbers = " or ".join(str(column.number) for column in found)
             raise InputError(
                 f"{place}: column '{selector}' occurs more than once: give its number ({option} {numbers})"
             )

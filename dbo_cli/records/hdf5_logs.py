@@ -16,9 +16,9 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.records.addresses import Address
 from dbo_cli.records.blocks import ColumnInfo, FloatArray, RawBlock
+from dbo_cli.records.cells import SKIP_REMEDY
 from dbo_cli.records.columns import column_info, column_label
 
-SKIP_REMEDY = "(--skip-bad drops such rows)"
 _UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "unit_string")
 _RATE_ATTRIBUTES = ("sample_rate", "sample_rate_hz", "sampling_rate", "sampling_frequency", "fs", "rate")
 _STEP_ATTRIBUTES = ("wf_increment", "sample_period", "sample_interval", "dt")

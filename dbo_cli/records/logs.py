@@ -169,7 +169,7 @@ class SignalLog:
 
     def _nothing(self) -> str:
         if self._rows != (1, None):
-            return f"no data row in --rows {self._rows[0]}:{self._rows[1] or ''}"
+            return f"--rows {self._rows[0]}:{self._rows[1] or ''} is beyond the last data row"
         return "no good data row" if self._skip_bad else "no data rows"
 
     def _block(self, raw: RawBlock) -> Block:

@@ -15,12 +15,11 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.records.blocks import ColumnInfo, FloatArray, RawBlock
-from dbo_cli.records.cells import BLANKS, complain, decode_line, split_cells, to_number
+from dbo_cli.records.cells import BLANKS, SKIP_REMEDY, complain, decode_line, remedy, split_cells, to_number
 from dbo_cli.records.columns import column_label
 from dbo_cli.records.dialect import Dialect, is_comment
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
-SKIP_REMEDY = "(--skip-bad drops such rows)"
 
 
 @dataclass
@@ -117,7 +116,7 @@ class BlockParser:
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
         cells = split_cells(line, self.dialect.delimiter)
-        problem = _wrong_width(cells, self.dialect.width)
+        problem, help = _wrong_width(cells, self.dialect.width), SKIP_REMEDY
         row: list[float] = []
         if not problem:
             for pick in self.picks:
@@ -125,13 +124,14 @@ class BlockParser:
                 value = to_number(cell, self.dialect.decimal)
                 if value is None:
                     problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal)}"
+                    help = remedy(cell)
                     break
                 row.append(value)
         if not problem:
             return row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
-            raise InputError(f"{message} {SKIP_REMEDY}")
+            raise InputError(f"{message} {help}")
         self.dropped += 1
         self.first_dropped = self.first_dropped or message
         return None

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterator
 from typing import IO, Any, cast
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.records.addresses import Address
 
 HEAD_BYTES = 1 << 18
@@ -101,8 +101,8 @@ class ByteSource:
         while True:
             try:
                 data = self._stream.read1(size) if self._live else self._stream.read(size)  # type: ignore[attr-defined]
-            except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
-                raise InputError(f"{self.name}: the gzip data are damaged or end early ({problem})") from None
+            except (EOFError, zlib.error, gzip.BadGzipFile):
+                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
             except OSError as problem:
                 raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
             if not data:
@@ -141,8 +141,8 @@ class ByteSource:
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
             try:
                 start = stream.peek(64)[:64]  # type: ignore[attr-defined]
-            except (EOFError, zlib.error, OSError) as problem:
-                raise InputError(f"{self.name}: the gzip data are damaged or end early ({problem})") from None
+            except (EOFError, zlib.error, OSError):
+                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
         self._refuse_foreign(start)
         self._start = start
         return stream
@@ -170,7 +170,7 @@ class ByteSource:
         try:
             decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
         except LookupError:
-            raise InputError(f"{self.name}: there is no text encoding '{encoding}'") from None
+            raise UsageError(f"--encoding {encoding}: there is no such text encoding") from None
         return lambda data: decoder.decode(data).encode("utf-8")
 
 
