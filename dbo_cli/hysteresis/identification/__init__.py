@@ -1,0 +1,8 @@
+"""From recorded logs to a model: least squares on the operator's own states, orders chosen on data left out."""
+
+from __future__ import annotations
+
+from dbo_cli.hysteresis.identification.identify import Identification, IdentificationOptions, identify
+from dbo_cli.hysteresis.identification.recordings import Recording
+
+__all__ = ["Identification", "IdentificationOptions", "Recording", "identify"]

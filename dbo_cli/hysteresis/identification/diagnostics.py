@@ -1,0 +1,157 @@
+"""What should make a user hesitate, in plain words and with what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dbo_cli.hysteresis.identification.evaluation import Residual
+from dbo_cli.hysteresis.identification.preparation import Prepared
+from dbo_cli.hysteresis.identification.recordings import Floats, Recording
+from dbo_cli.hysteresis.identification.search import ROWS_PER_GEAR, Choice
+
+POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
+HELD_SHARE = 0.5  # of the moving samples that repeat the one before: sample-and-hold
+SPEED_CORRELATION = 0.35
+SATURATION = 0.15  # slope at an end, relative to the median slope
+CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
+
+
+def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
+    """Warnings about the recordings themselves."""
+    warnings = []
+    for log in recordings:
+        moving = np.abs(np.diff(log.voltage)) > 0.0
+        held = (np.diff(log.displacement) == 0.0) & moving
+        levels = len(np.unique(log.displacement))
+        if moving.any() and held.sum() > HELD_SHARE * moving.sum() and levels > 16:
+            warnings.append(
+                f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
+                "before while the drive moves: the sensor is slower than the log (sample-and-hold); log at the "
+                "sensor's rate, or the fit sees a lag that is not the actuator's"
+            )
+        seconds = log.seconds()
+        if seconds is not None and log.time is not None:
+            steps = np.diff(seconds)
+            if (steps < 0.0).any():
+                warnings.append(
+                    f"{log.name}: time runs backwards {int((steps < 0).sum())} times (first at row "
+                    f"{int(np.argmax(steps < 0)) + 2}): lag and delay found from it are not to be trusted; "
+                    "repair the clock or cut the log with --rows"
+                )
+            elif (steps == 0.0).any():
+                warnings.append(
+                    f"{log.name}: {int((steps == 0).sum())} repeated time stamps (first at row "
+                    f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time with more digits"
+                )
+    if prepared.one_amplitude:
+        warnings.append(
+            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, loop width and "
+            "delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a drive)"
+        )
+    if all(shape.cycle_count < 2 for shape in prepared.shapes):
+        warnings.append(
+            "less than two whole cycles: nothing could be left out to test the model on; record at least three"
+        )
+    return warnings
+
+
+def rated_warnings(prepared: Prepared, rated: tuple[float, float] | None) -> list[str]:
+    """Warn where the logs cover less than the drive's rated range (both in the voltage's unit)."""
+    if rated is None:
+        return []
+    low, high = rated
+    covered = 100.0 * (min(prepared.high, high) - max(prepared.low, low)) / (high - low)
+    if covered >= 95.0:
+        return []
+    return [
+        f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range {low:g} to "
+        f"{high:g}: outside, the model goes straight on; record the whole range before using it there"
+    ]
+
+
+def fit_warnings(
+    recordings: Sequence[Recording],
+    prepared: Prepared,
+    choice: Choice,
+    residuals: Sequence[Residual],
+    knots: Floats,
+) -> list[str]:
+    """Warnings about the fitted model and what it leaves over."""
+    warnings = []
+    span = abs(prepared.scale)
+    rows = sum(len(one.values) for one in residuals)
+    rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in residuals) / rows))
+    if rows < ROWS_PER_GEAR * choice.basis.gears:
+        warnings.append(
+            f"{rows} rows for {choice.basis.gears} gears are fewer than the {ROWS_PER_GEAR} a gear that are safe: "
+            "record longer, or give fewer gears (--gears)"
+        )
+    if choice.clockwise > CLOCKWISE:
+        warnings.append(
+            "the loop runs clockwise: the displacement leads the voltage. Either the actuator softens after a turn "
+            "(friction, magnetics), or voltage and displacement are swapped: check --voltage and --displacement"
+        )
+    if 100.0 * rmse / span > POOR_PERCENT:
+        warnings.append(
+            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows something this "
+            "class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong column); look at "
+            "'dbo report --model' before using it"
+        )
+    warnings.extend(_shape_warnings(recordings, prepared, knots))
+    speed = _speed_correlation(recordings, residuals)
+    if abs(speed) > SPEED_CORRELATION and 100.0 * rmse / span > 0.5:
+        warnings.append(
+            f"what is left over follows the drive's speed (correlation {speed:.2f}): the actuator's loop depends "
+            "on the rate, which this model does not follow; identify at the speed of use"
+        )
+    return warnings
+
+
+def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared, knots: Floats) -> list[str]:
+    """Butterfly and saturation, from the mean curve of displacement over voltage."""
+    warnings = []
+    for log in recordings:
+        voltage = (log.voltage - prepared.low) / prepared.span
+        place = np.clip((voltage * 20).astype(np.int64), 0, 19)
+        counts = np.bincount(place, minlength=20)
+        full = counts > 0
+        mean = np.bincount(place, log.displacement, minlength=20)[full] / counts[full]
+        climbs = np.diff(mean) * np.sign(prepared.scale)
+        if len(climbs) < 8:
+            continue
+        falls = -float(climbs[climbs < 0.0].sum())
+        if falls > 0.25 * float(climbs[climbs > 0.0].sum()):
+            warnings.append(
+                f"{log.name}: the displacement rises and falls again as the voltage rises (a butterfly, or a "
+                "turning direction of motion): no invertible model follows that; stay on one side of the turn"
+            )
+        elif min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
+            np.median(climbs)
+        ):
+            warnings.append(
+                f"{log.name}: the displacement hardly moves at an end of the drive's range (saturation, or an end "
+                "stop): the inverse asks for large voltages there; keep trajectories away from it"
+            )
+    return warnings
+
+
+def _speed_correlation(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> float:
+    """Correlation of the residual with the drive's speed, over all logs."""
+    left, speed = [], []
+    for log, residual in zip(recordings, residuals, strict=True):
+        seconds = log.seconds()
+        steps = np.gradient(log.voltage) if seconds is None else _speed(log.voltage, seconds)
+        left.append(residual.values - residual.values.mean())
+        speed.append(steps[residual.rows] - steps[residual.rows].mean())
+    a, b = np.concatenate(left), np.concatenate(speed)
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else 0.0
+
+
+def _speed(voltage: Floats, seconds: Floats) -> Floats:
+    """Drive's rate of change; zero where the clock stands still."""
+    rise, run = np.gradient(voltage), np.gradient(seconds)
+    out: Floats = np.divide(rise, run, out=np.zeros(len(voltage)), where=run > 0.0)
+    return out

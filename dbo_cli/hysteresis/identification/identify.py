@@ -1,0 +1,314 @@
+"""Identification from end to end: recordings and options in, a model and what must be said of it out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dbo_cli.errors import FitError, UsageError
+from dbo_cli.hysteresis.identification import diagnostics
+from dbo_cli.hysteresis.identification.assembly import model_of
+from dbo_cli.hysteresis.identification.evaluation import (
+    Residual,
+    loop_width_percent,
+    residual_of,
+    straight_line,
+    validation_of,
+)
+from dbo_cli.hysteresis.identification.paper_method import identify_as_in_paper
+from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
+from dbo_cli.hysteresis.identification.recordings import (
+    Recording,
+    check_recordings,
+    median_cycle_seconds,
+)
+from dbo_cli.hysteresis.identification.refinement import Fitted, fit
+from dbo_cli.hysteresis.identification.search import Choice, Orders, choose
+from dbo_cli.hysteresis.model import ActuatorModel
+
+NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
+
+
+@dataclass(frozen=True)
+class IdentificationOptions:
+    """What the user asked for.
+
+    ``gears``, ``points``, ``relaxation`` (time constants in seconds, () for none) and ``delay`` (seconds):
+    None stands for 'auto'. ``slopes``: None (from the data), 'growing', 'falling' or 'free'.
+    ``skip_seconds`` of every log. ``zero``: 'none', 'mean', 'first' or a displacement. ``rated``: the drive's
+    full range, for a warning where the logs cover less. ``force`` keeps a model that would be refused.
+    """
+
+    gears: int | None = None
+    points: int | None = None
+    relaxation: tuple[float, ...] | None = None
+    delay: float | None = None
+    slopes: str | None = None
+    skip_seconds: float = 0.0
+    method: str = "least-squares"
+    zero: str | float = "none"
+    rated: tuple[float, float] | None = None
+    force: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself."""
+        if self.gears is not None and self.gears < 1:
+            raise UsageError(f"--gears {self.gears}: at least one gear is needed")
+        if self.points is not None and self.points < 0:
+            raise UsageError(f"--points {self.points}: a number of segments is not negative")
+        if self.delay is not None and not 0.0 <= self.delay < np.inf:
+            raise UsageError(f"--delay {self.delay:g}: a delay is a time in seconds, not negative")
+        if self.relaxation is not None and not all(0.0 < tau < np.inf for tau in self.relaxation):
+            raise UsageError("--relaxation: time constants are positive numbers of seconds")
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A model and what must be said of it: ``summary`` and ``warnings`` are lines of plain words."""
+
+    model: ActuatorModel
+    fit: dict[str, object]
+    summary: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def identify(
+    recordings: Sequence[Recording],
+    options: IdentificationOptions | None = None,
+    validation: Sequence[Recording] = (),
+) -> Identification:
+    """Identify a forward model from one or more recordings of one actuator.
+
+    Parameters
+    ----------
+    recordings : logs of drive voltage and displacement, in one unit each
+    options : what is fixed; everything else is chosen on data left out
+    validation : logs that take no part in the fit and tell how well the model predicts
+
+    Raises
+    ------
+    FitError
+        Nothing trustworthy can be identified.
+    UsageError
+        Options that contradict the recordings.
+    """
+    options = options or IdentificationOptions()
+    check_recordings(recordings)
+    if options.method == "paper":
+        return _paper(recordings, options, validation)
+    clocked = all(log.seconds() is not None for log in recordings)
+    if not clocked and (options.delay or options.relaxation):
+        raise UsageError(
+            "--delay and --relaxation need a clock: name the time column (--time) or give --sample-rate"
+        )
+    prepared = prepare(recordings, options.skip_seconds)
+    orders = Orders(
+        options.gears,
+        None if options.points is None else max(options.points, 1),
+        options.relaxation,
+        options.delay,
+        options.slopes,
+    )
+    choice = choose(prepared, orders, median_cycle_seconds(recordings) if clocked else None)
+    fitted = fit(prepared.logs, choice.basis, choice.structure)
+    model = model_of(fitted, prepared, recordings[0], options.zero)
+    residuals = [residual_of(model, log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)]
+    line = _pooled(
+        [straight_line(log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)], residuals
+    )
+    rmse = _pooled([one.rmse for one in residuals], residuals)
+    warnings = (
+        diagnostics.log_warnings(recordings, prepared)
+        + diagnostics.rated_warnings(prepared, options.rated)
+        + diagnostics.fit_warnings(recordings, prepared, choice, residuals, fitted.knots)
+    )
+    if not clocked:
+        warnings.append(
+            "no clock, so neither lag nor delay could be looked for: name the time column (--time) or give "
+            "--sample-rate"
+        )
+    if rmse > NO_BETTER * line:
+        message = (
+            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows no loop "
+            "that this class of models can follow; check the columns and the sensor"
+        )
+        if not options.force:
+            raise FitError(f"{message} (--force keeps the model)")
+        warnings.append(message)
+    checks = [validation_of(model, log, options.skip_seconds) for log in validation]
+    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line)
+    summary = prepared.notes + _summary(figures, model, prepared, choice, checks)
+    figures["warnings"] = list(warnings)
+    return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+
+
+def _pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
+    """Root of the mean square over all logs, weighted by their rows."""
+    weights = np.array([len(one.values) for one in residuals], dtype=float)
+    return float(np.sqrt(weights @ np.square(values) / weights.sum()))
+
+
+def _figures(
+    prepared: Prepared,
+    choice: Choice,
+    fitted: Fitted,
+    model: ActuatorModel,
+    residuals: Sequence[Residual],
+    checks: Sequence[Residual],
+    rmse: float,
+    line: float,
+) -> dict[str, object]:
+    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
+    span = abs(prepared.scale)
+    cross = choice.score.rmse * span
+    gears = fitted.basis
+    figures: dict[str, object] = {
+        "method": "least-squares",
+        "rmse": rmse,
+        "rmse_percent": 100.0 * rmse / span,
+        "cross_validated_rmse": cross,
+        "cross_validated_percent": 100.0 * cross / span,
+        "straight_line_rmse": line,
+    }
+    if checks:
+        value = _pooled([one.rmse for one in checks], checks)
+        figures["validation_rmse"] = value
+        figures["validation_percent"] = 100.0 * value / span
+    figures |= {
+        "samples": sum(len(one.values) for one in residuals),
+        "gears": gears.gears,
+        "points": len(fitted.knots) - 1 if len(fitted.knots) > 2 else 0,
+        "slopes": choice.structure.slopes,
+        "smoothness": choice.structure.smoothness,
+        "loop_width_percent": loop_width_percent(model),
+        "relaxation_seconds": [
+            float(t) for t, c in zip(gears.time_constants, fitted.gains, strict=True) if c > 0.0
+        ],
+        "delay_seconds": gears.delay,
+        "delay_interval_seconds": list(choice.delay_interval) if choice.delay_interval else None,
+        "lag_seconds": lag_seconds(fitted),
+        "logs": [
+            {
+                "name": residual.name,
+                "samples": len(residual.values),
+                "rmse": residual.rmse,
+                "drift": residual.drift_span,
+                "start": log.start,
+                "transient_rows": prepared.transient_rows[k],
+                "outlier_rows": prepared.outlier_rows[k],
+                "clipped_rows": prepared.clipped_rows[k],
+            }
+            for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
+        ],
+    }
+    if checks:
+        figures["validation"] = [
+            {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
+        ]
+    return figures
+
+
+def lag_seconds(fitted: Fitted) -> float:
+    """Lag of a slow ramp in seconds: the delay, and what the fast memories hold back.
+
+    A ramp of the drive is followed with the slopes' mean s plus the gains c_j, the memories each behind by
+    tau_j: together sum c_j tau_j / (s + sum c_j).
+    """
+    held = float(fitted.gains @ np.asarray(fitted.basis.time_constants)) if len(fitted.gains) else 0.0
+    total = float(fitted.heights.sum() + fitted.gains.sum())
+    return fitted.basis.delay + held / total
+
+
+def _summary(
+    figures: dict[str, object],
+    model: ActuatorModel,
+    prepared: Prepared,
+    choice: Choice,
+    checks: Sequence[Residual],
+) -> list[str]:
+    """Lines for the person at the terminal."""
+    unit = f" {model.output.unit}" if model.output.unit else ""
+    volt = f" {model.input.unit}" if model.input.unit else ""
+    lines = [
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles left out "
+        f"{figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
+        f"straight line {figures['straight_line_rmse']:.4g}{unit}"
+    ]
+    lines.extend(
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / abs(prepared.scale):.2f} % "
+        "of range), offset removed"
+        for one in checks
+    )
+    lines.append(
+        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, loop "
+        f"{figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to {prepared.high:g}{volt}"
+    )
+    lines.append(_lag_line(figures, choice))
+    lines.extend(
+        f"{log.name}: sensor drift of {drift:.3g}{unit} fitted beside the model and left out of it"
+        for log, drift in zip(prepared.logs, _drifts(figures), strict=True)
+        if drift > 0.002 * abs(prepared.scale)
+    )
+    return lines
+
+
+def _drifts(figures: dict[str, object]) -> list[float]:
+    logs = figures["logs"]
+    assert isinstance(logs, list)
+    return [float(log["drift"]) for log in logs]
+
+
+def _lag_line(figures: dict[str, object], choice: Choice) -> str:
+    """Say what lag was found and how well it is determined."""
+    taus = figures["relaxation_seconds"]
+    assert isinstance(taus, list)
+    memories = ", ".join(f"{tau:.3g}" for tau in taus) + " s" if taus else "none"
+    line = f"lag {1e3 * float(str(figures['lag_seconds'])):.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories})"
+    if choice.delay_interval is not None:
+        low, high = choice.delay_interval
+        if high > low:
+            line += f"; a delay from {1e3 * low:.3g} to {1e3 * high:.3g} ms explains the logs as well" + (
+                ", the middle was taken" if choice.basis.delay > 0.0 else ""
+            )
+    return line
+
+
+def _paper(
+    recordings: Sequence[Recording], options: IdentificationOptions, validation: Sequence[Recording]
+) -> Identification:
+    """Identify as in the paper's Section V."""
+    if len(recordings) > 1:
+        raise UsageError("--method paper takes one log of one cycle (--rows A:B cuts it out)")
+    for value, name in ((options.delay, "--delay"), (options.relaxation, "--relaxation")):
+        if value:
+            raise UsageError(
+                f"{name} does not go with --method paper: the paper's model has neither lag nor delay"
+            )
+    log = recordings[0]
+    model, cycle = identify_as_in_paper(log, options.gears, options.points, options.zero)
+    again = dataclasses.replace(
+        log, time=None, sample_period=None, voltage=cycle.voltage, displacement=np.tile(log.displacement, 2)
+    )
+    drift = np.ones((len(cycle.voltage), 1))
+    residual = residual_of(model, again, dataclasses.replace(cycle, drift=drift))
+    span = float(np.ptp(log.displacement))
+    checks = [validation_of(model, other, options.skip_seconds) for other in validation]
+    figures: dict[str, object] = {
+        "method": "paper",
+        "rmse": residual.rmse,
+        "rmse_percent": 100.0 * residual.rmse / span,
+        "samples": len(residual.values),
+        "gears": len(model.backlash.dx),
+        "loop_width_percent": loop_width_percent(model),
+    }
+    unit = f" {model.output.unit}" if model.output.unit else ""
+    summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({figures['rmse_percent']:.2f} % of range) on one cycle"]
+    if checks:
+        figures["validation_rmse"] = _pooled([one.rmse for one in checks], checks)
+        summary.extend(
+            f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE, offset removed" for one in checks
+        )
+    return Identification(dataclasses.replace(model, fit=figures), figures, summary, [])

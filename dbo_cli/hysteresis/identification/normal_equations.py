@@ -1,0 +1,217 @@
+"""Sufficient statistics of the problem, and its solution under the sign rules that keep a model invertible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import FitError
+
+Floats = NDArray[np.float64]
+
+SLOPE_FLOOR = 1e-3  # of the mean slope: a flatter gear would make the inverse ill-conditioned
+DUST = 1e-12  # ridge, relative to each column: columns that were never excited stay harmless
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Where the groups of unknowns stand: gears, time constants, inner knots of the asymmetry, drift."""
+
+    gears: int
+    memories: int
+    segments: int
+    drift: int
+
+    @property
+    def hats(self) -> int:
+        """Number of inner knots."""
+        return max(self.segments - 1, 0)
+
+    @property
+    def total(self) -> int:
+        """Number of unknowns."""
+        return self.gears + self.memories + self.hats + self.drift
+
+
+@dataclass(frozen=True)
+class Structure:
+    """One candidate: which unknowns take part and how they are held.
+
+    ``slopes`` is 'growing', 'falling' or 'free'; ``memories`` the indices of the time constants that take
+    part; ``segments`` the segments of the asymmetry (1: none), a divisor of the statistics' own;
+    ``smoothness`` the weight of the slopes' squared second difference, ``bend`` that of the asymmetry's.
+    """
+
+    slopes: str
+    memories: tuple[int, ...]
+    segments: int
+    smoothness: float
+    bend: float = 1e-6
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Unknowns of the problem in natural terms, and what the fit left over.
+
+    ``heights`` of the gears (sum about 1), ``gains`` of all memories (zero where pruned), ``knots`` the
+    deviation of the inner knots from the diagonal on the statistics' finest grid, ``drift`` the coefficients.
+    """
+
+    heights: Floats
+    gains: Floats
+    knots: Floats
+    drift: Floats
+    vector: Floats
+
+
+def slope_map(gears: int, slopes: str) -> Floats:
+    """Matrix that turns non-negative unknowns into slopes; shape (gears, gears)."""
+    if slopes == "growing":
+        return np.tril(np.ones((gears, gears)))
+    if slopes == "falling":
+        return np.triu(np.ones((gears, gears)))
+    return np.eye(gears)
+
+
+def knot_map(fine: int, coarse: int) -> Floats:
+    """Matrix that gives the hats of ``coarse`` segments as sums of those of ``fine``; a divisor is required."""
+    if coarse < 2:
+        return np.empty((max(fine - 1, 0), 0))
+    inner = np.arange(1, fine) / fine
+    corners = np.arange(coarse + 1) / coarse
+    return np.column_stack([np.interp(inner, corners, np.eye(coarse + 1)[k]) for k in range(1, coarse)])
+
+
+def second_differences(count: int) -> Floats:
+    """Matrix of second differences of ``count`` values; shape (count - 2, count)."""
+    if count < 3:
+        return np.empty((0, count))
+    rows = np.eye(count - 2, count)
+    return rows - 2.0 * np.eye(count - 2, count, 1) + np.eye(count - 2, count, 2)
+
+
+def penalties(columns: Columns, structure: Structure, weight: float) -> Floats:
+    """Quadratic form (in heights, gains, knots, drift) that keeps slopes and asymmetry smooth.
+
+    Scaled as integrals over the range, so that one value of ``smoothness`` means the same for any number
+    of gears.
+    """
+    gears = columns.gears
+    form = np.zeros((columns.total, columns.total))
+    bending = second_differences(gears) * gears  # heights -> slopes on a unit range
+    form[:gears, :gears] = structure.smoothness * weight * gears**3 * (bending.T @ bending)
+    if columns.hats:
+        at = gears + columns.memories
+        bent = second_differences(columns.segments + 1)[:, 1:-1]
+        form[at : at + columns.hats, at : at + columns.hats] = (
+            structure.bend * weight * columns.segments**3 * (bent.T @ bent)
+        )
+    return form
+
+
+def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -> Solution:
+    """Minimise the squared equation error under the structure's sign rules.
+
+    Parameters
+    ----------
+    gram : shape (total + 1, total + 1), products of the columns and (last) the target
+    columns : the layout of ``gram``
+    structure : the candidate
+    weight : number of rows that went into ``gram`` (scales the penalties)
+
+    Raises
+    ------
+    FitError
+        The solver did not reach the optimum.
+    """
+    total = columns.total
+    matrix = gram[:total, :total] + penalties(columns, structure, weight)
+    right = gram[:total, total].copy()
+    gears = columns.gears
+    floor = np.zeros(total)
+    floor[:gears] = SLOPE_FLOOR / gears
+    spread = np.zeros((total, gears + len(structure.memories)))
+    spread[:gears, :gears] = slope_map(gears, structure.slopes) / gears
+    for place, memory in enumerate(structure.memories):
+        spread[gears + memory, gears + place] = 1.0
+    at = gears + columns.memories
+    knots = knot_map(columns.segments, structure.segments)
+    loose = np.zeros((total, knots.shape[1] + columns.drift))
+    loose[at : at + columns.hats, : knots.shape[1]] = knots
+    loose[at + columns.hats :, knots.shape[1] :] = np.eye(columns.drift)
+    vector = floor + _bounded(matrix, right - matrix @ floor, spread, loose)
+    return Solution(
+        heights=vector[:gears],
+        gains=vector[gears:at],
+        knots=vector[at : at + columns.hats],
+        drift=vector[at + columns.hats :],
+        vector=vector,
+    )
+
+
+def _bounded(matrix: Floats, right: Floats, bounded: Floats, loose: Floats) -> Floats:
+    """Minimise x'Mx - 2r'x over x = bounded p + loose q with p >= 0: the loose unknowns are eliminated first."""
+    from scipy.linalg import cholesky, qr, solve_triangular
+    from scipy.optimize import nnls
+
+    # The factor is taken in the gears' own coordinates, where neighbours differ, not in those of the slope
+    # increments, whose columns are sums over gears and nearly collinear.
+    scale = np.sqrt(np.maximum(np.diag(matrix), DUST * float(np.trace(matrix))))
+    scaled = matrix / np.outer(scale, scale)
+    scaled[np.diag_indices_from(scaled)] += DUST
+    factor = cholesky(scaled, check_finite=False)
+    goal = solve_triangular(factor, right / scale, trans="T", check_finite=False)
+    both = np.hstack((loose, bounded))
+    length = np.linalg.norm(factor @ (scale[:, None] * both), axis=0)
+    rotation, factor = qr(factor @ (scale[:, None] * both / length), mode="economic", check_finite=False)
+    target = rotation.T @ goal
+    count = loose.shape[1]
+    corner = factor[count:, count:]
+    try:
+        positive, _ = nnls(corner, target[count:], maxiter=60 * corner.shape[1])
+    except RuntimeError as problem:
+        raise FitError(
+            "the least-squares solver did not converge: give fewer gears (--gears) or leave out bad rows"
+        ) from problem
+    _check_optimum(corner, target[count:], positive)
+    free = solve_triangular(
+        factor[:count, :count], target[:count] - factor[:count, count:] @ positive, check_finite=False
+    )
+    answer: Floats = both @ (np.concatenate((free, positive)) / length)
+    return answer
+
+
+def _check_optimum(matrix: Floats, target: Floats, answer: Floats) -> None:
+    """Hold the Karush-Kuhn-Tucker conditions of the non-negative problem; a solver may stop early unsaid."""
+    gradient = matrix.T @ (matrix @ answer - target)
+    size = float(np.linalg.norm(matrix.T @ target)) or 1.0
+    falls_short = max(
+        float(-gradient.min(initial=0.0)), float(np.abs(gradient[answer > 0.0]).max(initial=0.0))
+    )
+    if not falls_short <= 1e-7 * size:
+        raise FitError(
+            f"the least-squares solver stopped away from the optimum (gradient {falls_short / size:.1e} of its "
+            "size): give fewer gears (--gears) or leave out bad rows"
+        )
+
+
+def squared_error(gram: Floats, vector: Floats) -> float:
+    """Sum of squared equation errors of ``vector`` over the rows of ``gram``."""
+    full = np.append(vector, -1.0)
+    return max(float(full @ gram @ full), 0.0)
+
+
+def squared_error_free_of(gram: Floats, vector: Floats, nuisance: slice) -> float:
+    """Sum of squared errors over the rows of ``gram`` after the nuisance columns are refitted to those rows.
+
+    On rows left out, a sensor's offset and drift are not the model's to predict.
+    """
+    full = np.append(vector, -1.0)
+    full[nuisance] = 0.0
+    left = float(full @ gram @ full)
+    products = gram[nuisance, :] @ full
+    own = gram[nuisance, nuisance]
+    ridge = DUST * np.trace(own) * np.eye(len(own))
+    return max(left - float(products @ np.linalg.solve(own + ridge, products)), 0.0)

@@ -1,0 +1,292 @@
+"""Logs made ready for the fit: sign and scale, rows left out, folds of whole cycles, columns of drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
+from dbo_cli.hysteresis.identification.recordings import (
+    AMPLITUDE_SCATTER,
+    FEWEST_ROWS,
+    DriveShape,
+    Floats,
+    Integers,
+    Recording,
+    drive_shape,
+    first_wiped_row,
+)
+from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift_columns
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, gather
+
+Booleans = NDArray[np.bool_]
+
+FOLDS = 10
+OUTLIER_SIGMAS = 8.0
+SPIKE_SHARE = 0.02  # more rows than this are no outliers: they are what the actuator does
+PROBE_GEARS = 64
+STARTS = ("settled", "empty", "full")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All logs made ready, with what turns the normalised output back into displacement.
+
+    displacement = offset + scale * output; ``scale`` carries the sign of the gain. ``notes`` say in words
+    what was left out and why.
+    """
+
+    logs: tuple[PreparedLog, ...]
+    shapes: tuple[DriveShape, ...]
+    low: float
+    high: float
+    scale: float
+    offset: float
+    transient_rows: tuple[int, ...]
+    outlier_rows: tuple[int, ...]
+    clipped_rows: tuple[int, ...]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def one_amplitude(self) -> bool:
+        """Whether all cycles of all logs go over one and the same range."""
+        amplitudes = np.concatenate([shape.amplitudes for shape in self.shapes])
+        return len(amplitudes) < 2 or float(np.ptp(amplitudes)) <= AMPLITUDE_SCATTER * float(amplitudes.max())
+
+    @property
+    def span(self) -> float:
+        """Range of the drive over all logs, in its unit."""
+        return self.high - self.low
+
+
+def used_rows(log: PreparedLog) -> Booleans:
+    """Rows of a prepared log that take part in the fit."""
+    return log.fold >= 0
+
+
+def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
+    """Rows where the displacement stands at its own extreme while the drive moves on: a sensor out of range."""
+    stuck = np.zeros(len(displacement), bool)
+    moving = np.abs(np.diff(voltage, prepend=voltage[0])) > 0.0
+    for extreme in (displacement.min(), displacement.max()):
+        at = (displacement == extreme) & moving
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], at.astype(np.int8), [0]))))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            swing = float(np.ptp(voltage[begin:end]))
+            if end - begin >= 5 and swing > 0.01 * float(np.ptp(voltage)):
+                stuck[begin:end] = True
+    return stuck
+
+
+def gain_sign(recordings: Sequence[Recording]) -> float:
+    """+1 or -1: whether the displacement grows or falls with the voltage, over all logs."""
+    together = 0.0
+    for log in recordings:
+        v = log.voltage - log.voltage.mean()
+        y = log.displacement - log.displacement.mean()
+        together += float(v @ y)
+    return -1.0 if together < 0.0 else 1.0
+
+
+def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) -> Integers:
+    """Fold of each row: whole cycles dealt out in turn; -1 where the row is not used.
+
+    Rows before the first and after the last whole cycle go with their neighbour. A log with fewer than
+    three cycles is cut into four stretches of equal length instead.
+    """
+    samples = len(usable)
+    if shape.cycle_count >= 3:
+        cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
+        cycle = np.clip(cycle, 0, shape.cycle_count - 1)
+        present = np.unique(cycle[usable])
+        number = np.searchsorted(present, cycle)
+        fold = number % max(min(wanted, len(present)), 1)
+    else:
+        place = np.cumsum(usable) - 1
+        pieces = min(wanted, 4)
+        fold = np.clip(place * pieces // max(int(usable.sum()), 1), 0, pieces - 1)
+    return np.where(usable, fold + first_fold, -1)
+
+
+def drift_order(shape: DriveShape, has_clock: bool) -> int:
+    """Order of the drift polynomial that a log of so many cycles can tell from what the actuator does.
+
+    Where the amplitude changes, so does the mean of an asymmetric loop; a curved drift would swallow that.
+    """
+    if not has_clock or shape.cycle_count < 3:
+        return 0
+    return 2 if shape.one_amplitude and shape.cycle_count >= 6 else 1
+
+
+def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
+    """Make logs ready: sign, rows to leave out, start states, drift taken out, output scaled to 0..1.
+
+    Raises
+    ------
+    FitError
+        Where too few rows are left.
+    """
+    sign = gain_sign(recordings)
+    low = min(float(log.voltage.min()) for log in recordings)
+    high = max(float(log.voltage.max()) for log in recordings)
+    shapes = tuple(drive_shape(log.voltage) for log in recordings)
+    scale = sign * max(float(np.ptp(log.displacement)) for log in recordings)
+    notes: list[str] = []
+    logs: list[PreparedLog] = []
+    transients: list[int] = []
+    clipped: list[int] = []
+    fold = 0
+    for log, shape in zip(recordings, shapes, strict=True):
+        usable, transient, stuck = _usable_rows(log, skip_seconds, notes)
+        transients.append(transient)
+        clipped.append(stuck)
+        seconds = log.seconds()
+        clock = np.arange(len(log.voltage), dtype=float) if seconds is None else seconds
+        order = drift_order(shape, seconds is not None)
+        share = max(2, round(FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)))
+        folds = folds_of(shape, usable, fold, min(share, FOLDS))
+        fold = int(folds.max()) + 1
+        logs.append(
+            PreparedLog(
+                log.name,
+                log.voltage,
+                log.displacement / scale,
+                seconds,
+                folds,
+                drift_columns(clock, order),
+                "settled",
+            )
+        )
+    # Where the rows under the unknown history are left out anyway, the start state makes no difference.
+    chosen = [
+        log if cut else replace(log, start=_best_start(log, low, high))
+        for log, cut in zip(logs, transients, strict=True)
+    ]
+    flat, outliers = _without_drift_and_spikes(chosen, low, high, notes)
+    bottom = min(float(log.output[used_rows(log)].min()) for log in flat)
+    top = max(float(log.output[used_rows(log)].max()) for log in flat)
+    ready = tuple(replace(log, output=(log.output - bottom) / (top - bottom)) for log in flat)
+    return Prepared(
+        ready,
+        shapes,
+        low,
+        high,
+        scale=scale * (top - bottom),
+        offset=scale * bottom,
+        transient_rows=tuple(transients),
+        outlier_rows=outliers,
+        clipped_rows=tuple(clipped),
+        notes=notes,
+    )
+
+
+def _usable_rows(log: Recording, skip_seconds: float, notes: list[str]) -> tuple[Booleans, int, int]:
+    """Rows of one log that can take part: not skipped, not under the unknown history, sensor not clipped."""
+    samples = len(log.voltage)
+    usable = np.ones(samples, bool)
+    seconds = log.seconds()
+    if skip_seconds > 0.0:
+        if seconds is None:
+            raise FitError(
+                f"{log.name}: --skip needs a clock: name the time column (--time) or give --sample-rate"
+            )
+        usable &= seconds >= skip_seconds
+    skipped = samples - int(usable.sum())
+    wiped = first_wiped_row(log.voltage)
+    transient = 0
+    if wiped > skipped and samples - wiped >= 0.6 * samples:
+        usable[:wiped] = False
+        transient = wiped - skipped
+        notes.append(
+            f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both ends of its "
+            "range, the actuator's history is unknown"
+        )
+    stuck = clipped_sensor(log.displacement, log.voltage) & usable
+    if stuck.any():
+        usable &= ~stuck
+        notes.append(
+            f"{log.name}: {int(stuck.sum())} rows left out: the sensor stands at the end of its range while the "
+            "drive moves (clipped); move the sensor or lower its gain and record again"
+        )
+    if int(usable.sum()) < FEWEST_ROWS:
+        raise FitError(
+            f"{log.name}: {int(usable.sum())} usable rows are too few to identify from: record longer, or skip less"
+        )
+    return usable, transient, int(stuck.sum())
+
+
+def _probe(low: float, high: float) -> tuple[Basis, Structure]:
+    return Basis(PROBE_GEARS, low, high), Structure("free", (), 1, 1e-7)
+
+
+def _best_start(log: PreparedLog, low: float, high: float) -> str:
+    """Which of the known start states explains the log best; 'settled' where it makes no difference."""
+    basis, structure = _probe(low, high)
+    errors = []
+    for start in STARTS:
+        trial = gather([replace(log, start=start)], basis, 1)
+        gram, rows = trial.total()
+        errors.append(squared_error(gram, solve(gram, trial.columns, structure, rows).vector))
+    best = int(np.argmin(errors))
+    return STARTS[best] if errors[best] < 0.98 * errors[0] else STARTS[0]
+
+
+def _without_drift_and_spikes(
+    logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
+) -> tuple[list[PreparedLog], tuple[int, ...]]:
+    """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
+    basis, structure = _probe(low, high)
+    outliers = np.zeros(len(logs), np.int64)
+    residuals: list[Floats] = []
+    for attempt in range(2):
+        statistics = gather(logs, basis, 1)
+        gram, rows = statistics.total()
+        solution = solve(gram, statistics.columns, structure, rows)
+        begin = 0
+        residuals = []
+        drifts = []
+        for log in logs:
+            terms = solution.drift[begin : begin + log.drift.shape[1]]
+            begin += log.drift.shape[1]
+            fitted = log.drift @ terms
+            residual = np.full(len(log.output), np.nan)
+            blocks = DriveRows(basis, log.voltage, log.seconds, log.start, used_rows(log)).blocks()
+            for first, last, drive in blocks:
+                residual[first:last] = log.output[first:last] - drive @ solution.heights - fitted[first:last]
+            residuals.append(residual)
+            drifts.append(fitted)
+        if attempt == 1:
+            break
+        logs, found = _leave_out_spikes(logs, residuals, notes)
+        outliers += found
+        if not found.any():
+            break
+    flat = [replace(log, output=log.output - drift) for log, drift in zip(logs, drifts, strict=True)]
+    return flat, tuple(int(n) for n in outliers)
+
+
+def _leave_out_spikes(
+    logs: Sequence[PreparedLog], residuals: Sequence[Floats], notes: list[str]
+) -> tuple[list[PreparedLog], Integers]:
+    """Leave out rows that stand far from the fit and from their own neighbours."""
+    kept: list[PreparedLog] = []
+    found = np.zeros(len(logs), np.int64)
+    for place, (log, residual) in enumerate(zip(logs, residuals, strict=True)):
+        used = used_rows(log)
+        values = residual[used]
+        centre = float(np.median(values))
+        sigma = 1.4826 * float(np.median(np.abs(values - centre)))
+        far = used & (np.abs(residual - centre) > OUTLIER_SIGMAS * max(sigma, 1e-12))
+        if 0 < int(far.sum()) <= SPIKE_SHARE * int(used.sum()):
+            found[place] = int(far.sum())
+            notes.append(
+                f"{log.name}: {found[place]} outlying rows left out (more than {OUTLIER_SIGMAS:g} standard "
+                f"deviations from the fit; first at row {int(np.argmax(far)) + 1})"
+            )
+            log = replace(log, fold=np.where(far, -1, log.fold))
+        kept.append(log)
+    return kept, found

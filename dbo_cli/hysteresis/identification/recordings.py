@@ -1,0 +1,180 @@
+"""Recordings of drive voltage and displacement, and what can be said of them before any model is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import FitError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+FEWEST_ROWS = 40
+AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
+REVERSAL_SHARE = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One log of an actuator: what was applied and what was measured.
+
+    ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time`` is in seconds with the
+    same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
+    """
+
+    name: str
+    voltage: Floats
+    displacement: Floats
+    time: Floats | None = None
+    sample_period: float | None = None
+    voltage_unit: str | None = None
+    displacement_unit: str | None = None
+
+    def seconds(self) -> Floats | None:
+        """Time of each sample in seconds from the first, or None where the log has no clock."""
+        if self.time is not None:
+            return self.time - self.time[0]
+        if self.sample_period is not None:
+            return np.arange(len(self.voltage)) * self.sample_period
+        return None
+
+
+@dataclass(frozen=True)
+class DriveShape:
+    """What the drive voltage of one log does: where it turns, how often and how widely.
+
+    ``turns`` are the rows of the turning points; ``cycles`` the rows where whole cycles begin (and the last
+    one ends); ``amplitudes`` the peak-to-peak voltage between neighbouring turning points.
+    """
+
+    turns: Integers
+    cycles: Integers
+    amplitudes: Floats
+
+    @property
+    def one_amplitude(self) -> bool:
+        """Whether all swings are the same, but for a small scatter."""
+        if len(self.amplitudes) < 2:
+            return True
+        return float(np.ptp(self.amplitudes)) <= AMPLITUDE_SCATTER * float(self.amplitudes.max())
+
+    @property
+    def cycle_count(self) -> int:
+        """Number of whole cycles."""
+        return max(len(self.cycles) - 1, 0)
+
+
+def turning_points(signal: Floats, threshold: float) -> Integers:
+    """Rows where ``signal`` reverses by more than ``threshold``: alternating maxima and minima.
+
+    The last sample of a plateau counts as the turn. The two ends of the signal are not turning points.
+    """
+    slope = np.sign(np.diff(signal))
+    moving = np.flatnonzero(slope)
+    if len(moving) == 0:
+        return np.empty(0, np.int64)
+    changes = np.flatnonzero(np.diff(slope[moving]))
+    candidates = np.concatenate(([0], moving[changes] + 1, [len(signal) - 1]))
+    values = signal[candidates]
+    turns: list[int] = []
+    best = 0
+    direction = 0.0
+    for place in range(1, len(candidates)):
+        change = values[place] - values[best]
+        if direction == 0.0:
+            if abs(change) > threshold:
+                direction = np.sign(change)
+                best = place
+        elif change * direction >= 0.0:
+            best = place
+        elif abs(change) > threshold:
+            turns.append(int(candidates[best]))
+            direction = -direction
+            best = place
+    return np.asarray(turns, dtype=np.int64)
+
+
+def drive_shape(voltage: Floats) -> DriveShape:
+    """Turning points, whole cycles and amplitudes of one log's drive."""
+    turns = turning_points(voltage, REVERSAL_SHARE * float(np.ptp(voltage)))
+    heights = voltage[turns]
+    amplitudes = np.abs(np.diff(heights))
+    if len(turns) >= 2:
+        first_is_low = heights[0] < heights[1]
+        cycles = turns[0 if first_is_low else 1 :: 2]
+    else:
+        cycles = turns
+    return DriveShape(turns, cycles, amplitudes)
+
+
+def check_recordings(recordings: Sequence[Recording]) -> None:
+    """Refuse logs from which nothing can be identified, naming the log and the remedy.
+
+    Raises
+    ------
+    FitError
+        Too few rows, constant voltage or displacement, a voltage that never turns, or units that differ.
+    """
+    if not recordings:
+        raise FitError("no log given: identify needs at least one log of voltage and displacement")
+    first = recordings[0]
+    for log in recordings:
+        if len(log.voltage) < FEWEST_ROWS:
+            raise FitError(
+                f"{log.name}: {len(log.voltage)} rows are too few to identify from: record at least one whole "
+                f"cycle with {FEWEST_ROWS} rows or more"
+            )
+        if np.ptp(log.voltage) == 0.0:
+            raise FitError(
+                f"{log.name}: the voltage is constant ({log.voltage[0]:g}): record a drive that moves over "
+                "the range ('dbo excite' writes one)"
+            )
+        if np.ptp(log.displacement) == 0.0:
+            raise FitError(
+                f"{log.name}: the displacement is constant ({log.displacement[0]:g}): check the sensor and "
+                "the column chosen"
+            )
+        if len(drive_shape(log.voltage).turns) == 0:
+            raise FitError(
+                f"{log.name}: the voltage never turns back, so the log shows no loop: record at least one "
+                "whole cycle up and down ('dbo excite' writes a drive that does)"
+            )
+        for mine, other, what in (
+            (log.voltage_unit, first.voltage_unit, "voltage"),
+            (log.displacement_unit, first.displacement_unit, "displacement"),
+        ):
+            if mine != other:
+                raise FitError(
+                    f"{log.name}: its {what} is in {mine or 'no unit'}, that of {first.name} in "
+                    f"{other or 'no unit'}: bring the logs to one unit"
+                )
+
+
+def first_wiped_row(voltage: Floats) -> int:
+    """First row from which the operator's state no longer depends on the history before the log.
+
+    Once the drive has been at both ends of the range it ever visits, every gear inside that range has been
+    set and cleared (wiping-out), so whatever was remembered before is gone.
+    """
+    low, high = float(voltage.min()), float(voltage.max())
+    near = REVERSAL_SHARE / 4 * (high - low)
+    at_low = int(np.argmax(voltage <= low + near))
+    at_high = int(np.argmax(voltage >= high - near))
+    return max(at_low, at_high)
+
+
+def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
+    """Median duration of a cycle in seconds over all logs, None where no log has a clock and a cycle."""
+    durations: list[Floats] = []
+    for log in recordings:
+        seconds = log.seconds()
+        turns = drive_shape(log.voltage).turns
+        if seconds is not None and len(turns) >= 2:
+            durations.append(2.0 * np.diff(seconds[turns]))
+        elif seconds is not None and len(turns) == 1:
+            durations.append(np.array([seconds[-1]]))
+    return float(np.median(np.concatenate(durations))) if durations else None

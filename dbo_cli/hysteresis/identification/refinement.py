@@ -1,0 +1,183 @@
+"""From equation error to output error: Gauss-Newton steps on what the model will be judged by.
+
+The equation error asks S^-1 of the *measured* output, so the sensor's noise stands among the regressors and
+counts differently where the asymmetry is steep. Here the asymmetry is a function of the *predicted* output.
+For y = S(w), w = Gamma(v) + sum c L + w0, with S piecewise linear and given by where its knots X_k stand,
+
+    dy = S'(w) (dw - sum_k hat_k(y) dX_k),
+
+exactly on each segment, so that a step is the same bounded least-squares problem with other rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.normal_equations import (
+    Solution,
+    Structure,
+    penalties,
+    solve,
+    squared_error_free_of,
+)
+from dbo_cli.hysteresis.identification.recordings import Floats
+from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
+from dbo_cli.hysteresis.identification.statistics import Linearise, PreparedLog, gather
+
+STEPS = 4
+WORTHWHILE = 0.02  # of the squared output error: a smaller gain is not worth leaving the convex solution
+SMALL_GAIN = 1e-3  # of the gears' whole height: a memory below this is pruned
+STEEPEST = 20.0  # ratio between the slopes of the asymmetry that is still called invertible
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted cascade in normalised terms: gears and memories, then the asymmetry, then offset and drift.
+
+    ``origin`` is w0, the gears' output with all bits cleared; ``knots`` the corners of the asymmetry on its
+    input axis, shape (segments + 1,), from 0 to 1; ``drift`` the output's drift coefficients of all logs in
+    turn.
+    """
+
+    basis: Basis
+    heights: Floats
+    gains: Floats
+    origin: float
+    knots: Floats
+    drift: Floats
+
+
+def corners(deviation: Floats, segments: int) -> Floats:
+    """Corners of the asymmetry on its input axis from the inner knots' deviation from the diagonal."""
+    at = np.arange(segments + 1) / segments
+    at[1:-1] += deviation
+    return at
+
+
+def invertible(knots: Floats) -> bool:
+    """Whether the asymmetry is strictly increasing, with slopes that do not differ beyond reason."""
+    widths = np.diff(knots) * (len(knots) - 1)
+    return bool(widths.min() > 1.0 / STEEPEST and widths.max() < STEEPEST)
+
+
+def asymmetry(w: Floats, knots: Floats) -> tuple[Floats, Floats]:
+    """Output and slope of the piecewise-linear asymmetry at ``w``; the end segments go straight on."""
+    segments = len(knots) - 1
+    place = np.clip(np.searchsorted(knots, w, side="right") - 1, 0, segments - 1)
+    slope = 1.0 / (segments * np.diff(knots))
+    return place / segments + slope[place] * (w - knots[place]), slope[place]
+
+
+def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitted:
+    """Solve the equation-error problem on all rows, then refine on the output error, then prune memories.
+
+    Raises
+    ------
+    FitError
+        The solver failed.
+    """
+    fitted, structure = _equation_error(logs, basis, structure)
+    fitted = _refined(logs, fitted, structure)
+    total = float(fitted.heights.sum())
+    kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * total)
+    if kept != structure.memories:
+        basis = Basis(
+            basis.gears, basis.low, basis.high, tuple(basis.time_constants[k] for k in kept), basis.delay
+        )
+        structure = Structure(
+            structure.slopes,
+            tuple(range(len(kept))),
+            structure.segments,
+            structure.smoothness,
+            structure.bend,
+        )
+        fitted, structure = _equation_error(logs, basis, structure)
+        fitted = _refined(logs, fitted, structure)
+    return fitted
+
+
+def _equation_error(
+    logs: Sequence[PreparedLog], basis: Basis, structure: Structure
+) -> tuple[Fitted, Structure]:
+    """Solve with fewer and fewer segments until the asymmetry can be inverted."""
+    segments = structure.segments
+    while True:
+        structure = Structure(
+            structure.slopes, structure.memories, segments, structure.smoothness, structure.bend
+        )
+        statistics = gather(logs, basis, segments)
+        gram, rows = statistics.total()
+        solution = solve(gram, statistics.columns, structure, rows)
+        knots = corners(solution.knots, segments)
+        if segments == 1 or invertible(knots):
+            origin = float(solution.drift[0])
+            return Fitted(basis, solution.heights, solution.gains, origin, knots, solution.drift), structure
+        segments //= 2
+
+
+def _rows_about(fitted: Fitted) -> Linearise:
+    """Rows of the output-error problem, linearised about ``fitted``."""
+    segments = len(fitted.knots) - 1
+    known = np.concatenate((fitted.heights, fitted.gains))
+    moved = fitted.knots[1:-1] - np.arange(1, segments) / segments
+
+    def rows(drive: Floats, output: Floats) -> tuple[Floats, Floats]:
+        from_drive = drive @ known
+        predicted, slope = asymmetry(from_drive + fitted.origin, fitted.knots)
+        hats = hat_functions(predicted, segments) * slope[:, None]
+        target = output - predicted + slope * from_drive - hats @ moved
+        return np.hstack((drive * slope[:, None], -hats)), target
+
+    return rows
+
+
+def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -> Fitted:
+    """Gauss-Newton steps while they lower the penalised output error; the best point met is kept.
+
+    Where noise is small beside what no model of this class can follow, the two errors differ by their
+    weights alone and the convex problem's solution predicts as well or better; so a refined model must earn
+    its place.
+    """
+    best: tuple[float, Fitted] | None = None
+    unrefined: tuple[float, Fitted] | None = None
+    current = start
+    segments = len(start.knots) - 1
+    for _ in range(STEPS):
+        statistics = gather(logs, current.basis, segments, _rows_about(current))
+        gram, rows = statistics.total()
+        columns = statistics.columns
+        drift = slice(columns.total - columns.drift, columns.total)
+        deviation = current.knots[1:-1] - np.arange(1, segments) / segments
+        vector = np.concatenate((current.heights, current.gains, deviation, np.zeros(columns.drift)))
+        form = penalties(columns, structure, rows)
+        error = squared_error_free_of(gram, vector, drift) + float(vector @ form @ vector)
+        if best is not None and error > best[0] * (1.0 - 1e-5):
+            break
+        best = (error, _with_drift(current, gram, vector, drift))
+        unrefined = unrefined or best
+        try:
+            solution: Solution = solve(gram, columns, structure, rows)
+        except FitError:
+            break
+        knots = corners(solution.knots, segments)
+        if segments > 1 and not invertible(knots):
+            break
+        current = Fitted(
+            current.basis, solution.heights, solution.gains, current.origin, knots, solution.drift
+        )
+    if best is None or unrefined is None:
+        return start
+    return best[1] if best[0] < (1.0 - WORTHWHILE) * unrefined[0] else unrefined[1]
+
+
+def _with_drift(fitted: Fitted, gram: Floats, vector: Floats, drift: slice) -> Fitted:
+    """Return the same model with offset and drift fitted to what it leaves over."""
+    full = np.append(vector, -1.0)
+    own = gram[drift, drift]
+    ridge = 1e-12 * float(np.trace(own)) * np.eye(len(own))
+    best = -np.linalg.solve(own + ridge, gram[drift, :] @ full)
+    return Fitted(fitted.basis, fitted.heights, fitted.gains, fitted.origin, fitted.knots, best)

@@ -1,0 +1,194 @@
+"""The rows of the least-squares problem: what each gear, memory and asymmetry contributes to each sample.
+
+For fixed gear widths the operator's output is linear in everything that is unknown (design, section "Lag and
+creep beside the gears"): with phi_i the engaged fraction of gear i and L_j the relaxed drive,
+
+    sum_i phi_i dY_i + sum_j c_j L_j - S^-1(y) - drift = 0,
+
+where S^-1 is the inverse of the discrete point operator, written as a piecewise-linear function of the
+measured output (Kuhnen's arrangement, reference [6] of the paper). Rows are made in blocks, so that memory
+does not grow with the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+BLOCK_ROWS = 4096
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What is fixed before the problem is solved: the gears' edges, the time constants, the delay.
+
+    ``low`` and ``high`` bound the gears on the voltage axis, which ``gears`` equal widths divide;
+    ``time_constants`` in seconds; ``delay`` in seconds, of the output behind the drive.
+    """
+
+    gears: int
+    low: float
+    high: float
+    time_constants: tuple[float, ...] = ()
+    delay: float = 0.0
+
+    @property
+    def span(self) -> float:
+        """Width of all gears together, in the unit of the voltage."""
+        return self.high - self.low
+
+    def operator(self) -> DiscreteBacklashOperator:
+        """Return an operator of these gears with equal heights that sum to one."""
+        return DiscreteBacklashOperator(
+            np.full(self.gears, self.span / self.gears), np.full(self.gears, 1.0 / self.gears), self.low, 0.0
+        )
+
+
+def start_state(operator: DiscreteBacklashOperator, voltage: Floats, start: str) -> BacklashState:
+    """State of the gears before the first sample: 'empty', 'full' or 'settled'."""
+    if start == "empty":
+        return operator.empty()
+    if start == "full":
+        return operator.full()
+    return operator.settled(float(voltage[0]))
+
+
+def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[float, ...]) -> Floats:
+    """Exponentially forgetting averages of the drive, one column a time constant.
+
+    L_k = a_k L_k-1 + (1 - a_k) u_k with a_k = exp(-dt_k / tau) and, at rest before the first sample, L_0 = u_0.
+
+    Parameters
+    ----------
+    drive : shape (samples,), in any unit
+    seconds : shape (samples,), time of each sample; may be None where there are no time constants
+    time_constants : in seconds
+
+    Returns
+    -------
+    shape (samples, time constants), in the unit of ``drive``
+    """
+    if not time_constants or seconds is None:
+        return np.empty((len(drive), 0))
+    from scipy.linalg import solve_banded
+
+    steps = np.diff(seconds)
+    columns = np.empty((len(drive), len(time_constants)))
+    for place, tau in enumerate(time_constants):
+        keep = np.exp(-np.maximum(steps, 0.0) / tau)
+        bands = np.ones((2, len(drive)))
+        bands[1, :-1] = -keep
+        bands[1, -1] = 0.0
+        entering = np.concatenate((drive[:1], (1.0 - keep) * drive[1:]))
+        columns[:, place] = solve_banded((1, 0), bands, entering, check_finite=False)
+    return columns
+
+
+def hat_functions(position: Floats, segments: int) -> Floats:
+    """Piecewise-linear hats on the inner knots of ``segments`` equal segments of 0..1; outside, straight on.
+
+    Returns shape (samples, segments - 1). The end segments are extended, as the point operator's are.
+    """
+    if segments < 2:
+        return np.empty((len(position), 0))
+    place = np.clip(np.floor(position * segments).astype(np.int64), 0, segments - 1)
+    fraction = position * segments - place
+    full = np.zeros((len(position), segments + 1))
+    rows = np.arange(len(position))
+    full[rows, place] = 1.0 - fraction
+    full[rows, place + 1] = fraction
+    return full[:, 1:-1]
+
+
+def drift_columns(seconds: Floats, order: int) -> Floats:
+    """Legendre polynomials of time, order 0 (the sensor's offset) to ``order``; shape (samples, order + 1)."""
+    length = float(seconds[-1] - seconds[0]) or 1.0
+    centred = 2.0 * (seconds - seconds[0]) / length - 1.0
+    return legendre.legvander(centred, order)
+
+
+class DriveRows:
+    """Gear engagement and relaxed drive of one log, delayed, made block by block.
+
+    Parameters
+    ----------
+    basis : the gears and time constants
+    voltage : shape (samples,)
+    seconds : shape (samples,), or None where the log has no clock (then neither delay nor relaxation)
+    start : 'empty', 'full' or 'settled': the state before the first sample
+    wanted : shape (samples,), bool: blocks without a wanted row are passed over (their states are not)
+    """
+
+    def __init__(
+        self,
+        basis: Basis,
+        voltage: Floats,
+        seconds: Floats | None,
+        start: str,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self._basis = basis
+        self._voltage = voltage
+        self._start = start
+        self._wanted = np.ones(len(voltage), bool) if wanted is None else wanted
+        self._memory = relaxed_drive((voltage - basis.low) / basis.span, seconds, basis.time_constants)
+        self._before, self._share = _delayed_rows(seconds, len(voltage), basis.delay)
+
+    def blocks(self) -> Iterator[tuple[int, int, Floats]]:
+        """Yield (first row, row after the last, columns of shape (rows, gears + time constants))."""
+        operator = self._basis.operator()
+        state = start_state(operator, self._voltage, self._start)
+        samples = len(self._voltage)
+        made = 0  # rows that the operator has seen so far
+        for first in range(0, samples, BLOCK_ROWS):
+            last = min(first + BLOCK_ROWS, samples)
+            if not self._wanted[first:last].any():
+                continue
+            begin = int(self._before[first])
+            if begin > made:
+                _, state, _ = operator.run(self._voltage[made:begin], state)
+                made = begin
+            # Rows before `made` are made again from the state kept at the block's own beginning.
+            end = min(int(self._before[last - 1]) + 2, samples)
+            next_begin = int(self._before[min(last, samples - 1)])
+            columns, state, made = self._columns(operator, state, made, end, next_begin)
+            before = self._before[first:last] - begin
+            share = self._share[first:last, None]
+            if share.any():
+                after = np.minimum(before + 1, len(columns) - 1)
+                yield first, last, (1.0 - share) * columns[before] + share * columns[after]
+            else:
+                yield first, last, columns[before]
+
+    def _columns(
+        self, operator: DiscreteBacklashOperator, state: BacklashState, begin: int, end: int, keep: int
+    ) -> tuple[Floats, BacklashState, int]:
+        """Columns of rows begin..end, and the state at row ``keep``, where the next block begins."""
+        keep = min(max(keep, begin), end)
+        early, state = operator.engagement(self._voltage[begin:keep], state)
+        late, _ = operator.engagement(self._voltage[keep:end], state)
+        engaged = np.vstack((early, late))
+        if self._memory.shape[1]:
+            engaged = np.hstack((engaged, self._memory[begin:end]))
+        return engaged, state, keep
+
+
+def _delayed_rows(seconds: Floats | None, samples: int, delay: float) -> tuple[Integers, Floats]:
+    """For each row, the row at or before the moment ``delay`` ago, and the share of the row after it."""
+    rows = np.arange(samples)
+    if delay <= 0.0 or seconds is None:
+        return rows, np.zeros(samples)
+    ago = np.maximum(seconds - delay, seconds[0])
+    before = np.clip(np.searchsorted(seconds, ago, side="right") - 1, 0, samples - 2)
+    gap = seconds[before + 1] - seconds[before]
+    share = np.divide(ago - seconds[before], gap, out=np.zeros(samples), where=gap > 0.0)
+    return np.maximum.accumulate(before), np.clip(share, 0.0, 1.0)

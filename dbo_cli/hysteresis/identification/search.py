@@ -1,0 +1,284 @@
+"""The search for a structure: slopes, asymmetry, lag, gears and smoothness, each judged on data left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
+from dbo_cli.hysteresis.identification.preparation import Prepared
+from dbo_cli.hysteresis.identification.recordings import Floats
+from dbo_cli.hysteresis.identification.regressors import Basis, relaxed_drive
+from dbo_cli.hysteresis.identification.selection import (
+    INDIFFERENCE,
+    Score,
+    cross_validate,
+    no_worse,
+    simplest_of,
+)
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, Statistics, gather
+
+SELECTION_ROWS = 60_000  # orders are chosen on at most so many rows; the final fit uses all
+COARSE_GEARS = 64
+GEAR_CHOICES = (128, 256, 64, 32)  # in the order of preference
+ROWS_PER_GEAR = 8  # fewer usable rows than this for each gear is not safe
+FINE_SEGMENTS = 8
+SEGMENT_CHOICES = (1, 2, 4, 8)
+ORDER_INDIFFERENCE = 0.01  # a kink in the asymmetry is worth having for less than rougher slopes are
+SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+START_SMOOTHNESS = 1e-8
+TIME_CONSTANT_RATIO = 3.0
+LONGEST_DELAY_SHARE = 0.125  # of a cycle
+DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # sample periods
+CREEP_EVIDENCE = (
+    0.02  # of the drive's range: how much a slow memory must move for creep to be told from drift
+)
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What the user fixed; None stands for 'auto'. ``delay`` and ``time_constants`` in seconds."""
+
+    gears: int | None = None
+    segments: int | None = None
+    time_constants: tuple[float, ...] | None = None
+    delay: float | None = None
+    slopes: str | None = None
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the search settled on.
+
+    ``score`` is the cross-validated error of the choice; ``delay_interval`` (seconds) holds the delays that
+    explain the data left out no worse; ``clockwise`` how much worse growing slopes do than falling ones.
+    """
+
+    basis: Basis
+    structure: Structure
+    score: Score
+    segments: int
+    delay_interval: tuple[float, float] | None
+    clockwise: float
+
+
+def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
+    """Keep at most ``limit`` rows, whole stretches of every fold, for choosing orders on."""
+    total = sum(int((log.fold >= 0).sum()) for log in logs)
+    if total <= limit:
+        return list(logs)
+    kept = []
+    for log in logs:
+        fold = log.fold.copy()
+        folds = np.unique(fold[fold >= 0])
+        quota = int(limit * (fold >= 0).sum() / total / len(folds))
+        for k in folds:
+            rows = np.flatnonzero(fold == k)
+            fold[rows[quota:]] = -1
+        kept.append(replace(log, fold=fold))
+    return kept
+
+
+def sample_period(logs: Sequence[PreparedLog]) -> float | None:
+    """Median time between samples in seconds, None where a log has no clock."""
+    if any(log.seconds is None for log in logs):
+        return None
+    steps = np.concatenate([np.diff(log.seconds) for log in logs if log.seconds is not None])
+    moving = steps[steps > 0.0]
+    return float(np.median(moving)) if len(moving) else None
+
+
+def time_constant_grid(prepared: Prepared, period: float, cycle: float) -> tuple[float, ...]:
+    """Time constants in seconds, from the sample period to the longest that the logs can tell from drift.
+
+    A memory much slower than a cycle only shows where the drive's mean level moves: with one level and one
+    frequency it is confounded with the loop's width and the offset, and such a model predicts nonsense as
+    soon as the level changes. Slow memories are therefore offered only where they move by a stated share
+    of the range once drift is taken off.
+    """
+    grid = []
+    tau = period
+    longest = max(float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None)
+    while tau <= longest / 2.0:
+        if tau <= cycle / (2.0 * np.pi) or _moves_slowly(prepared, tau, cycle):
+            grid.append(tau)
+        tau *= TIME_CONSTANT_RATIO
+    return tuple(grid)
+
+
+def _moves_slowly(prepared: Prepared, tau: float, cycle: float) -> bool:
+    """Whether a memory of ``tau`` seconds, averaged over cycles and freed of drift, moves noticeably."""
+    for log in prepared.logs:
+        if log.seconds is None:
+            continue
+        used = log.fold >= 0
+        memory = relaxed_drive((log.voltage - prepared.low) / prepared.span, log.seconds, (tau,))[used, 0]
+        drift = log.drift[used]
+        left = memory - drift @ np.linalg.lstsq(drift, memory, rcond=None)[0]
+        window = np.floor(log.seconds[used] / cycle).astype(np.int64)
+        counts = np.bincount(window)
+        means = np.bincount(window, left)[counts > 0] / counts[counts > 0]
+        if len(means) >= 4 and float(means.std()) > CREEP_EVIDENCE:
+            return True
+    return False
+
+
+def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
+    """Choose slopes, asymmetry, lag, gears and smoothness in turn; what the user fixed stays fixed.
+
+    Parameters
+    ----------
+    prepared : the logs
+    orders : what the user fixed
+    cycle : median duration of a cycle in seconds, None without a clock
+    """
+    logs = fewer_rows(prepared.logs)
+    period = sample_period(logs)
+    if period is None or cycle is None:
+        grid: tuple[float, ...] = ()
+    elif orders.time_constants is not None:
+        grid = orders.time_constants
+    else:
+        grid = time_constant_grid(prepared, period, cycle)
+    coarse = Basis(COARSE_GEARS, prepared.low, prepared.high, grid, orders.delay or 0.0)
+    fine = orders.segments if orders.segments is not None else FINE_SEGMENTS
+    fine = max(fine, 1)
+    everything = tuple(range(len(grid)))
+    first = gather(logs, coarse, fine)
+    slopes, clockwise = _slopes(first, orders, everything, fine)
+    trial = Structure(slopes, everything, fine, START_SMOOTHNESS)
+    if orders.segments is None:
+        scores = [cross_validate(first, replace(trial, segments=m)) for m in SEGMENT_CHOICES]
+        trial = replace(trial, segments=SEGMENT_CHOICES[simplest_of(scores, ORDER_INDIFFERENCE)])
+    basis, trial, interval = _lag(logs, coarse, trial, orders, first, period, cycle)
+    basis, trial, score = _gears(logs, basis, trial, orders, fine, prepared.one_amplitude)
+    return Choice(basis, trial, score, fine, interval, clockwise)
+
+
+def _slopes(
+    statistics: Statistics, orders: Orders, memories: tuple[int, ...], segments: int
+) -> tuple[str, float]:
+    """Rule for the slopes by cross-validation, and the ratio of the errors: growing over falling."""
+    scores = {
+        rule: cross_validate(statistics, Structure(rule, memories, segments, START_SMOOTHNESS))
+        for rule in ("growing", "falling", "free")
+    }
+    ratio = scores["growing"].rmse / max(scores["falling"].rmse, 1e-300)
+    if orders.slopes is not None:
+        return orders.slopes, ratio
+    rule = "growing" if scores["growing"].rmse <= 1.02 * scores["falling"].rmse else "falling"
+    if scores["free"].rmse < 0.9 * scores[rule].rmse and not no_worse(scores[rule], scores["free"]):
+        rule = "free"
+    return rule, ratio
+
+
+def _lag(
+    logs: Sequence[PreparedLog],
+    coarse: Basis,
+    trial: Structure,
+    orders: Orders,
+    first: Statistics,
+    period: float | None,
+    cycle: float | None,
+) -> tuple[Basis, Structure, tuple[float, float] | None]:
+    """Delay and relaxation: none where the data left out do not ask for any.
+
+    Where they do, the delay is the middle of those that explain the logs no worse than the best one does,
+    with the relaxation fitted beside it. A log with one amplitude and one frequency hardly tells a delay
+    from a lag or a wider loop; the middle bounds what that costs on the next recording.
+    """
+    if period is None or cycle is None:
+        return coarse, replace(trial, memories=()), None
+    still = replace(trial, memories=())
+    segments = first.columns.segments
+    offered = [trial] if orders.time_constants is not None or not trial.memories else [still, trial]
+    if orders.delay is not None:
+        scores = [cross_validate(first, structure) for structure in offered]
+        return coarse, offered[simplest_of(scores)], None
+    scanned = _delays(logs, coarse, trial, segments, period, cycle)
+    interval = _interval(scanned)
+    delay = round((interval[0] + interval[1]) / 2.0 / period * 4.0) / 4.0 * period
+    moved = replace(coarse, delay=delay)
+    scores = [cross_validate(first, structure) for structure in offered]
+    scores.append(cross_validate(gather(logs, moved, segments), trial))
+    picked = simplest_of(scores[:-2] + scores[-1:]) if len(offered) > 1 else 1
+    if picked == 0:
+        return coarse, still, interval
+    return moved, trial, interval
+
+
+def _delays(
+    logs: Sequence[PreparedLog],
+    coarse: Basis,
+    structure: Structure,
+    segments: int,
+    period: float,
+    cycle: float,
+) -> list[tuple[float, Floats, Floats]]:
+    """Squared error by fold, and the folds' rows, of the fit with each delay (seconds) tried."""
+    scanned: list[tuple[float, Floats, Floats]] = []
+
+    def error(delay: float) -> float:
+        statistics = gather(logs, replace(coarse, delay=delay), segments)
+        gram, rows = statistics.total()
+        vector = solve(gram, statistics.columns, structure, rows).vector
+        by_fold = np.array([squared_error(g, vector) for g in statistics.grams])
+        scanned.append((delay, by_fold, np.asarray(statistics.rows, dtype=float)))
+        return float(by_fold.sum())
+
+    tried: dict[float, float] = {}
+    for step in DELAY_TRIALS:
+        if step * period > LONGEST_DELAY_SHARE * cycle:
+            break
+        tried[step] = error(step * period)
+        if len(tried) > 4 and tried[step] > 1.5 * min(tried.values()):
+            break
+    best = min(tried, key=lambda step: tried[step])
+    for width in (0.5, 0.25):
+        for step in (best - width, best + width):
+            if step > 0.0 and step not in tried and step * period <= LONGEST_DELAY_SHARE * cycle:
+                tried[step] = error(step * period)
+        best = min(tried, key=lambda step: tried[step])
+    return scanned
+
+
+def _interval(scanned: list[tuple[float, Floats, Floats]]) -> tuple[float, float]:
+    """Delays whose error is within one standard error (over folds) of the best one's."""
+    scores = [(delay, Score(errors / rows, rows / rows.sum())) for delay, errors, rows in scanned]
+    best = min(scores, key=lambda item: float(item[1].excess_over(scores[0][1]).mean()))[1]
+    held = [delay for delay, score in scores if no_worse(score, best)]
+    return min(held), max(held)
+
+
+def _gears(
+    logs: Sequence[PreparedLog],
+    basis: Basis,
+    trial: Structure,
+    orders: Orders,
+    segments: int,
+    one_amplitude: bool,
+) -> tuple[Basis, Structure, Score]:
+    """Smoothest slopes that are no worse, then the number of gears.
+
+    Gears cost nothing per sample, and a turn inside a gear retraces it, which is an error that a log with
+    one amplitude does not show: so the search starts from 128 and leaves it only for a number that the data
+    left out clearly prefer.
+    """
+    usable = sum(int((log.fold >= 0).sum()) for log in logs)
+    if orders.gears is not None:
+        choices: tuple[int, ...] = (orders.gears,)
+    else:
+        choices = tuple(n for n in GEAR_CHOICES if n * ROWS_PER_GEAR <= usable) or (min(GEAR_CHOICES),)
+    sized = replace(basis, gears=choices[0])
+    statistics = gather(logs, sized, segments)
+    smoothed = [replace(trial, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
+    scores = [cross_validate(statistics, structure) for structure in smoothed]
+    best = simplest_of(scores, INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE / 2.0)
+    candidates = [(sized, scores[best])]
+    for gears in choices[1:]:
+        other = replace(basis, gears=gears)
+        candidates.append((other, cross_validate(gather(logs, other, segments), smoothed[best])))
+    sized, score = candidates[simplest_of([candidate[1] for candidate in candidates])]
+    return sized, smoothed[best], score

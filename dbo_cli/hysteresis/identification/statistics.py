@@ -1,0 +1,90 @@
+"""What the logs say about the unknowns, gathered once and kept by folds so that any of them can be left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.hysteresis.identification.normal_equations import Columns
+from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, hat_functions
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True)
+class PreparedLog:
+    """One log made ready for the fit.
+
+    ``voltage`` in its unit; ``output`` the displacement with its sign and scale taken out (0..1 over all
+    logs); ``seconds`` from the first sample or None; ``fold`` the fold of each row, -1 where the row is left
+    out; ``drift`` the columns of offset and drift, shape (samples, terms); ``start`` the state before the
+    first sample. All arrays have shape (samples, ...).
+    """
+
+    name: str
+    voltage: Floats
+    output: Floats
+    seconds: Floats | None
+    fold: Integers
+    drift: Floats
+    start: str
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Products of the columns and the target, one symmetric matrix a fold, with the rows that went in."""
+
+    columns: Columns
+    grams: tuple[Floats, ...]
+    rows: tuple[int, ...]
+    nuisance: tuple[slice, ...]
+
+    def total(self, leave_out: int | None = None) -> tuple[Floats, int]:
+        """Sum over the folds, all or all but one: the products and the number of rows."""
+        keep = [k for k in range(len(self.grams)) if k != leave_out]
+        return np.sum([self.grams[k] for k in keep], axis=0), sum(self.rows[k] for k in keep)
+
+
+def equation_rows(segments: int) -> Linearise:
+    """Rows of the equation error: the asymmetry is a function of the *measured* output."""
+
+    def rows(drive: Floats, output: Floats) -> tuple[Floats, Floats]:
+        return np.hstack((drive, -hat_functions(output, segments))), output
+
+    return rows
+
+
+def gather(
+    logs: Sequence[PreparedLog], basis: Basis, segments: int, linearise: Linearise | None = None
+) -> Statistics:
+    """Run over all logs in blocks and gather the products of their rows, fold by fold."""
+    rows_of = linearise or equation_rows(segments)
+    drift = sum(log.drift.shape[1] for log in logs)
+    columns = Columns(basis.gears, len(basis.time_constants), segments, drift)
+    shared = columns.total - drift
+    folds = 1 + max(int(log.fold.max(initial=-1)) for log in logs)
+    size = columns.total + 1
+    grams = [np.zeros((size, size)) for _ in range(folds)]
+    rows = [0] * folds
+    nuisance = [slice(shared, shared)] * folds
+    begin = shared
+    for log in logs:
+        end = begin + log.drift.shape[1]
+        picked = np.r_[0:shared, begin:end, size - 1]
+        rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.fold >= 0)
+        for first, last, drive in rows_made.blocks():
+            fold = log.fold[first:last]
+            known, target = rows_of(drive, log.output[first:last])
+            table = np.hstack((known, log.drift[first:last], target[:, None]))
+            for k in np.unique(fold[fold >= 0]):
+                part = table[fold == k]
+                grams[k][np.ix_(picked, picked)] += part.T @ part
+                rows[k] += len(part)
+                nuisance[k] = slice(begin, end)
+        begin = end
+    return Statistics(columns, tuple(grams), tuple(rows), tuple(nuisance))
