@@ -138,6 +138,11 @@ class Hdf5Table:
         """Close the file."""
         self._file.close()
 
+    @property
+    def sha256(self) -> str | None:
+        """None: an HDF5 file is always there to be hashed as a whole."""
+        return None
+
     def _find(self, group: str) -> Any:
         node = self._file.get(group)
         if node is None:

@@ -19,6 +19,7 @@ from dbo_cli.records.addresses import HDF5_SIGNATURE, Address, parse_address
 from dbo_cli.records.blocks import Block, ColumnInfo, RawBlock, join_places
 from dbo_cli.records.columns import TIME_GUESSES, ColumnWish, choose_columns, find_column, guess_columns
 from dbo_cli.records.dialect import DialectOptions
+from dbo_cli.records.provenance import InputRecord, input_record
 from dbo_cli.records.text_logs import TextTable
 from dbo_cli.records.times import TimeCheck, parse_rows, resampled, to_seconds
 
@@ -41,6 +42,10 @@ class Table(Protocol):
     ) -> Iterator[RawBlock]:
         """Read the wanted columns in blocks."""
 
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read, where it was asked for."""
+
     def close(self) -> None:
         """Close the file."""
 
@@ -60,10 +65,13 @@ class SignalLog:
         Samples a second as given by the user or by an attribute of the file, or None.
     notes
         What is worth saying about the log (odd time stamps, dropped rows); complete after the last block.
+    rows_read
+        The recorded rows handed out so far (before any resampling).
     """
 
     def __init__(
         self,
+        address: str,
         table: Table,
         columns: dict[str, ColumnInfo],
         time: ColumnInfo | None,
@@ -74,6 +82,7 @@ class SignalLog:
         resample: float | None = None,
     ) -> None:
         self.name = table.place
+        self._address = address
         self.columns = columns
         self.time = time
         self.sample_rate = sample_rate
@@ -83,6 +92,7 @@ class SignalLog:
         self._skip_bad = skip_bad
         self._block_rows = max(1, block_rows)
         self._resample = resample
+        self.rows_read = 0
 
     def __enter__(self) -> SignalLog:
         """Use the log as a context manager that closes it."""
@@ -150,6 +160,10 @@ class SignalLog:
         """Close the file."""
         self._table.close()
 
+    def record(self) -> InputRecord:
+        """Record this log for a model's provenance, once it has been read (a stream: with ``digest``)."""
+        return input_record(self._address, self.rows_read, self._table.sha256)
+
     def _as_recorded(self) -> Iterator[Block]:
         picks = [*self.columns.values(), *([self.time] if self.time is not None else [])]
         check: TimeCheck | None = None
@@ -161,6 +175,7 @@ class SignalLog:
                     check = check or TimeCheck(self.name, has_lines=block.lines is not None)
                     check.feed(block.time, block.rows, block.lines)
                 empty = False
+                self.rows_read += len(block)
                 yield block
         if check is not None:
             self.notes.extend(check.notes())
@@ -254,7 +269,7 @@ def open_log(
     rate = sample_rate if sample_rate is not None else (None if clock else table.sample_rate)
     if sample_rate is not None:
         clock = None
-    return SignalLog(table, columns, clock, rate, limits, skip_bad, block_rows, resample)
+    return SignalLog(address, table, columns, clock, rate, limits, skip_bad, block_rows, resample)
 
 
 def _open_table(

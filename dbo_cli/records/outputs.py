@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
 import signal
 import stat
@@ -22,6 +23,7 @@ from typing import IO
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.records.addresses import Address, parse_address
 
+_HDF5_ERRNO = re.compile(r"errno = (\d+)")
 _ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -112,10 +114,13 @@ def _telling(path: str) -> Iterator[None]:
 
 
 def reason_of(problem: OSError) -> str:
-    """Say why writing failed."""
-    if problem.errno in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(problem):
+    """Say why writing failed; the HDF5 library tells the number of the error only inside its text."""
+    number, told = problem.errno, _HDF5_ERRNO.search(str(problem))
+    if number is None and told:
+        number = int(told[1])
+    if number in (errno.ENOSPC, errno.EDQUOT):
         return "the disk is full: nothing was written"
-    return f"cannot be written: {problem.strerror or str(problem).splitlines()[0]}"
+    return f"cannot be written: {os.strerror(number) if number else str(problem).splitlines()[0]}"
 
 
 def _adopt_mode(target: str, temporary: str) -> None:

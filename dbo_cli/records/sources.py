@@ -168,6 +168,7 @@ class ByteSource:
         if encoding is None:
             return None
         try:
+            "".encode(encoding)  # refuses codecs that are no text encodings, too
             decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
         except LookupError:
             raise UsageError(f"--encoding {encoding}: there is no such text encoding") from None

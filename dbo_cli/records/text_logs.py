@@ -82,6 +82,11 @@ class TextTable:
         """Close the file."""
         self.source.close()
 
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read, where it was asked for."""
+        return self.source.sha256
+
     def _data(self, parser: BlockParser) -> Iterator[bytes]:
         """Skip the lines above the data."""
         for block in self._lines:
