@@ -96,9 +96,10 @@ class Counts(NamedTuple):
         )
 
     def shifted(self, samples: int) -> Counts:
-        """Return the counts of a block that begins ``samples`` later."""
+        """Return the counts of a block that begins ``samples`` later; an index without a count stays 0."""
         return self._replace(
-            first_outside=self.first_outside + samples, first_clipped=self.first_clipped + samples
+            first_outside=self.first_outside + samples if self.outside else 0,
+            first_clipped=self.first_clipped + samples if self.clipped else 0,
         )
 
 

@@ -1,0 +1,290 @@
+"""Both kernels: equal to each other bit for bit, and to the paper's procedure in exact rationals."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import reference
+from trials import Floats, random_operator, random_trajectory
+
+import dbo_cli.hysteresis
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    Counts,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    OutputLimits,
+)
+
+SOURCE = Path(dbo_cli.hysteresis.__file__).parent
+COMPILED = kernel.compiled_kernel()
+needs_compiled = pytest.mark.skipif(COMPILED is None, reason="the compiled kernel was not built")
+KINDS = [
+    pytest.param(COMPILED, id="compiled", marks=needs_compiled),
+    pytest.param(kernel.PythonKernel, id="python"),
+]
+
+
+@pytest.fixture(params=KINDS)
+def chosen(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Each kernel in turn."""
+    monkeypatch.setattr(kernel, "CHOSEN", request.param)
+    return request.param
+
+
+def bits_of(values: Any) -> bytes:
+    return np.asarray(values, dtype=np.float64).tobytes()
+
+
+def everything(seed: int, monkeypatch: pytest.MonkeyPatch, chosen: Any, relaxation: bool) -> list[Any]:
+    """One random case through every path of a kernel, as comparable values."""
+    monkeypatch.setattr(kernel, "CHOSEN", chosen)
+    rng = np.random.default_rng(seed)
+    n = round(10.0 ** rng.uniform(0.0, 2.4))
+    operator = random_operator(rng, n, relaxation)
+    inverse = operator.inverse()
+    low, high = operator.x_range
+    x = random_trajectory(rng, operator, 48)
+    x[7::11] += (high - low) * rng.uniform(-0.5, 0.5, x[7::11].size)  # some of it outside
+    terms = operator.relaxation
+    decay = None
+    if terms is not None:
+        decay = terms.decay(float(rng.uniform(0.0, 0.1)) if seed % 4 == 1 else rng.uniform(0.0, 0.1, 48))
+    start = operator.settled(x[0])
+    step = (high - low) * (0.3 if seed % 3 else rng.uniform(0.0, 0.5, 48))
+    limits = OutputLimits(low + 0.1 * (high - low), high - 0.2 * (high - low), step, 1e-9)
+    found: list[Any] = []
+    for outside in ("extend", "hold"):
+        y, state, counts = operator.run(x, start, decay=decay, outside=outside)  # type: ignore[arg-type]
+        found += [bits_of(y), state, counts]
+        z, state, counts = inverse.run(y, start, decay=decay, outside=outside)  # type: ignore[arg-type]
+        found += [bits_of(z), state, counts]
+        z, state, counts = inverse.run(y, start, decay=decay, outside=outside, limits=limits)  # type: ignore[arg-type]
+        found += [bits_of(z), state, counts]
+        for cumulative in (False, True):
+            rows, state = operator.engagement(x, start, cumulative=cumulative, outside=outside)  # type: ignore[arg-type]
+            found += [bits_of(rows), state]
+    if terms is not None:
+        rows, memory = terms.lags(x, 0.01)
+        found += [bits_of(rows), memory]
+    return found
+
+
+@needs_compiled
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_kernels_agree_bit_for_bit(relaxation: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in range(60):
+        compiled = everything(seed, monkeypatch, COMPILED, relaxation)
+        assert compiled == everything(seed, monkeypatch, kernel.PythonKernel, relaxation), seed
+
+
+@needs_compiled
+def test_point_kernels_agree_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    for m in (1, 2, 3, 17, 200):
+        operator = DiscretePointOperator(rng.uniform(0.1, 1.0, m), rng.uniform(0.1, 1.0, m), 0.3, -7.0)
+        low, high = operator.x_range
+        x = rng.uniform(low - 1.0, high + 1.0, 500)
+        x[: m - 1] = low + operator.segments[1:, 0][:500]
+        outputs = []
+        for chosen in (COMPILED, kernel.PythonKernel):
+            monkeypatch.setattr(kernel, "CHOSEN", chosen)
+            outputs.append(bits_of(operator.run(x)))
+        assert outputs[0] == outputs[1]
+
+
+def dyadic(rng: np.random.Generator, n: int) -> Floats:
+    """Widths that are whole multiples of 1/64, so that breakpoints are floats exactly."""
+    return rng.integers(8, 64, n) / 64.0
+
+
+@pytest.mark.parametrize("n", range(1, 13))
+def test_every_state_equals_the_reference(n: int, chosen: Any) -> None:
+    rng = np.random.default_rng(n)
+    operator = DiscreteBacklashOperator(dyadic(rng, n), dyadic(rng, n), 1.5, -0.25)
+    states = range(1 << n) if n <= 8 or chosen is COMPILED else rng.integers(0, 1 << n, 200)
+    for bits in map(int, states):
+        paper = reference.Backlash(operator.dx.tolist(), operator.dy.tolist(), 1.5, -0.25, bits)
+        x_b, y_b = paper.coordinates()
+        assert operator.coordinates(BacklashState(bits)) == (float(x_b), float(y_b))
+        s, z = reference.find_first_one(paper.bits), reference.find_first_zero(paper.bits)
+        up = paper.dx[z] if z < n else Fraction(1)
+        down = paper.dx[s] if s < n else Fraction(1)
+        for x in (x_b, x_b + up / 4, x_b + up, x_b + up * 3, x_b - down / 4, x_b - down, x_b - down * 3):
+            paper = reference.Backlash(operator.dx.tolist(), operator.dy.tolist(), 1.5, -0.25, bits)
+            expected = paper.step(float(x))
+            y, after, _ = operator.run([float(x)], BacklashState(bits))
+            assert after.bits == paper.state
+            assert abs(Fraction(float(y[0])) - expected) <= Fraction(1, 2**49)
+
+
+@pytest.mark.parametrize("n", [1, 2, 25, 63, 64, 65, 128, 200, 1000])
+def test_random_paths_equal_the_reference(n: int, chosen: Any) -> None:
+    rng = np.random.default_rng(100 + n)
+    operator = DiscreteBacklashOperator(dyadic(rng, n), dyadic(rng, n), -2.0, 3.0)
+    low, high = operator.x_range
+    paper = reference.Backlash(operator.dx.tolist(), operator.dy.tolist(), -2.0, 3.0)
+    # Steps of a few gears, on multiples of 1/256: breakpoints are met exactly and often.
+    x = np.cumsum(rng.normal(0.0, 2.0, 40 if n < 1000 else 12))
+    x = np.rint(np.clip(low + np.abs(x), low - 1.0, high + 1.0) * 256.0) / 256.0
+    y, after, _ = operator.run(x, operator.empty())
+    expected = [paper.step(value) for value in x.tolist()]
+    assert after.bits == paper.state
+    assert max(abs(Fraction(a) - b) for a, b in zip(y.tolist(), expected, strict=True)) <= Fraction(1, 10**11)
+
+
+def test_point_procedure_equals_the_reference(chosen: Any) -> None:
+    rng = np.random.default_rng(9)
+    dx, dy = dyadic(rng, 7), dyadic(rng, 7)
+    operator = DiscretePointOperator(dx, dy, 0.5, -1.0)
+    low, high = operator.x_range
+    x = rng.integers(int(256 * (low - 1.0)), int(256 * (high + 1.0)), 300) / 256.0
+    expected = reference.point(dx.tolist(), dy.tolist(), 0.5, -1.0, x.tolist())
+    error = [abs(Fraction(a) - b) for a, b in zip(operator.run(x).tolist(), expected, strict=True)]
+    assert max(error) <= Fraction(1, 2**49)
+
+
+def test_sums_never_drift(chosen: Any) -> None:
+    """2 x 10^6 transitions with the compiled kernel; benchmarks/drift.py makes 10^9."""
+    rng = np.random.default_rng(4)
+    operator = DiscreteBacklashOperator(rng.uniform(0.1, 1.0, 100), rng.uniform(0.1, 1.0, 100), 0.0, 0.0)
+    low, high = operator.x_range
+    sweeps = 10_000 if chosen is COMPILED else 200
+    x = np.tile([high, low], sweeps)
+    x[1::2] += rng.uniform(0.0, 0.3, sweeps) * (high - low)
+    probe = rng.uniform(low, high, 50)
+    _, state, _ = operator.run(x, operator.empty())
+    y, _, _ = operator.run(probe, state)
+    # The state as it was carried through all of them, against the sums (2)-(3) of its bits.
+    carried, _, _ = operator.run(np.concatenate([x, probe]), operator.empty())
+    assert bits_of(carried[-50:]) == bits_of(y)
+
+
+@pytest.mark.parametrize("n", [2, 63, 64, 65, 4096, 4097, 9000])
+def test_many_words(n: int, chosen: Any) -> None:
+    """Full sweeps and a dither with all low bits set, across words and across words of words."""
+    operator = DiscreteBacklashOperator(np.ones(n), np.full(n, 0.5))
+    x = np.array([float(n), n - 1.0, float(n), 0.0, float(n - 1), n - 1.5, n - 1.0, float(n), n - 2.0])
+    y, state, counts = operator.run(x, operator.empty())
+    assert bits_of(y) == bits_of(0.5 * x)
+    assert counts == Counts()
+    assert state.bits == (1 << n) - 4
+
+
+def test_crossing_by_the_tolerance_keeps_the_gears_own_slope(chosen: Any) -> None:
+    operator = DiscreteBacklashOperator([1.0, 1.0], [1.0, 3.0])
+    short = 2.0 - 0.5e-9
+    y, state, _ = operator.run([short], operator.empty())
+    assert state.bits == 0b11
+    assert y[0] == pytest.approx(4.0 - 1.5e-9, abs=1e-15)
+    back, again, _ = operator.inverse().run(y, operator.empty())
+    assert again == state
+    assert back[0] == pytest.approx(short, abs=1e-15)
+
+
+def test_odd_values_end(chosen: Any) -> None:
+    """The commands refuse NaN and inf; the kernel must survive them all the same."""
+    operator = DiscreteBacklashOperator([1.0, 2.0], [1.0, 3.0])
+    y, state, _ = operator.run([np.nan, np.inf, -np.inf, 1.0], operator.empty())
+    assert np.isnan(y[0])
+    assert y[1:].tolist() == [np.inf, -np.inf, 1.0]
+    assert state.bits == 1
+
+
+def test_blocks_of_no_samples(chosen: Any) -> None:
+    operator = DiscreteBacklashOperator([1.0, 2.0], [1.0, 3.0])
+    y, state, counts = operator.run([], BacklashState(2))
+    assert (y.size, state, counts) == (0, BacklashState(2), Counts())
+    rows, _ = operator.engagement([], BacklashState(2))
+    assert rows.shape == (0, 2)
+
+
+@needs_compiled
+def test_compiled_kernel_checks_lengths() -> None:
+    assert COMPILED is not None
+    gears = np.ones((2, 4))
+    none = np.empty(0)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
+        COMPILED.backlash_engagement(gears, 0.0, True, np.zeros(1, np.uint64), none, none, np.empty(2), False)
+    words = np.zeros(kernel.buffer_words(2), np.uint64)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: rows"):
+        COMPILED.backlash_engagement(gears, 0.0, True, words, np.ones(3), none, np.empty(2), False)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: y"):
+        COMPILED.point_run(np.ones((1, 3)), 0.0, 0.0, np.ones(3), np.empty(2))
+
+
+def test_choice_of_kernel() -> None:
+    assert kernel.choose("python") == ("python", kernel.PythonKernel)
+    with pytest.raises(UsageError, match=r"^environment DBO_KERNEL: no kernel is called 'fast' \(use python"):
+        kernel.choose("fast")
+
+
+def test_without_extension(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel, "compiled_kernel", lambda: None)
+    assert kernel.choose("")[0] == "python"
+    with pytest.raises(UsageError, match="was not built at installation"):
+        kernel.choose("compiled")
+
+
+def test_environment_selects_the_python_twin() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from dbo_cli.hysteresis import kernel; print(kernel.KIND)"],
+        env={**os.environ, "DBO_KERNEL": "python"}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "python"
+
+
+HARNESS = """
+#include "dbo_kernel.c"
+unsigned scan(uint64_t word) { return first_one(word); }
+void drive(const dbo_gear *gears, size_t n, uint64_t *words, const double *x, double *y, size_t count) {
+    dbo_backlash op = {gears, n, 0.0, 0.0, 1, 0, 0, 0.0, 0};
+    dbo_backlash_state state = {words, 0, 0.0, 0, 0, 0.0, 0.0};
+    dbo_counts counts = {0, 0, 0, 0};
+    dbo_backlash_load(&op, &state);
+    for (size_t k = 0; k < count; k++) y[k] = dbo_backlash_step(&op, &state, x[k], 0, 0, &counts);
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_portable_scan_and_single_steps(tmp_path: Path) -> None:
+    """The file on its own, warnings as errors, with and without the compiler's instruction."""
+    (tmp_path / "harness.c").write_text(HARNESS)
+    rng = np.random.default_rng(8)
+    operator = DiscreteBacklashOperator(rng.uniform(0.1, 1.0, 150), rng.uniform(0.1, 1.0, 150))
+    x = random_trajectory(rng, operator, 300)
+    expected, _, _ = operator.run(x, operator.empty())
+    for flags in ([], ["-DDBO_PORTABLE_SCAN"]):
+        library = tmp_path / f"kernel{len(flags)}.so"
+        subprocess.run(
+            ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-function", "-O2",
+             "-ffp-contract=off", "-shared", "-fPIC", *flags, f"-I{SOURCE}", str(tmp_path / "harness.c"),
+             "-o", str(library)],
+            check=True,
+        )  # fmt: skip
+        loaded = ctypes.CDLL(str(library))
+        loaded.scan.argtypes, loaded.scan.restype = [ctypes.c_uint64], ctypes.c_uint
+        for i in range(64):
+            low = int(rng.integers(0, 2**63)) << i & 2**64 - 1
+            assert loaded.scan(1 << i) == i
+            assert loaded.scan(1 << i | low << 1 & 2**64 - 1) == i
+        y = np.empty_like(x)
+        words = np.zeros(kernel.buffer_words(operator.n), np.uint64)
+        pointer = ctypes.c_void_p
+        loaded.drive.argtypes = [pointer, ctypes.c_size_t, pointer, pointer, pointer, ctypes.c_size_t]
+        loaded.drive(
+            operator.gears.ctypes.data, operator.n, words.ctypes.data, x.ctypes.data, y.ctypes.data, x.size
+        )
+        assert bits_of(y) == bits_of(expected)
