@@ -239,42 +239,46 @@ class LoopWidth:
 class PhaseLag:
     """The delay that is left, to a fraction of a sample.
 
-    The measured signal is fitted by a desired + b slope + constant, slope the central difference of the
-    desired signal. With w the rms frequency of the desired signal in rad a sample, sin(w)^2 =
-    var(slope)/var(desired), the phase left is atan2(-b w', a), w' = sin w, and the lag is the phase over w.
-    For a sine this is exact at any amplitude ratio and any lag below half a period; for other signals it
-    is right to first order, so a lag of many samples should be taken out with ``--lag`` first. Hysteresis
-    shows as a phase too; it is part of what is left.
+    The measured signal is fitted by a desired + b slope + constant, slope being the central difference of
+    the desired signal (in units a sample). With w the frequency of the desired signal in rad a sample, from
+    the regression of its second difference on itself, -4 sin(w/2)^2, the phase left is
+    atan2(-b sin w, a) and the lag is the phase over w. For a sine this is exact at any amplitude ratio, any
+    length of the log and any lag below half a period; for other signals it is right to first order, so a lag
+    of many samples should be taken out first. Hysteresis shows as a phase too; it is part of what is left.
     """
 
     def __init__(self) -> None:
-        self._sums = [CompensatedSum() for _ in range(8)]
+        self._sums = [CompensatedSum() for _ in range(10)]
         self._count = 0
         self._shift: tuple[float, float] | None = None
 
-    def add(self, desired: Floats, measured: Floats, slope: Floats) -> None:
-        """Count one batch of equally long arrays."""
+    def add(self, desired: Floats, measured: Floats) -> None:
+        """Take one run of samples; the first and the last serve for the differences alone."""
+        if len(desired) < 3:
+            return
         if self._shift is None:
             self._shift = (float(desired[0]), float(measured[0]))
-        d = desired - self._shift[0]
-        m = measured - self._shift[1]
-        terms = (d, slope, m, d * d, d * slope, slope * slope, d * m, slope * m)
+        d = desired[1:-1] - self._shift[0]
+        m = measured[1:-1] - self._shift[1]
+        s = 0.5 * (desired[2:] - desired[:-2])
+        bend = (desired[2:] - desired[1:-1]) - (desired[1:-1] - desired[:-2])
+        terms = (d, s, m, bend, d * d, d * s, s * s, d * m, s * m, d * bend)
         for total, term in zip(self._sums, terms, strict=True):
             total.add(float(np.add.reduce(term)))
         self._count += len(d)
 
     def lag(self) -> tuple[float, float] | None:
-        """Return (samples, degrees), or None where the desired signal does not move."""
+        """Return (samples, degrees), or None where the desired signal does not move back and forth."""
         if self._count < 4:
             return None
-        n = self._count
-        d, s, m, dd, ds, ss, dm, sm = (total.value / n for total in self._sums)
+        d, s, m, bend, dd, ds, ss, dm, sm, db = (total.value / self._count for total in self._sums)
         dd, ds, ss, dm, sm = dd - d * d, ds - d * s, ss - s * s, dm - d * m, sm - s * m
         determinant = dd * ss - ds * ds
-        if determinant <= 1e-12 * dd * ss:
+        turning = -(db - d * bend)
+        if determinant <= 1e-12 * dd * ss or turning <= 0.0:
             return None
         along = (dm * ss - sm * ds) / determinant
         across = (sm * dd - dm * ds) / determinant
-        sine = min(1.0, math.sqrt(ss / dd))
-        phase = math.atan2(-across * sine, along)
-        return phase / math.asin(sine), math.degrees(phase)
+        frequency = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(turning / dd)))
+        phase = math.atan2(-across * math.sin(frequency), along)
+        return phase / frequency, math.degrees(phase)

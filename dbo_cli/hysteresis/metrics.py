@@ -177,5 +177,5 @@ class TrackingMetrics:
             return
         slope = 0.5 * (desired[2:] - desired[:-2])
         inner, answer = desired[1:-1], measured[1:-1]
-        self._phase.add(inner, answer, slope)
+        self._phase.add(desired, measured)
         self._loop.add(inner, answer - inner, slope)

@@ -47,8 +47,9 @@ def draw(plot: Plot, kind: Literal["png", "svg", "inline"], note: str = "", scop
     with rc_context(style.RC | changes):
         figure = Figure(figsize=plot.size)
         FigureCanvasAgg(figure)
-        axes = figure.add_axes(_frame(plot.size))
+        axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
         plot.paint(axes)
+        axes.set_position(_frame(plot.size, headed=bool(note) or axes.get_legend() is not None))
         if note:
             axes.set_title(note, loc="right", color=style.MUTED, fontsize=8.0, pad=5.0)
         _fit_left(figure, axes)
@@ -105,9 +106,9 @@ def file_stems(names: Sequence[str]) -> list[str]:
     return stems
 
 
-def _frame(size: tuple[float, float]) -> tuple[float, float, float, float]:
+def _frame(size: tuple[float, float], headed: bool) -> tuple[float, float, float, float]:
     """Return left, bottom, width and height of the axes for margins fixed in inches."""
-    left, right, bottom, top = 0.66, 0.12, 0.48, 0.34
+    left, right, bottom, top = 0.66, 0.12, 0.48, 0.32 if headed else 0.1
     width, height = size
     return left / width, bottom / height, (width - left - right) / width, (height - bottom - top) / height
 

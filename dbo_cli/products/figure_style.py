@@ -21,10 +21,10 @@ SCHEME = {INK: "ink", MUTED: "muted", RULE: "rule", FIRST: "first", SECOND: "sec
 SOLID: dict[str, Any] = {"color": FIRST, "linestyle": "-", "linewidth": 1.3}
 DASHED: dict[str, Any] = {"color": SECOND, "linestyle": (0, (3.2, 1.4)), "linewidth": 1.3}
 ALONE: dict[str, Any] = {"color": INK, "linestyle": "-", "linewidth": 0.9}
-HIGH_DPI = 200
+HIGH_DPI = 220
 
-WIDE = (5.6, 3.1)
-TALL = (5.6, 4.4)
+WIDE = (5.0, 2.8)
+TALL = (5.0, 4.0)
 
 RC: dict[str, object] = {
     "font.family": "sans-serif",

@@ -37,57 +37,26 @@ def plots_of_log(report: Report, log: LogReport, traces: Traces) -> list[Plot]:
     """Return the figures of one log, drawn from what ``traces`` gathered while it was evaluated."""
     view = _LogView(report, log, traces)
     first, second = report.options.labels
-    plots = []
-    if traces.has_drive:
-        plots.append(
-            Plot("drive", "Drive against time", "Drive voltage against time.", style.WIDE, view.drive)
-        )
-    plots += [
-        Plot(
-            "tracking",
-            f"{first.capitalize()} and {second} against time",
-            f"The {first} displacement as a solid line, the {second} one dashed, against time.",
-            style.WIDE,
-            view.tracking,
-        ),
-        Plot(
-            "error",
-            "Error against time",
-            f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE.",
-            style.WIDE,
-            view.error,
-        ),
-        Plot(
-            "output",
-            f"{second.capitalize()} against {first}",
-            f"{second.capitalize()} displacement against the {first} one, beside the identity.",
-            style.TALL,
-            view.output,
-        ),
+    wide, tall = style.WIDE, style.TALL
+    both = f"{first.capitalize()} and {second} against time"
+    error = f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE."
+    output = f"{second.capitalize()} against {first}"
+    loop = "Hysteresis loop: displacement against drive voltage"
+    share = "Share of all samples against their error."
+    density = "Amplitude density of the error against frequency, both axes logarithmic."
+    plots = [
+        Plot("tracking", both, f"{both}, the first as a solid line, the second dashed.", wide, view.tracking),
+        Plot("error", "Error against time", error, wide, view.error),
+        Plot("output", output, f"{output}, beside the identity.", tall, view.output),
+        Plot("loop", loop, f"{loop}.", tall, view.loop),
+        Plot("histogram", "Distribution of the error", share, wide, view.histogram),
+        Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum),
+        Plot("drive", "Drive against time", "Drive voltage against time.", wide, view.drive),
     ]
-    if traces.has_drive:
-        loop = "Hysteresis loop: displacement against drive voltage"
-        plots.append(Plot("loop", loop, f"{loop}.", style.TALL, view.loop))
-    plots.append(
-        Plot(
-            "histogram",
-            "Distribution of the error",
-            "Share of all samples against their error.",
-            style.WIDE,
-            view.histogram,
-        )
-    )
-    if traces.spectrum.density(1.0) is not None:
-        plots.append(
-            Plot(
-                "spectrum",
-                "Spectrum of the error",
-                "Amplitude density of the error against frequency, both axes logarithmic.",
-                style.WIDE,
-                view.spectrum,
-            )
-        )
-    return plots
+    missing = set() if traces.has_drive else {"loop", "drive"}
+    if traces.spectrum.density(1.0) is None:
+        missing.add("spectrum")
+    return [plot for plot in plots if plot.key not in missing]
 
 
 class _LogView:
@@ -124,7 +93,9 @@ class _LogView:
     def output(self, axes: Axes) -> None:
         first, second = self._report.options.labels
         ends = [self._figures.desired_min, self._figures.desired_max]
-        axes.plot(ends, ends, label="identity", color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)))
+        axes.plot(
+            ends, ends, label="identity", zorder=3, color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6))
+        )
         self._curve(axes, "desired", "measured", style.DASHED | {"linestyle": "-"}, second, self._offset)
         what = self._quantity.lower()
         axes.set(xlabel=self._length(f"{first.capitalize()} {what}"))

@@ -16,7 +16,7 @@ MEANINGS = (
     ("% of range", "The same in percent of the range that {first} covers (NRMSE)."),
     ("95 %", "95 % of all samples have an error no larger than this."),
     ("Largest", "The largest error, and the data row of the log where it is."),
-    ("Mean", "Mean of the error; where it was removed, what was removed."),
+    ("Mean", "Mean of the error; where it was taken off beforehand, the offset that was taken off."),
     (
         "Loop left",
         "The hysteresis that is left: for equal values of {first}, the error on the way down less the"
@@ -79,7 +79,8 @@ def _summary(report: Report, several: bool) -> str:
     in_unit = f" ({unit})" if unit else ""
     removed = report.options.remove_offset
     head = ["Log", "Samples", f"RMSE{in_unit}", "% of range", f"95 %{in_unit}", f"Largest{in_unit}", "at row"]
-    head += [f"{'Mean removed' if removed else 'Mean'}{in_unit}", f"Loop left{in_unit}", "Lag left", "Phase"]
+    head += [f"{'Offset' if removed else 'Mean'}{in_unit}", f"Loop left{in_unit}"]
+    head += ["Lag left (samples)", "Lag left (ms)", "Phase left"]
     head += ["Ratio"] if several else []
     rows = []
     for log in report.logs:
@@ -94,8 +95,9 @@ def _summary(report: Report, several: bool) -> str:
             str(figures.max_abs_row),
             digits(figures.offset if removed else figures.mean),
             digits(figures.loop_width),
-            _lag(record["lag_left_samples"], record["lag_left_s"]),
-            "–" if figures.phase_left is None else f"{digits(figures.phase_left, 3)}°",
+            digits(figures.lag_left, 3),
+            digits(None if record["lag_left_s"] is None else 1000.0 * record["lag_left_s"], 3),
+            "-" if figures.phase_left is None else f"{digits(figures.phase_left, 3)}°",
         ]
         rows.append(row + ([digits(log.ratio_to_first)] if several else []))
     return _table(head, rows, chief=2)
@@ -106,7 +108,7 @@ def _segments(report: Report, log: LogReport) -> str:
         return ""
     removed = report.options.remove_offset
     what = "cycle" if report.options.segment == "cycles" else f"{report.options.segment:g} s"
-    head = ["Part", "Rows", "RMSE", "% of range", "95 %", "Largest", "Mean removed" if removed else "Mean"]
+    head = ["Part", "Rows", "RMSE", "% of range", "95 %", "Largest", "Offset" if removed else "Mean"]
     head += ["Loop left", "Lag left"]
     rows = []
     for part in log.segments:
@@ -148,13 +150,6 @@ def _meanings(report: Report, several: bool) -> str:
         for term, text in chosen
     )
     return f"<section><h2>What the figures mean</h2><dl>{items}</dl></section>"
-
-
-def _lag(samples: float | None, seconds: float | None) -> str:
-    if samples is None:
-        return "–"
-    text = f"{digits(samples, 3)} samples"
-    return text if seconds is None else f"{text}, {digits(1000.0 * seconds, 3)} ms"
 
 
 _PAGE = """<!DOCTYPE html>

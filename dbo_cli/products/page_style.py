@@ -21,7 +21,7 @@ DARK = {
     "fill": "#44698f",
     "page": "#14161a",
     "panel": "#1d2026",
-    "image": "brightness(1.6)",
+    "image": "brightness(1.1)",
 }
 
 
@@ -47,9 +47,10 @@ h3 { font-size: 1rem; margin: 1.6rem 0 .5rem; }
 p { margin: .4rem 0; max-width: 46rem; }
 .muted, figcaption, footer { color: var(--muted); }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; margin: .8rem 0; }
-th, td { text-align: right; padding: .35rem .6rem; white-space: nowrap;
+th, td { text-align: right; padding: .35rem .5rem; white-space: nowrap;
   border-bottom: 1px solid var(--rule); }
-th { font-weight: 600; color: var(--muted); font-size: .85rem; vertical-align: bottom; }
+th { font-weight: 600; color: var(--muted); font-size: .85rem; vertical-align: bottom;
+  white-space: normal; }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
 td:first-child { white-space: normal; overflow-wrap: anywhere; }
 .chief { font-weight: 700; }
@@ -70,11 +71,12 @@ footer { margin-top: 3rem; font-size: .85rem; overflow-wrap: anywhere; }
   thead { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
   tr, td { display: block; }
   tr { border: 1px solid var(--rule); border-radius: 6px; padding: .5rem .8rem; margin: .6rem 0; }
-  td { display: flex; justify-content: space-between; gap: 1rem; border: 0; padding: .15rem 0; }
+  td { display: flex; justify-content: space-between; flex-wrap: wrap; gap: 0 1rem;
+    border: 0; padding: .15rem 0; }
   td::before { content: attr(data-label); color: var(--muted); }
-  td:first-child { font-weight: 600; }
+  td:first-child { font-weight: 600; min-width: 0; }
   td:first-child::before { content: none; }
-  .segments tr { display: grid; grid-template-columns: 1fr 1fr; column-gap: 1.4rem; }
+  .segments tr { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); column-gap: 1.4rem; }
   dl { grid-template-columns: 1fr; }
   dd { margin-bottom: .5rem; }
 }
