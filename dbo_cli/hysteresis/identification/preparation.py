@@ -258,7 +258,7 @@ def _without_drift_and_spikes(
             for first, last, drive in blocks:
                 residual[first:last] = log.output[first:last] - drive @ solution.heights - fitted[first:last]
             residuals.append(residual)
-            drifts.append(fitted)
+            drifts.append(fitted - solution.drift[0])  # the first log keeps its level: the model has it
         if attempt == 1:
             break
         logs, found = _leave_out_spikes(logs, residuals, notes)
