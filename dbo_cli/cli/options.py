@@ -138,6 +138,11 @@ Zero = Annotated[
 Slopes = Annotated[str, _option("--slopes", "auto|growing|falling|free", "How the gears' slopes may run.")]
 Force = Annotated[bool, _option("--force", None, "Keep a model that is no better than a straight line.")]
 
+RatedMin = Annotated[
+    str | None, _option("--v-min", "VOLT", "The actuator's rating; a log that covers less is warned of.")
+]
+RatedMax = Annotated[str | None, _option("--v-max", "VOLT", "The upper end of the rating.")]
+
 # --- simulate, compensate ---
 State = Annotated[
     str,

@@ -1,0 +1,183 @@
+"""The shell around the commands: exit codes, one-line errors, help, and processes that end early."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dbo_cli import __version__
+from dbo_cli.cli import app
+from dbo_cli.cli.commands import COMMANDS
+from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
+
+ROOT = Path(__file__).resolve().parent.parent
+LIST = "identify, invert, simulate, compensate, report, excite"
+
+
+def test_version(dbo: Any) -> None:
+    assert dbo("--version") == (0, f"dbo {__version__}\n", "")
+
+
+def test_module_and_console_script_are_the_same_program() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "dbo_cli", "--version"], capture_output=True, text=True, cwd=ROOT
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"dbo {__version__}\n", "")
+
+
+WRONG = {
+    "": f"no command given; there are: {LIST} (dbo --help says what they do)",
+    "fit a.csv": f"no such command: 'fit'; there are: {LIST}",
+    "--loud": "no such option: --loud (dbo --help lists what there is)",
+    "identify": "LOG is missing (dbo identify --help lists what there is)",
+    "simulate model.json": "LOG is missing (dbo simulate --help lists what there is)",
+    "invert a.json b.json": "got unexpected extra argument(s) (b.json) (dbo invert --help lists what there is)",
+    "identify a.csv --gears": "option '--gears' requires an argument (dbo identify --help lists what there is)",
+    "identify a.csv --gears many": "--gears: not a whole number: 'many'",
+    "identify a.csv --gears 0": "--gears: must be at least 1, not 0",
+    "identify a.csv --points -1": "--points: must be at least 0, not -1",
+    "identify a.csv --relaxation 1,x": "--relaxation: not a number: 'x'",
+    "identify a.csv --relaxation 1,0": "--relaxation: time constants must differ and be above 0: '1,0'",
+    "identify a.csv --delay -1": "--delay: must not be below 0, not -1",
+    "identify a.csv --skip soon": "--skip: not a number: 'soon'",
+    "identify a.csv --skip nan": "--skip: not a number: 'nan'",
+    "identify a.csv --method best": "--method: 'best' is none of least-squares, paper",
+    "identify a.csv --zero here": "--zero: 'here' is none of none, mean, first and not a number",
+    "identify a.csv --slopes up": "--slopes: 'up' is none of auto, growing, falling, free",
+    "identify a.csv --sample-rate 0": "--sample-rate: must be above 0, not 0",
+    "identify a.csv --format xls": "--format: 'xls' is none of csv, tsv, hdf5",
+    "identify a.csv --header-lines 3": "--header-lines: '3' is none of 0, 1, 2",
+    "identify a.csv --block-rows 0": "--block-rows: must be at least 1, not 0",
+    "simulate m.json a.csv --outside wrap": "--outside: 'wrap' is none of extend, hold, error",
+    "compensate m.json a.csv --on-limit stop": "--on-limit: 'stop' is none of clip, error",
+    "compensate m.json a.csv --v-min 5 --v-max 5": "--v-min 5 must be below --v-max 5",
+    "compensate m.json a.csv --max-slew 0": "--max-slew: must be above 0, not 0",
+    "report a.csv --lag soon": "--lag soon: neither a whole number of samples nor 'auto'",
+    "report a.csv --segment long": "--segment long: neither 'cycles' nor a number of seconds above 0",
+    "report a.csv --format pdf": "--format: 'pdf' is none of text, json, csv, html",
+    "report a.csv --max-rmse x": "--max-rmse: not a number: 'x'",
+    "excite": "--v-max is missing (dbo excite --help lists what there is)",
+    "excite --v-max 0": "--v-min 0 must be below --v-max 0",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_wrong_command_lines(dbo: Any, line: str, tmp_path: Path) -> None:
+    """Refused with exit code 2 and one line, before any file is looked for."""
+    assert dbo(*line.split()) == (2, "", f"dbo: error: {WRONG[line]}\n")
+    assert not list(tmp_path.iterdir())
+
+
+OUTCOMES = [
+    (InputError("run.csv:7: odd"), 1, "error: run.csv:7: odd"),
+    (ModelError("m.json: odd"), 1, "error: m.json: odd"),
+    (FitError("no turn"), 1, "error: no turn"),
+    (OutputError("full"), 1, "error: full"),
+    (UsageError("--x"), 2, "error: --x"),
+    (LimitError("too far"), 3, "error: too far"),
+    (
+        FileNotFoundError(2, "No such file or directory", "a.csv"),
+        1,
+        "error: a.csv: No such file or directory",
+    ),
+    (MemoryError(), 1, "error: out of memory (--rows A:B takes a part of a log)"),
+    (
+        ZeroDivisionError("division by zero"),
+        1,
+        "error: internal error: ZeroDivisionError: division by zero (--debug shows where; please report it)",
+    ),
+    (KeyboardInterrupt(), 130, "interrupted"),
+]
+
+
+@pytest.mark.parametrize(("problem", "code", "text"), OUTCOMES, ids=lambda value: type(value).__name__)
+def test_every_exception_has_one_line_and_a_code(
+    dbo: Any, monkeypatch: pytest.MonkeyPatch, problem: BaseException, code: int, text: str
+) -> None:
+    def fail(words: list[str]) -> int:
+        raise problem
+
+    monkeypatch.setattr(app, "_dispatch", fail)
+    assert dbo("identify", "a.csv") == (code, "", f"dbo: {text}\n")
+
+
+def test_debug_shows_the_traceback_and_then_the_line(dbo: Any) -> None:
+    done = dbo("simulate", "missing.json", "a.csv", "--debug")
+    assert done.code == 1
+    assert done.err.startswith("Traceback (most recent call last):\n")
+    assert done.err.splitlines()[-1].startswith("dbo: error: missing.json: ")
+
+
+def test_a_message_is_one_line_whatever_it_holds(dbo: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(words: list[str]) -> int:
+        raise InputError("two\nlines\tand tabs")
+
+    monkeypatch.setattr(app, "_dispatch", fail)
+    assert dbo().err == "dbo: error: two lines and tabs\n"
+
+
+# --- README and --help hold together ---
+
+
+def help_of(dbo: Any, name: str) -> str:
+    done = dbo(name, "--help")
+    assert (done.code, done.err) == (0, "")
+    text: str = done.out
+    return text
+
+
+def test_root_help_names_every_command(dbo: Any) -> None:
+    done = dbo("--help")
+    assert (done.code, done.err) == (0, "")
+    assert re.findall(r"^  (\w+)  +\S", done.out[done.out.index("Commands:") :], re.MULTILINE) == list(
+        COMMANDS
+    )
+
+
+def test_readme_points_to_the_help_of_every_command() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name in COMMANDS:
+        assert f"`dbo {name} --help`" in text
+
+
+def test_every_option_that_the_readme_uses_exists(dbo: Any) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8").replace("\\", "/")
+    used = re.findall(r"\bdbo ({})\b([^\n`|]*)".format("|".join(COMMANDS)), text)
+    assert len(used) > 10
+    for name, rest in used:
+        page = help_of(dbo, name)
+        for option in re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest.partition("#")[0]):
+            assert re.search(rf"(?<![\w-]){option}(?![\w-])", page), f"dbo {name} {option}"
+
+
+PROMISED = {
+    "identify": "--gears --points --relaxation --delay --skip --validate --method --zero --slopes --force "
+    "--time --voltage --displacement --sample-rate --rows --skip-bad --format",
+    "invert": "--output",
+    "simulate": "--input --state --save-state --outside --time --sample-rate --rows --flush --resample",
+    "compensate": "--displacement --v-min --v-max --on-limit --max-slew --condition --state --save-state",
+    "report": "--desired --measured --lag --remove-offset --model --figures --max-rmse --max-abs "
+    "--max-nrmse-percent --segment --rows --format",
+    "excite": "--v-min --v-max --sample-rate --duration --frequency",
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_promised_options_are_there_and_explained(dbo: Any, name: str) -> None:
+    page = help_of(dbo, name)
+    for option in [*PROMISED[name].split(), "-o", "--output", "--quiet", "--verbose", "--debug", "--help"]:
+        assert re.search(rf"^  (-\w, )?{option}\b.*(  \w|\n {{10,}}\w)|^  {option}, ", page, re.MULTILINE), (
+            option
+        )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_a_terminal_and_holds_no_escapes(dbo: Any, name: str) -> None:
+    page = help_of(dbo, name)
+    assert max(map(len, page.splitlines())) <= 100
+    assert "\x1b" not in page
