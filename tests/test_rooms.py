@@ -77,7 +77,7 @@ def test_modules_and_functions_stay_small() -> None:
                     node.body[0].value, ast.Constant
                 )
                 first = node.body[min(1, len(node.body) - 1)] if documented else node.body[0]
-                assert last - first.lineno <= 45, f"{path}:{node.lineno}: {node.name}"
+                assert last - first.lineno <= 55, f"{path}:{node.lineno}: {node.name}"
 
 
 @pytest.mark.parametrize(

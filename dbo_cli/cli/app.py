@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             import traceback
 
             traceback.print_exc()
-        return _tell(problem)
+        return _tell(problem, words)
     return code
 
 
@@ -61,7 +61,7 @@ def _dispatch(words: list[str]) -> int:
     return 0
 
 
-def _tell(problem: Exception) -> int:
+def _tell(problem: Exception, words: list[str]) -> int:
     """Say in one line what went wrong and return the exit code that belongs to it."""
     if isinstance(problem, DboError):
         _say(f"error: {problem}")
@@ -69,7 +69,7 @@ def _tell(problem: Exception) -> int:
     wording = getattr(problem, "format_message", None)
     if wording is not None:  # the command-line library's own complaints, whatever their class is called
         text = str(wording()).rstrip(".")
-        _say(f"error: {text[:1].lower()}{text[1:]}{_where_to_look(problem)}")
+        _say(f"error: {text[:1].lower()}{text[1:]}{_where_to_look(words)}")
         return int(getattr(problem, "exit_code", 2))
     if isinstance(problem, OSError):
         place = f"{problem.filename}: " if problem.filename else ""
@@ -84,10 +84,12 @@ def _tell(problem: Exception) -> int:
     return 1
 
 
-def _where_to_look(problem: Exception) -> str:
+def _where_to_look(words: list[str]) -> str:
     """Return the remedy for a wrong command line: where the options are listed."""
-    context = getattr(problem, "ctx", None)
-    return f" ({getattr(context, 'command_path', 'dbo')} --help lists what there is)"
+    from dbo_cli.cli.commands import COMMANDS
+
+    command = "".join(f" {word}" for word in words[:1] if word in COMMANDS)
+    return f" (dbo{command} --help lists what there is)"
 
 
 def _say(text: str) -> None:
