@@ -136,7 +136,7 @@ def _loop_table(report: Report) -> str:
 
 
 def _segment_table(report: Report, log: LogReport) -> str:
-    head = ["segment", "rows", "RMSE", "% range", "95 %", "largest", _mean_title(report), "loop", "lag"]
+    head = ["part", "rows", "RMSE", "% range", "95 %", "largest", _mean_title(report), "loop", "lag"]
     rows = []
     for part in log.segments:
         figures = part.figures
@@ -162,9 +162,16 @@ def _segment_table(report: Report, log: LogReport) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return columns two blanks apart, the first to the left, numbers to the right."""
+    """Return columns two blanks apart, the first to the left, numbers to the right.
+
+    Where that is too wide: one blank, then shorter names.
+    """
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
     gap = 2 if sum(widths) + 2 * (len(widths) - 1) <= WIDTH else 1
+    excess = sum(widths) + gap * (len(widths) - 1) - WIDTH
+    if excess > 0:
+        widths[0] = max(widths[0] - excess, 5)
+        rows = [[_short(row[0], widths[0]), *row[1:]] for row in rows]
 
     def line(cells: Sequence[str]) -> str:
         first = cells[0].ljust(widths[0])
