@@ -93,12 +93,15 @@ class _Node:
             raise self.refuse(key, f"{json.dumps(value)} is not a text")
         return value
 
-    def node(self, key: str, value: object = None) -> _Node:
-        """Return an object below this one."""
-        found = self.values[key] if value is None else value
-        if not isinstance(found, dict):
+    def node(self, key: str) -> _Node:
+        """Return the object under a key."""
+        return self.below(key, self.values[key])
+
+    def below(self, key: str, value: object) -> _Node:
+        """Return an object that stands below this one under the name ``key``."""
+        if not isinstance(value, dict):
             raise self.refuse(key, "is not an object")
-        return _Node(self.file, self.at(key), found)
+        return _Node(self.file, self.at(key), value)
 
     def check_notes(self, depth: int) -> None:
         """Refuse, in what is only carried along, what could not be written again."""
@@ -137,7 +140,7 @@ def read_model(path: str) -> ActuatorModel:
     stages = root.values["stages"]
     if not isinstance(stages, list):
         raise root.refuse("stages", "is not a list")
-    cascade = tuple(_stage(root.node(f"stages[{i}]", stage)) for i, stage in enumerate(stages))
+    cascade = tuple(_stage(root.below(f"stages[{i}]", stage)) for i, stage in enumerate(stages))
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)

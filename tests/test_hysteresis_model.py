@@ -1,0 +1,262 @@
+"""The cascade: order of stages, inverse, starts, blocks, compensation within limits, delay."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from trials import Floats
+
+from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    DriveLimits,
+    ModelState,
+    OutsideError,
+    PointStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    slow_output_range,
+)
+from dbo_cli.hysteresis.operators import BacklashState
+
+VOLTAGE = Quantity("voltage", "V", 0.0, 3.6)
+OUTPUT = Quantity("displacement", "um", 0.0, 3.5)
+GEARS = BacklashStage([0.144] * 25, np.linspace(0.08, 0.2, 25))
+
+
+def build(seed: int, relaxation: bool = False, delay: float = 0.0, falling: bool = False) -> ActuatorModel:
+    """Return a model with every kind of stage; ``seed`` chooses sizes, slopes and the gain's sign."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 60))
+    dx = rng.uniform(0.2, 1.0, n)
+    slopes = np.sort(rng.uniform(0.3, 1.7, n))
+    terms = Relaxation(0.2, (0.01, 1.0), tuple(rng.uniform(0.0, 0.3, 2).tolist())) if relaxation else None
+    gears = BacklashStage(dx, dx * (slopes[::-1] if falling else slopes), rng.normal(), rng.normal(), terms)
+    low, high = gears.y_range
+    points = PointStage(rng.uniform(0.5, 1.0, 4) * (high - low) / 3.0, rng.uniform(0.5, 1.0, 4), low)
+    stages: list[Any] = [gears, points, ScaleStage(-3.0 if seed % 2 else 2.0, 0.7)]
+    bottom, top = slow_output_range(stages, *gears.x_range)
+    if delay:
+        stages.append(DelayStage(delay))
+    return ActuatorModel(
+        "forward", Quantity("voltage", "V", *gears.x_range), Quantity("displacement", "um", bottom, top),
+        tuple(stages),
+    )  # fmt: skip
+
+
+def wanted(model: ActuatorModel, seed: int, share: float = 0.45, count: int = 240) -> Floats:
+    """Return a decaying trajectory around the middle of the model's range."""
+    k = np.arange(count)
+    low, span = model.output.minimum, model.output.span
+    trajectory: Floats = low + span * (0.5 + share * np.sin(k / 7.0 + seed) * np.exp(-k / 200.0))
+    return trajectory
+
+
+def limits_of(model: ActuatorModel, slew: float | None = None) -> DriveLimits:
+    return DriveLimits(model.input.minimum, model.input.maximum, slew)
+
+
+@pytest.mark.parametrize("relaxation", [False, True])
+@pytest.mark.parametrize("falling", [False, True])
+def test_simulating_the_compensation_gives_the_trajectory(relaxation: bool, falling: bool) -> None:
+    for seed in range(25):
+        model = build(seed, relaxation, falling=falling)
+        desired = wanted(model, seed, share=0.3 if relaxation else 0.45)
+        steps = np.random.default_rng(seed).uniform(0.0, 0.01, desired.size) if relaxation else None
+        begin = model.start_compensation(desired[0], "auto", limits_of(model))
+        drive = model.compensate(desired, begin, limits=limits_of(model), time_step=steps)
+        again = model.start(drive.y[0], "auto")
+        assert again.backlash.bits == begin.backlash.bits  # the very state in which simulate starts
+        back = model.simulate(drive.y, again, time_step=steps)
+        assert back.state == drive.state
+        assert (drive.clipped_count, drive.outside_count) == (0, 0)
+        error = np.abs(back.y - desired)
+        assert error[1:].max() <= 1e-12 * model.output.span
+        if drive.first_missed == 0.0:
+            assert error[0] <= 1e-8 * model.output.span
+        else:
+            assert error[0] > 1e-10 * model.output.span
+
+
+def test_first_value_that_the_settled_curve_steps_over_is_taken_nearest() -> None:
+    model = ActuatorModel(
+        "forward", Quantity("voltage", "V", 0.0, 4.0), Quantity("displacement", None, 0.0, 10.0),
+        (BacklashStage([1.0] * 4, [1.0, 2.0, 3.0, 4.0]),),
+    )  # fmt: skip
+    reached = [model.simulate([v], model.start(v)).y[0] for v in np.linspace(0.0, 4.0, 4001)]
+    jump = int(np.argmax(np.diff(reached)))
+    target = 0.25 * reached[jump] + 0.75 * reached[jump + 1]
+    begin = model.start_compensation(target, "auto", limits_of(model))
+    drive = model.compensate([target, target], begin, limits=limits_of(model))
+    back = model.simulate(drive.y, model.start(drive.y[0]))
+    assert back.y[0] == pytest.approx(reached[jump + 1], abs=0.02)
+    assert drive.first_missed == pytest.approx(target - back.y[0], abs=1e-12)
+    assert back.y[1] == pytest.approx(target, abs=1e-12)
+    assert drive.clipped_count == 0
+
+
+@pytest.mark.parametrize("slew", [None, 40.0])
+def test_limits_clip_count_and_keep_the_state(slew: float | None) -> None:
+    for seed in range(12):
+        model = build(seed, relaxation=seed % 2 == 0)
+        desired = wanted(model, seed, share=0.8)
+        span = model.input.span
+        bounds = DriveLimits(model.input.minimum + 0.1 * span, model.input.maximum - 0.1 * span,
+                             None if slew is None else slew * span)  # fmt: skip
+        begin = model.start_compensation(desired[0], "auto", bounds)
+        drive = model.compensate(desired, begin, limits=bounds, time_step=0.001)
+        assert drive.clipped_count > 0
+        assert drive.y.min() >= bounds.v_min
+        assert drive.y.max() <= bounds.v_max
+        if slew is not None:
+            assert np.abs(np.diff(drive.y)).max() <= 0.001 * slew * span * (1.0 + 1e-9)
+        back = model.simulate(drive.y, model.start(drive.y[0]), time_step=0.001)
+        assert back.state == drive.state
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.003, 0.0137])
+@pytest.mark.parametrize("even", [True, False])
+def test_blocks_of_any_size_give_the_same_bits(delay: float, even: bool) -> None:
+    model = build(4, relaxation=True, delay=delay)
+    rng = np.random.default_rng(6)
+    x = rng.uniform(*model.forward_backlash.x_range, 200)
+    steps: Any = 0.001 if even else rng.uniform(0.0, 0.004, 200)
+    inverse = model.inverse()
+    for one, signal in ((model, x), (inverse, wanted(model, 1, count=200))):
+        whole = one.simulate(signal, one.start(signal[0]), time_step=steps)
+        for size in (1, 3, 64, 199):
+            state, parts = one.start(signal[0]), []
+            for begin in range(0, 200, size):
+                own = steps if even else steps[begin : begin + size]
+                part = one.simulate(signal[begin : begin + size], state, time_step=own)
+                state = part.state
+                parts.append(part.y)
+            assert np.concatenate(parts).tobytes() == whole.y.tobytes()
+            assert state == whole.state
+
+
+def test_delay_shifts_whole_samples_exactly_and_interpolates_between() -> None:
+    plain = ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,))
+    x = 1.8 - 1.8 * np.cos(np.arange(100) / 9.0)
+    undelayed = plain.simulate(x, plain.start(x[0])).y
+    late = ActuatorModel("forward", VOLTAGE, plain.output, (GEARS, DelayStage(0.015)))
+    y = late.simulate(x, late.start(x[0]), time_step=0.005).y
+    assert y[3:].tobytes() == undelayed[:-3].tobytes()
+    assert y[:3].tolist() == [undelayed[0]] * 3
+    by_time = late.simulate(x, late.start(x[0]), time_step=np.full(100, 0.005)).y
+    np.testing.assert_allclose(by_time, y, rtol=0.0, atol=1e-12)
+    half = ActuatorModel("forward", VOLTAGE, plain.output, (GEARS, DelayStage(0.0125)))
+    y = half.simulate(x, half.start(x[0]), time_step=0.005).y
+    np.testing.assert_allclose(y[3:], 0.5 * (undelayed[1:-2] + undelayed[:-3]), rtol=0.0, atol=1e-12)
+    assert late.delay_seconds == late.inverse().delay_seconds == 0.015
+    assert late.inverse().inverse().stages[-1] == DelayStage(0.015)
+
+
+def test_starts() -> None:
+    model = ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,))
+    assert model.start(0.0).backlash == model.start(-1.0).backlash == GEARS.empty()
+    assert model.start(2.0).backlash == model.start(2.0, "settled").backlash == GEARS.settled(2.0)
+    assert model.start(2.0, "full").backlash == GEARS.full()
+    assert model.start(2.0, "empty").backlash == GEARS.empty()
+    saved = ModelState(BacklashState(5))
+    assert model.start(2.0, saved) is saved
+    with pytest.raises(ModelError) as problem:
+        model.start(2.0, "half")  # type: ignore[arg-type]
+    assert str(problem.value) == ("no initial state is called 'half'; there are: auto, empty, full, settled")
+    with pytest.raises(ModelError, match="no initial state is called 'half'"):
+        model.inverse().start(2.0, "half")  # type: ignore[arg-type]
+
+
+def test_inverse_starts_where_the_forward_model_would() -> None:
+    """Even widths and slopes that grow: the settled curve never falls, the first voltage is found again."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(1, 130))
+        gears = BacklashStage(np.full(n, 0.1), 0.1 * np.sort(rng.uniform(0.3, 1.7, n)), 1.0, -2.0)
+        low, high = gears.x_range
+        model = ActuatorModel("forward", Quantity("voltage", "V", low, high), OUTPUT, (gears,))
+        for voltage in (low, low - 0.5, high, high + 0.5, low + rng.uniform() * (high - low)):
+            begin = model.start(voltage)
+            y = model.simulate([voltage], begin).y[0]
+            found = model.inverse().start(y)
+            assert found.backlash == begin.backlash
+            back = model.inverse().simulate([y], found)
+            assert back.y[0] == pytest.approx(voltage, rel=0.0, abs=1e-11 * (high - low))
+
+
+def test_trajectory_beyond_reach_is_clipped_and_counted() -> None:
+    model = build(3)
+    limits = limits_of(model)
+    low, span = model.output.minimum, model.output.span
+    desired = low + span * np.array([1.2, 1.0, 0.5, -0.1])
+    drive = model.compensate(desired, model.start_compensation(desired[0], "auto", limits), limits=limits)
+    assert (drive.clipped_count, drive.first_clipped, drive.first_missed) == (2, 0, 0.0)
+    assert {float(drive.y[0]), float(drive.y[3])} == {limits.v_min, limits.v_max}
+    full_scale = low + span * np.array([0.0, 1.0, 0.0, 1.0])
+    begin = model.start_compensation(full_scale[0], "auto", limits)
+    assert model.compensate(full_scale, begin, limits=limits).clipped_count == 0
+
+
+def test_outside_error_names_the_sample() -> None:
+    model = ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 3.5), (GEARS,))
+    with pytest.raises(OutsideError) as problem:
+        model.simulate([1.0, 2.0, 4.0], model.start(1.0), outside="error")
+    assert (problem.value.index, problem.value.value) == (2, 4.0)
+    assert str(problem.value).startswith("sample 3: 4.0 is outside the range of the model, 0.0 to 3.6")
+
+
+def test_slow_output_range_includes_relaxation_at_rest_and_the_sign() -> None:
+    gears = BacklashStage([1.0, 1.0], [1.0, 3.0], 0.0, 0.0, Relaxation(0.5, (1.0, 9.0), (0.25, 0.25)))
+    assert slow_output_range([gears], 0.0, 2.0) == (-0.25, 4.75)
+    assert slow_output_range([gears, ScaleStage(-2.0, 1.0)], 0.0, 2.0) == (-8.5, 1.5)
+    assert slow_output_range([gears, DelayStage(1.0)], -1.0, 3.0) == (-3.75, 8.25)
+
+
+def test_needs_time_is_said() -> None:
+    for model in (build(1, relaxation=True), build(1, delay=0.01)):
+        assert model.needs_time
+        with pytest.raises(ModelError) as problem:
+            model.simulate([1.0, 2.0], model.start(1.0))
+        assert str(problem.value) == "this needs the time between samples (a time column, or --sample-rate)"
+    assert not build(1).needs_time
+    assert not build(1, delay=0.01).inverse().needs_time
+
+
+def test_require_names_the_remedy() -> None:
+    model = build(1)
+    with pytest.raises(ModelError) as problem:
+        model.inverse().require("forward", "inv.json")
+    assert str(problem.value) == (
+        "inv.json: is an inverse model where a forward one is needed (dbo invert turns it)"
+    )
+    with pytest.raises(ModelError, match=r"^the model: is a forward model where an inverse one is needed"):
+        model.require("inverse")
+
+
+CREEPING = BacklashStage([1.0], [1.0], 0.0, 0.0, Relaxation(0.0, (1.0,), (0.1,)))
+WRONG: list[tuple[Any, tuple[Any, ...], str]] = [
+    ("forward", (), "stages: a backlash stage must come first in the forward direction"),
+    ("inverse", (GEARS, ScaleStage(1.0, 0.0)),
+     "stages: a backlash stage must come last in the inverse direction"),
+    ("forward", (GEARS, GEARS), "stages[1]: only one backlash stage is possible"),
+    ("forward", (GEARS, DelayStage(0.1), ScaleStage(1.0, 0.0)), "stages[1]: a delay stands last"),
+    ("inverse", (ScaleStage(1.0, 0.0), DelayStage(-0.1), GEARS), "stages[1]: a delay stands first"),
+    ("forward", (GEARS, DelayStage(-0.1)), "stages[1].seconds: -0.1 has the wrong sign here"),
+    ("inverse", (CREEPING,), "stages[0].relaxation.on: must be 'output' in this direction"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("direction", "stages", "message"), WRONG)
+def test_cascades_that_are_refused(direction: Any, stages: Any, message: str) -> None:
+    with pytest.raises(ModelError) as problem:
+        ActuatorModel(direction, VOLTAGE, OUTPUT, stages)
+    assert str(problem.value) == message
+
+
+def test_digest_is_of_the_gears_not_of_the_direction() -> None:
+    assert build(1).digest == build(1).inverse().digest != build(2).digest
