@@ -108,7 +108,7 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
 def _frame(size: tuple[float, float], headed: bool) -> tuple[float, float, float, float]:
     """Return left, bottom, width and height of the axes for margins fixed in inches."""
-    left, right, bottom, top = 0.66, 0.12, 0.48, 0.32 if headed else 0.16
+    left, right, bottom, top = 0.66, 0.12, 0.48, 0.32 if headed else 0.2
     width, height = size
     return left / width, bottom / height, (width - left - right) / width, (height - bottom - top) / height
 
