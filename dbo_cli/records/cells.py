@@ -5,8 +5,8 @@ The fast parsers accept a subset of this grammar; whatever they refuse is decide
 
 from __future__ import annotations
 
-import csv
 import re
+from collections.abc import Iterator
 
 BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 _POINT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
@@ -26,14 +26,26 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     """Split a line into stripped cells; quotes are honoured, and blanks count as one delimiter."""
     if delimiter == BLANKS:
         return _split_blanks(line)
-    if '"' in line:
-        try:
-            return [
-                cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-            ]
-        except (csv.Error, StopIteration):
-            pass  # a line that no reader can take apart: cut it plainly and let the cells be refused
-    return [cell.strip() for cell in line.split(delimiter)]
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    return [
+        quoted.replace('""', '"').strip() if quoted is not None else plain.strip()
+        for quoted, plain in _quoted_cells(line, delimiter)
+    ]
+
+
+def _quoted_cells(line: str, delimiter: str) -> Iterator[tuple[str | None, str]]:
+    """Take a line with quotes apart: what is quoted, or else the plain text, of each cell."""
+    mark = re.escape(delimiter)
+    cell = re.compile(rf'\s*"((?:[^"]|"")*)"\s*(?={mark}|$)|([^{mark}]*)')
+    place = 0
+    while True:
+        found = cell.match(line, place)
+        assert found is not None  # the second way matches anything, also nothing
+        yield found[1], found[2] or ""
+        place = found.end() + 1
+        if place > len(line):
+            return
 
 
 def _split_blanks(line: str) -> list[str]:

@@ -126,7 +126,8 @@ class SignalLog:
         """
         if not self.has_time:
             raise InputError(
-                f"{self.name}: no time column and no sample rate, {why} (--time COLUMN or --sample-rate HZ)"
+                f"{self.name}: no time column and no sample rate, and {why} "
+                "(--time COLUMN or --sample-rate HZ)"
             )
 
     def blocks(self) -> Iterator[Block]:

@@ -161,7 +161,7 @@ def even_step(time: FloatArray) -> float | None:
         return step
     for digits in range(0, 10):
         if np.abs(time - np.round(time, digits)).max() <= 1e-9 * max(1.0, float(np.abs(time).max())):
-            return step if away <= 1.01 * 10.0**-digits and 10.0**-digits <= step else None
+            return step if away <= 1.01 * 10.0**-digits and 10.0**-digits <= step / 2.0 else None
     return None
 
 

@@ -75,7 +75,7 @@ REFUSABLE = [
     Refusal("a row cut off at the end", HEAD + GOOD + b"0.003", "{log}:5: 1 cell where the other rows have 3" + SKIP),
     Refusal("a second header in the middle (files joined)", HEAD + GOOD + HEAD + GOOD, "{log}:5: column 'voltage_V' is not a number: 'voltage_V'" + SKIP),
     Refusal("a closing remark", HEAD + GOOD + b"End of data\n", "{log}:5: 1 cell where the other rows have 3" + SKIP),
-    Refusal("a quote that is never closed", HEAD + GOOD + b'0.003,"1,2\n', "{log}:5: 2 cells where the other rows have 3" + SKIP),
+    Refusal("a quote that is never closed", HEAD + GOOD + b'0.003,"1,2\n', "{log}:5: column 'voltage_V' is not a number: '\"1'" + SKIP),
     Refusal("a bad cell right after comments", HEAD + b"# on\n\n0,0,10\n# off\n0.001,x,1\n", "{log}:6: column 'voltage_V' is not a number: 'x'" + SKIP),
     Refusal("a bad cell in a log without header", b"0,0,1\n1,1,2\n2,off,3\n", "{log}:3: column 2 is not a number: 'off'" + SKIP, {"voltage": "2", "displacement": "3"}),
     Refusal("names for other columns than there are", b"a,b,c,d,e\n1,2,3\n4,5,6\n", "{log}: there is no column 'a': it has 3 columns without names", {"voltage": "a"}),
