@@ -1,3 +1,4 @@
+# ruff: noqa: E501  (a message of one line stands on one line here)
 """The shell around the commands: exit codes, one-line errors, help, and processes that end early."""
 
 from __future__ import annotations

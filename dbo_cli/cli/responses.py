@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from dbo_cli.cli import signals
@@ -72,13 +73,14 @@ def write_response(
     from dbo_cli.records.outputs import write_whole
     from dbo_cli.records.writers import signal_writer
 
-    role = stream.taken.quantity
     counter = RowCounter(voice, "written")
-    timed = stream.log.has_time
     columns = _columns(stream, result)
+    responses = _responses(stream, blocks)
+    # Computed before anything is opened: a log that is bad from the start leaves not even a header.
+    first = next(responses)
     with signal_writer(
         destination.output,
-        columns if timed else columns[1:],
+        columns if stream.log.has_time else columns[1:],
         format=signals.format_for(destination.output, destination.file_format),
         attributes=_attributes(stream, reading, destination),
         flush=destination.flush,
@@ -86,14 +88,9 @@ def write_response(
     ) as writer:
         if prelude is not None:
             writer.write(*prelude)
-        for block, x in blocks:
-            y = stream.feed(block, x)
-            x = block.values[role]
-            if block.time is not None:
-                writer.write(block.time, x, y)
-            else:
-                writer.write(x, y)
-            counter.add(len(block))
+        for arrays in chain([first], responses):
+            writer.write(*arrays)
+            counter.add(len(arrays[0]))
         counter.clear()
     if destination.save_state is not None and stream.state is not None:
         from dbo_cli.records.model_file import state_to_bytes
@@ -101,6 +98,14 @@ def write_response(
         write_whole(destination.save_state, state_to_bytes(stream.state, stream.model))
     voice.notes(stream.log.notes)
     stream.tell(voice)
+
+
+def _responses(stream: ModelStream, blocks: Iterable[tuple[Block, FloatArray]]) -> Iterator[list[FloatArray]]:
+    """Yield time (when known), input and result of each block."""
+    role = stream.taken.quantity
+    for block, x in blocks:
+        y = stream.feed(block, x)
+        yield [*([] if block.time is None else [block.time]), block.values[role], y]
 
 
 def _columns(stream: ModelStream, result: Quantity) -> list[OutColumn]:

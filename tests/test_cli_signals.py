@@ -1,0 +1,325 @@
+# ruff: noqa: E501  (a message of one line stands on one line here)
+"""simulate, compensate, invert and excite by command line: exact outputs, messages, exit codes."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SMALL_MODEL, folder_content
+
+DRIVE = "time_s,voltage_V\n0,0\n0.1,5\n0.2,10\n0.3,3\n"
+RESPONSE = "time_s,voltage_V,displacement_um\n0.0,0.0,1.0\n0.1,5.0,4.2\n0.2,10.0,9.0\n0.3,3.0,4.0\n"
+
+
+def write(name: str, text: str) -> Path:
+    path = Path(name)
+    path.write_text(text)
+    return path
+
+
+def lagging_model() -> dict[str, Any]:
+    """Return the small model with relaxation and a delay of 0.15 s."""
+    model = json.loads(json.dumps(SMALL_MODEL))
+    terms = {"on": "input", "reference": 0.0, "tau": [0.05, 2.0], "gain": [0.02, 0.01]}
+    model["stages"][0]["relaxation"] = terms
+    model["stages"].append({"type": "delay", "seconds": 0.15})
+    model["output"]["max"] = 9.5
+    return dict(model)
+
+
+def feed_stdin(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BufferedReader(io.BytesIO(text.encode()))))
+
+
+# --- simulate ---
+
+
+def test_simulate_writes_time_input_and_result(dbo: Any, model_file: Path) -> None:
+    write("drive.csv", DRIVE)
+    assert dbo("simulate", "model.json", "drive.csv") == (0, RESPONSE, "")
+
+
+def test_simulate_to_a_file_says_nothing_and_leaves_nothing_else(dbo: Any, model_file: Path) -> None:
+    write("drive.csv", DRIVE)
+    assert dbo("simulate", "model.json", "drive.csv", "-o", "out.csv") == (0, "", "")
+    assert Path("out.csv").read_text() == RESPONSE
+    assert folder_content(Path()) == {"model.json", "drive.csv", "out.csv"}
+
+
+def test_simulate_from_standard_input(dbo: Any, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    feed_stdin(monkeypatch, DRIVE)
+    assert dbo("simulate", "model.json", "-") == (0, RESPONSE, "")
+
+
+def test_simulate_without_time_writes_none(dbo: Any, model_file: Path) -> None:
+    write("drive.csv", "0\n5\n10\n3\n")
+    expected = "voltage_V,displacement_um\n0.0,1.0\n5.0,4.2\n10.0,9.0\n3.0,4.0\n"
+    assert dbo("simulate", "model.json", "drive.csv") == (0, expected, "")
+    assert dbo("simulate", "model.json", "drive.csv", "--sample-rate", "10").out == RESPONSE
+
+
+def test_simulate_takes_rows_and_columns_by_number(dbo: Any, model_file: Path) -> None:
+    write("drive.csv", "7;0\n7;5\n7;10\n7;3\n")
+    done = dbo("simulate", "model.json", "drive.csv", "--input", "2", "--rows", "2:3", "--state", "empty")
+    assert done == (0, "voltage_V,displacement_um\n5.0,4.2\n10.0,9.0\n", "")
+
+
+@pytest.mark.parametrize("block_rows", [1, 7, 1000])
+@pytest.mark.parametrize("document", [SMALL_MODEL, lagging_model()], ids=["static", "lagging"])
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_block_size_changes_no_byte(dbo: Any, block_rows: int, document: Any, command: str) -> None:
+    write("model.json", json.dumps(document))
+    rng = np.random.default_rng(3)
+    x = np.cumsum(rng.normal(0.0, 0.8, 500)) % 8.0 + 1.2
+    t = np.cumsum(rng.uniform(0.01, 0.1, 500))
+    name = "voltage_V" if command == "simulate" else "displacement_um"
+    rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), x.tolist(), strict=True))
+    write("in.csv", f"time_s,{name}\n{rows}")
+    whole = dbo(command, "model.json", "in.csv", "-q")
+    assert whole.code == 0 and whole.out.count("\n") == 501
+    assert dbo(command, "model.json", "in.csv", "-q", "--block-rows", block_rows) == whole
+
+
+def test_a_saved_state_goes_on_where_the_run_stopped(dbo: Any, model_file: Path) -> None:
+    write("all.csv", "0\n5\n10\n3\n6\n2\n")
+    write("first.csv", "0\n5\n10\n")
+    write("second.csv", "3\n6\n2\n")
+    whole = dbo("simulate", "model.json", "all.csv").out.splitlines()
+    dbo("simulate", "model.json", "first.csv", "--save-state", "state.json")
+    rest = dbo("simulate", "model.json", "second.csv", "--state", "state.json").out.splitlines()
+    assert rest[1:] == whole[4:]
+
+
+def test_initial_states(dbo: Any, model_file: Path) -> None:
+    write("drive.csv", "5\n6\n")
+    values = {}
+    for state in ("auto", "empty", "full", "settled"):
+        lines = dbo("simulate", "model.json", "drive.csv", "--state", state).out.splitlines()
+        values[state] = [float(line.split(",")[1]) for line in lines[1:]]
+    assert values["auto"] == values["settled"]
+    assert values["empty"] == [4.2, 5.0]
+    assert values["full"][0] > values["settled"][0] > values["empty"][0]
+
+
+def test_outside_the_range(dbo: Any, model_file: Path) -> None:
+    write("drive.csv", "0\n10\n12\n11\n")
+    where = "outside the range of the model (voltage 0 to 10 V)"
+    done = dbo("simulate", "model.json", "drive.csv")
+    counted = "dbo: warning: drive.csv: 2 of 4 samples (first in row 3)"
+    assert done.err == f"{counted} {where}: extended with the last slope\n"
+    assert done.out.splitlines()[3:] == ["12.0,11.0", "11.0,10.0"]
+    done = dbo("simulate", "model.json", "drive.csv", "--outside", "hold")
+    assert done.err == f"{counted} {where}: held\n"
+    assert done.out.splitlines()[3:] == ["12.0,9.0", "11.0,9.0"]
+    done = dbo("simulate", "model.json", "drive.csv", "--outside", "error", "-o", "out.csv")
+    assert done == (
+        1,
+        "",
+        f"dbo: error: drive.csv:3: 12 is {where} (--outside extend or hold)\n",
+    )
+    assert folder_content(Path()) == {"model.json", "drive.csv"}
+
+
+def test_quiet_keeps_warnings_to_itself(dbo: Any, model_file: Path) -> None:
+    write("drive.csv", "0\n12\n")
+    assert dbo("simulate", "model.json", "drive.csv", "--quiet").err == ""
+
+
+BAD_INPUT = {
+    "simulate model.json none.csv": "none.csv: ",
+    "simulate none.json drive.csv": "none.json: cannot be read: No such file or directory",
+    "simulate model.json empty.csv": "empty.csv: the file is empty",
+    "simulate model.json drive.csv --input speed": "drive.csv: there is no column 'speed'",
+    "simulate model.json drive.csv --input 9": "drive.csv: there is no column 9",
+    "simulate model.json drive.csv -o none/out.csv": "none/out.csv: there is no folder 'none': create it first",
+    "simulate model.json drive.csv -o .": ".: this is a folder: give a file name",
+    "simulate lagging.json bare.csv": "bare.csv: no time column and no sample rate, and this model's lag, creep "
+    "or delay depends on it (--time COLUMN or --sample-rate HZ)",
+    "simulate lagging.json back.csv": "back.csv:4: time goes backwards, and this model's lag and creep depend "
+    "on the time between samples (cut the log with --rows A:B)",
+    "simulate model.json nano.csv": "nano.csv: column 'voltage_mV' is in mV, but model.json takes voltage in V "
+    "(convert the column)",
+    "simulate model.json drive.csv --state other.json": 'other.json: is not a state file ("format" must be '
+    '"dbo-state")',
+    "compensate inverse.json wanted.csv": "inverse.json: is an inverse model where a forward one is needed "
+    "(dbo invert turns it)",
+    "compensate model.json bare.csv --max-slew 5": "bare.csv: no time column and no sample rate, and --max-slew "
+    "depends on it (--time COLUMN or --sample-rate HZ)",
+    "compensate model.json bare.csv --condition": "bare.csv: no time column and no sample rate, and --condition "
+    "depends on it (--time COLUMN or --sample-rate HZ)",
+    "invert drive.csv": "drive.csv:1: is not JSON: ",
+    "invert other.json": 'other.json: is not a model file ("format" must be "dbo-model")',
+    "invert newer.json": "newer.json: version: 2 is newer than this program reads, 1; upgrade dbo-cli",
+    "invert uneven.json": "uneven.json: stages[0].d",
+    "invert negative.json": "negative.json: stages[0].dx[1]: ",
+    "invert unknown.json": "unknown.json: colour: is not a known key",
+}
+BAD_USE = {
+    "simulate model.json drive.csv -o drive.csv": "drive.csv: this output is also an input: write to another file",
+    "simulate model.json drive.csv --save-state model.json": "model.json: this output is also an input: write to "
+    "another file",
+    "simulate model.json drive.csv -o a.csv --save-state a.csv": "--save-state and --output are both 'a.csv'",
+    "simulate model.json drive.csv --state warm": "--state: 'warm' is none of auto, empty, full, settled, and "
+    "there is no such file",
+    "simulate model.json drive.csv --rows 3:2": "--rows 3:2: ",
+    "compensate model.json wanted.csv --condition --state empty": "--condition and --state empty exclude each "
+    "other: the sweep makes its own state",
+}
+
+
+def with_stage(**changes: Any) -> dict[str, Any]:
+    model = json.loads(json.dumps(SMALL_MODEL))
+    model["stages"][0] |= changes
+    return dict(model)
+
+
+@pytest.fixture
+def bench(dbo: Any, model_file: Path) -> Any:
+    """Return the runner inside a folder with good and bad inputs."""
+    write("drive.csv", DRIVE)
+    write("wanted.csv", "time_s,displacement_um\n0,2\n0.1,5\n")
+    write("empty.csv", "")
+    write("bare.csv", "0\n5\n")
+    write("back.csv", "time_s,voltage_V\n0,0\n0.1,1\n0.05,2\n")
+    write("nano.csv", "time_s,voltage_mV\n0,0\n0.1,1\n")
+    write("lagging.json", json.dumps(lagging_model()))
+    write("other.json", '{"format": "something"}')
+    write("newer.json", json.dumps(SMALL_MODEL | {"version": 2}))
+    write("uneven.json", json.dumps(with_stage(dx=[1.0, 2.0])))
+    write("negative.json", json.dumps(with_stage(dx=[1.0, -2.0, 3.0, 4.0])))
+    write("unknown.json", json.dumps(SMALL_MODEL | {"colour": "red"}))
+    assert dbo("invert", "model.json", "-o", "inverse.json") == (0, "", "")
+    return dbo
+
+
+@pytest.mark.parametrize("line", [*BAD_INPUT, *BAD_USE])
+def test_bad_input_is_one_line_and_leaves_nothing(bench: Any, line: str) -> None:
+    before = folder_content(Path())
+    done = bench(*line.split())
+    message = BAD_INPUT.get(line) or BAD_USE[line]
+    assert done.code == (1 if line in BAD_INPUT else 2)
+    assert done.out == ""
+    assert done.err.startswith(f"dbo: error: {message}")
+    assert done.err.count("\n") == 1
+    assert folder_content(Path()) == before
+
+
+# --- invert ---
+
+
+def test_invert_and_back_gives_the_same_widths(bench: Any) -> None:
+    inverse = json.loads(Path("inverse.json").read_text())
+    assert inverse["direction"] == "inverse"
+    assert inverse["stages"][1]["dx"] == SMALL_MODEL["stages"][0]["dy"]
+    bench("invert", "inverse.json", "-o", "again.json")
+    again = json.loads(Path("again.json").read_text())
+    assert (again["direction"], again["stages"][0]["dx"]) == ("forward", SMALL_MODEL["stages"][0]["dx"])
+
+
+def test_simulating_the_inverse_gives_the_drive(bench: Any) -> None:
+    write("wished.csv", "time_s,displacement_um\n0,1\n0.1,4.2\n0.2,9\n0.3,4\n")
+    lines = bench("simulate", "inverse.json", "wished.csv").out.splitlines()
+    assert lines[0] == "time_s,displacement_um,voltage_V"
+    assert [float(line.split(",")[2]) for line in lines[1:]] == pytest.approx([0, 5, 10, 3], abs=1e-12)
+
+
+# --- compensate ---
+
+
+def test_compensate_then_simulate_is_the_identity(dbo: Any) -> None:
+    write("model.json", json.dumps(lagging_model() | {"stages": lagging_model()["stages"][:2]}))
+    t = np.arange(400) / 50
+    wanted = 5.0 - 3.5 * np.cos(2 * np.pi * t) * np.exp(-0.1 * t)
+    rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), wanted.tolist(), strict=True))
+    write("wanted.csv", f"time_s,displacement_um\n{rows}")
+    assert dbo("compensate", "model.json", "wanted.csv", "-o", "drive.csv") == (0, "", "")
+    assert Path("drive.csv").read_text().startswith("time_s,displacement_um,voltage_V\n")
+    assert dbo("simulate", "model.json", "drive.csv", "-o", "back.csv").code == 0
+    back = np.loadtxt("back.csv", delimiter=",", skiprows=1)[:, 2]
+    assert np.abs(back - wanted).max() < 1e-10 * 8.0
+
+
+def test_compensate_reads_the_trajectory_ahead_by_the_delay(dbo: Any, model_file: Path) -> None:
+    delayed = json.loads(json.dumps(SMALL_MODEL))
+    delayed["stages"].append({"type": "delay", "seconds": 0.2})
+    write("delayed.json", json.dumps(delayed))
+    values = [1.0, 4.2, 9.0, 3.5, 3.0, 2.0]
+    rows = "".join(f"{k / 10},{v}\n" for k, v in enumerate(values))
+    write("wanted.csv", f"time_s,displacement_um\n{rows}")
+    late = dbo("compensate", "delayed.json", "wanted.csv", "--state", "empty").out.splitlines()
+    plain = [9.0, 3.5, 3.0, 2.0, 2.0, 2.0]
+    write("shifted.csv", "time_s,displacement_um\n" + "".join(f"{k / 10},{v}\n" for k, v in enumerate(plain)))
+    early = dbo("compensate", "model.json", "shifted.csv", "--state", "empty").out.splitlines()
+    assert [line.split(",")[2] for line in late] == [line.split(",")[2] for line in early]
+    assert [float(line.split(",")[1]) for line in late[1:]] == values
+
+
+def test_compensate_clips_counts_and_says(bench: Any) -> None:
+    write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,10\n0.3,3\n")
+    done = bench("compensate", "model.json", "far.csv", "-o", "drive.csv")
+    place = "far.csv: 1 of 4 samples (row 3) beyond what the limits of the drive allow (voltage 0 to 10 V)"
+    assert done == (0, "", f"dbo: warning: {place}: clipped (--on-limit error refuses this)\n")
+    drive = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
+    assert drive[2, 2] == 10.0
+    before = folder_content(Path())
+    done = bench("compensate", "model.json", "far.csv", "-o", "refused.csv", "--on-limit", "error")
+    assert done == (3, "", f"dbo: error: {place} (--on-limit clip goes on)\n")
+    assert folder_content(Path()) == before
+
+
+def test_compensate_keeps_tighter_limits_and_slew(bench: Any) -> None:
+    write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,8\n0.3,3\n")
+    done = bench("compensate", "model.json", "far.csv", "--v-min", "2", "--v-max", "7", "--max-slew", "20")
+    voltage = np.array([float(line.split(",")[2]) for line in done.out.splitlines()[1:]])
+    assert voltage.min() >= 2.0 and voltage.max() <= 7.0
+    assert np.abs(np.diff(voltage)).max() <= 2.0 * (1 + 1e-12)
+    assert "(voltage 2 to 7 V, 20 V/s): clipped" in done.err
+
+
+def test_compensate_warns_of_limits_beyond_the_model(bench: Any) -> None:
+    done = bench("compensate", "model.json", "wanted.csv", "--v-max", "15")
+    assert done.err == (
+        "dbo: warning: the limits of the drive reach beyond 0 to 10 V, where the model was identified; "
+        "it extrapolates there\n"
+    )
+
+
+def test_condition_prepends_a_sweep_in_negative_time(bench: Any) -> None:
+    plain = bench("compensate", "model.json", "wanted.csv", "--state", "empty").out.splitlines()
+    done = bench("compensate", "model.json", "wanted.csv", "--condition", "-o", "drive.csv")
+    assert (done.code, done.err) == (0, "")
+    rows = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
+    sweep = rows[rows[:, 0] < -1e-9]
+    assert sweep[:, 2].min() == 0.0 and sweep[:, 2].max() == 10.0
+    assert sweep[-1, 0] == pytest.approx(-0.1)
+    assert np.diff(rows[:, 0]) == pytest.approx(0.1)
+    lines = Path("drive.csv").read_text().splitlines()
+    assert lines[-2:] == plain[-2:]
+    back = bench("simulate", "model.json", "drive.csv", "--state", "empty").out.splitlines()
+    assert [float(line.split(",")[2]) for line in back[-2:]] == pytest.approx([2.0, 5.0], abs=1e-12)
+
+
+# --- excite ---
+
+
+def test_excite_stays_inside_and_starts_and_ends_at_the_bottom(dbo: Any) -> None:
+    done = dbo("excite", "--v-min", "-20", "--v-max", "120", "--sample-rate", "200", "--duration", "12")
+    lines = done.out.splitlines()
+    assert (done.code, done.err, lines[0]) == (0, "", "time_s,voltage_V")
+    table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    assert len(table) == 2400
+    assert (table[0, 1], table[:, 1].min(), table[:, 1].max()) == (-20.0, -20.0, 120.0)
+    assert table[-1, 1] == pytest.approx(-20.0, abs=0.1)
+
+
+def test_excite_refuses_too_few_cycles(dbo: Any) -> None:
+    done = dbo("excite", "--v-max", "100", "--duration", "2", "-o", "x.csv")
+    assert (done.code, done.out) == (2, "")
+    assert done.err == "dbo: error: --duration 2.0: 2 cycles of 1.0 Hz, at least 6 are needed\n"
+    assert folder_content(Path()) == set()
