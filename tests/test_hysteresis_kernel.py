@@ -72,8 +72,8 @@ def everything(seed: int, monkeypatch: pytest.MonkeyPatch, chosen: Any, relaxati
         found += [bits_of(z), state, counts]
         z, state, counts = inverse.run(y, start, decay=decay, outside=outside, limits=limits)  # type: ignore[arg-type]
         found += [bits_of(z), state, counts]
-        for cumulative in (False, True):
-            rows, state = operator.engagement(x, start, cumulative=cumulative, outside=outside)  # type: ignore[arg-type]
+        for share in (1, 3):
+            rows, state = operator.engagement(x, start, share=share, outside=outside)  # type: ignore[arg-type]
             found += [bits_of(rows), state]
     if terms is not None:
         rows, memory = terms.lags(x, 0.01)
@@ -216,10 +216,10 @@ def test_compiled_kernel_checks_lengths() -> None:
     gears = np.ones((2, 4))
     none = np.empty(0)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
-        COMPILED.backlash_engagement(gears, 0.0, True, np.zeros(1, np.uint64), none, none, np.empty(2), False)
+        COMPILED.backlash_engagement(gears, 0.0, True, np.zeros(1, np.uint64), none, none, np.empty(2), 1)
     words = np.zeros(kernel.buffer_words(2), np.uint64)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: rows"):
-        COMPILED.backlash_engagement(gears, 0.0, True, words, np.ones(3), none, np.empty(2), False)
+        COMPILED.backlash_engagement(gears, 0.0, True, words, np.ones(3), none, np.empty(2), 1)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: y"):
         COMPILED.point_run(np.ones((1, 3)), 0.0, 0.0, np.ones(3), np.empty(2))
 

@@ -70,28 +70,32 @@ done:
 }
 
 static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
-    Py_buffer gears, words, x, rows, base;
+    Py_buffer gears, words, x, rows, crossed;
     dbo_backlash op = {0};
     dbo_backlash_state state;
-    int cumulative, ready = 0;
+    Py_ssize_t share;
+    size_t columns;
+    int ready = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*dpw*y*w*w*p", &gears, &op.x0, &op.extend, &words, &x, &rows, &base,
-                          &cumulative))
+    if (!PyArg_ParseTuple(args, "y*dpw*y*w*w*n", &gears, &op.x0, &op.extend, &words, &x, &rows, &crossed,
+                          &share))
         return NULL;
     if (!assemble(&op, &state, &gears, &words)) goto done;
-    if (NUMBERS(rows) != NUMBERS(x) * op.n && too_short("rows")) goto done;
-    if (NUMBERS(base) != op.n && too_short("base")) goto done;
+    if (share < 1 && too_short("share")) goto done;
+    columns = (op.n + (size_t)share - 1) / (size_t)share;
+    if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
+    if (NUMBERS(crossed) != columns && too_short("crossed")) goto done;
     ready = 1;
     Py_BEGIN_ALLOW_THREADS
     dbo_backlash_load(&op, &state);
-    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, base.buf, NUMBERS(x), cumulative);
+    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x), (size_t)share);
     Py_END_ALLOW_THREADS
 done:
     PyBuffer_Release(&gears);
     PyBuffer_Release(&words);
     PyBuffer_Release(&x);
     PyBuffer_Release(&rows);
-    PyBuffer_Release(&base);
+    PyBuffer_Release(&crossed);
     if (!ready) return NULL;
     return Py_BuildValue("");
 }

@@ -88,10 +88,10 @@ void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const d
                       size_t count, const double *decay, size_t decay_stride,
                       const dbo_limits *limits, dbo_counts *counts);
 
-/* Rows phi with Y_B part of the output = sum phi_i dy_i, or, cumulative, rows psi with
- * psi_j = sum over i >= j of dx_i phi_i. `rows` is count x n, `base` is scratch for n numbers. */
+/* Rows phi with Y_B part of the output = sum phi_i dy_i; with `share` > 1 that many neighbours share one
+ * column, their mean. `rows` is count x ceil(n/share), `crossed` is scratch for ceil(n/share) numbers. */
 void dbo_backlash_engagement(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
-                             double *rows, double *base, size_t count, int cumulative);
+                             double *rows, double *crossed, size_t count, size_t share);
 
 /* L_j after each sample, rows of `terms` numbers: L = a L + (1 - a)(x - reference). */
 void dbo_memory_run(size_t terms, double reference, double *memory, const double *x, double *rows,

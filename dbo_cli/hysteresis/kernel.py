@@ -279,37 +279,31 @@ def backlash_engagement(
     words: Words,
     x: Floats,
     rows: Floats,
-    base: Floats,
-    cumulative: bool,
+    crossed: Floats,
+    share: int,
 ) -> None:
-    """Fill ``rows`` (samples × n) with the part of every gear that is in the output.
+    """Fill ``rows`` (samples × ceil(n / share)) with the part of the gears that is in the output.
 
-    Row k is phi with y - y0 = sum phi_i dy_i (before any relaxation), or, cumulative, psi with
-    psi_j = sum over i >= j of dx_i phi_i, so that y - y0 = sum psi_j (slope_j - slope_{j-1}).
+    Row k is phi with y - y0 = sum phi_i dy_i (before any relaxation); with ``share`` > 1 that many
+    neighbours share a column, their mean. ``crossed`` is scratch, one number a column.
     """
     walk = _Walk(gears, words)
-    n = walk.n
+    n, columns, part = walk.n, len(crossed), 1.0 / share
 
     def shift(gear: int, sign: float) -> None:
-        if cumulative:
-            base[: gear + 1] += sign * walk.gears[gear][0]
-        else:
-            base[gear] += sign
+        crossed[gear // share] += sign
 
-    base[:] = 0.0
+    crossed[:] = 0.0
     for i in range(n):
         if walk.bits >> i & 1:
             shift(i, 1.0)
-    for row, value in zip(rows.reshape(-1, n), x.tolist(), strict=True):
+    for row, value in zip(rows.reshape(-1, columns), x.tolist(), strict=True):
         gear, d = _engage(walk, value - x0, shift)
-        row[:] = base
+        row[:] = crossed * part
         if gear == n and not extend:
             continue
         gear = min(gear, n - 1)
-        if cumulative:
-            row[: gear + 1] += d
-        else:
-            row[gear] += d / walk.gears[gear][0]
+        row[gear // share] += d / walk.gears[gear][0] * part
     walk.finish()
 
 

@@ -332,20 +332,21 @@ class DiscreteBacklashOperator:
         return spans
 
     def engagement(
-        self, x: ArrayLike, state: BacklashState, *, cumulative: bool = False, outside: Outside = "extend"
+        self, x: ArrayLike, state: BacklashState, *, share: int = 1, outside: Outside = "extend"
     ) -> tuple[Floats, BacklashState]:
-        """Return the part of every gear that is in the output of every sample, and the state after.
+        """Return the part of the gears that is in the output of every sample, and the state after.
 
         The rows phi (len(x) × n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for an open one, a
-        fraction for the engaged one, so that heights are linear unknowns of the output. With ``cumulative``
-        the rows are psi_j = sum over i >= j of dx_i phi_i, and y - y0 = psi @ (increments of dy/dx from gear
-        to gear, the first from 0). Relaxation is not in them (see ``Relaxation.lags``).
+        fraction for the engaged one, so that heights are linear unknowns of the output. With ``share`` > 1
+        that many neighbours share one column (len(x) × ceil(n / share)), their mean: the unknowns are then
+        the heights of the groups, equal within each. Relaxation is not in them (see ``Relaxation.lags``).
         """
         signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         words = self._words(state)
-        rows, base = np.empty((signal.size, self.n)), np.empty(self.n)
+        crossed = np.empty(-(-self.n // share))
+        rows = np.empty((signal.size, crossed.size))
         kernel.CHOSEN.backlash_engagement(
-            self.gears, self.x0, outside != "hold", words, signal, rows, base, cumulative
+            self.gears, self.x0, outside != "hold", words, signal, rows, crossed, share
         )
         return rows, BacklashState(self._bits(words), state.memory)
 

@@ -31,13 +31,16 @@ BLOCK_ROWS = 4096
 class Basis:
     """What is fixed before the problem is solved: the gears' edges, the time constants, the delay.
 
-    ``low`` and ``high`` bound the gears on the voltage axis, which ``gears`` equal widths divide;
+    ``low`` and ``high`` bound the gears on the voltage axis, which ``gears * split`` equal widths divide;
+    ``split`` neighbours share one slope, so that ``gears`` heights are unknown. A turn inside a gear
+    retraces it: splitting makes that error of the operator small without a single unknown more.
     ``time_constants`` in seconds; ``delay`` in seconds, of the output behind the drive.
     """
 
     gears: int
     low: float
     high: float
+    split: int = 1
     time_constants: tuple[float, ...] = ()
     delay: float = 0.0
 
@@ -48,8 +51,9 @@ class Basis:
 
     def operator(self) -> DiscreteBacklashOperator:
         """Return an operator of these gears with equal heights that sum to one."""
+        count = self.gears * self.split
         return DiscreteBacklashOperator(
-            np.full(self.gears, self.span / self.gears), np.full(self.gears, 1.0 / self.gears), self.low, 0.0
+            np.full(count, self.span / count), np.full(count, 1.0 / count), self.low, 0.0
         )
 
 
@@ -174,8 +178,9 @@ class DriveRows:
     ) -> tuple[Floats, BacklashState, int]:
         """Columns of rows begin..end, and the state at row ``keep``, where the next block begins."""
         keep = min(max(keep, begin), end)
-        early, state = operator.engagement(self._voltage[begin:keep], state)
-        late, _ = operator.engagement(self._voltage[keep:end], state)
+        split = self._basis.split
+        early, state = operator.engagement(self._voltage[begin:keep], state, share=split)
+        late, _ = operator.engagement(self._voltage[keep:end], state, share=split)
         engaged = np.vstack((early, late))
         if self._memory.shape[1]:
             engaged = np.hstack((engaged, self._memory[begin:end]))
