@@ -106,9 +106,9 @@ class _LogView:
         first, second = self._report.options.labels
         modelled = first == "model"
         look = style.DASHED if modelled else style.DASHED | {"linestyle": "-"}
-        if modelled:
-            self._curve(axes, "drive", "desired", style.SOLID, first, 0.0)
         self._curve(axes, "drive", "measured", look, second, self._offset)
+        if modelled:
+            self._curve(axes, "drive", "desired", style.SOLID | {"linewidth": 0.9}, first, 0.0)
         axes.set(xlabel=axis_label("Drive voltage", self._traces.drive_unit))
         axes.set(ylabel=self._length(self._quantity))
         mark_curves(axes)

@@ -352,7 +352,8 @@ def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:
     total = max(missing)
     empty = [label for label, count in zip(labels, missing, strict=True) if count == total]
     if len(empty) == 1 and min(missing) < total:
-        return f"{name}: {empty[0]} holds no number in {total} rows (choose another column with --{empty[0]})"
+        column = f"another column with --{empty[0]}" if empty[0] != "model" else "other columns or --rows"
+        return f"{name}: {empty[0]} holds no number in {total} rows (choose {column})"
     return f"{name}: no row has a number in both {labels[0]} and {labels[1]} (choose other columns or --rows)"
 
 
