@@ -49,8 +49,10 @@ def stages_of(fitted: Fitted, prepared: Prepared, shift: float) -> tuple[Stage, 
             tuple(float(tau) for tau, on in zip(basis.time_constants, acting, strict=True) if on),
             tuple((fitted.gains[acting] / basis.span).tolist()),
         )
-    widths = np.full(basis.gears, basis.span / basis.gears)
-    stages: list[Stage] = [BacklashStage(widths, fitted.heights, basis.low, fitted.origin, relaxation)]
+    count = basis.gears * basis.split
+    widths = np.full(count, basis.span / count)
+    heights = np.repeat(fitted.heights / basis.split, basis.split)
+    stages: list[Stage] = [BacklashStage(widths, heights, basis.low, fitted.origin, relaxation)]
     segments = len(fitted.knots) - 1
     if segments > 1:
         stages.append(PointStage(np.diff(fitted.knots), np.full(segments, 1.0 / segments), 0.0, 0.0))

@@ -9,7 +9,7 @@ import numpy as np
 from dbo_cli.hysteresis.identification.evaluation import Residual
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
-from dbo_cli.hysteresis.identification.search import ROWS_PER_GEAR, Choice
+from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 
 POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
 HELD_SHARE = 0.5  # of the moving samples that repeat the one before: sample-and-hold
@@ -83,10 +83,10 @@ def fit_warnings(
     span = abs(prepared.scale)
     rows = sum(len(one.values) for one in residuals)
     rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in residuals) / rows))
-    if rows < ROWS_PER_GEAR * choice.basis.gears:
+    if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
-            f"{rows} rows for {choice.basis.gears} gears are fewer than the {ROWS_PER_GEAR} a gear that are safe: "
-            "record longer, or give fewer gears (--gears)"
+            f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for each that "
+            "are safe: record longer, or give fewer gears (--gears)"
         )
     if choice.clockwise > CLOCKWISE:
         warnings.append(

@@ -179,7 +179,8 @@ def _figures(
         figures["validation_percent"] = 100.0 * value / span
     figures |= {
         "samples": sum(len(one.values) for one in residuals),
-        "gears": gears.gears,
+        "gears": gears.gears * gears.split,
+        "different_slopes": gears.gears,
         "points": len(fitted.knots) - 1 if len(fitted.knots) > 2 else 0,
         "slopes": choice.structure.slopes,
         "smoothness": choice.structure.smoothness,

@@ -28,7 +28,8 @@ Booleans = NDArray[np.bool_]
 FOLDS = 10
 OUTLIER_SIGMAS = 8.0
 SPIKE_SHARE = 0.02  # more rows than this are no outliers: they are what the actuator does
-PROBE_GEARS = 64
+PROBE_SLOPES = 64
+PROBE_SPLIT = 8
 STARTS = ("settled", "empty", "full")
 
 
@@ -220,7 +221,7 @@ def _usable_rows(log: Recording, skip_seconds: float, notes: list[str]) -> tuple
 
 
 def _probe(low: float, high: float) -> tuple[Basis, Structure]:
-    return Basis(PROBE_GEARS, low, high), Structure("free", (), 1, 1e-7)
+    return Basis(PROBE_SLOPES, low, high, PROBE_SPLIT), Structure("free", (), 1, 1e-9)
 
 
 def _best_start(log: PreparedLog, low: float, high: float) -> str:

@@ -12,7 +12,7 @@ exactly on each segment, so that a step is the same bounded least-squares proble
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,9 +85,7 @@ def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitt
     total = float(fitted.heights.sum())
     kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * total)
     if kept != structure.memories:
-        basis = Basis(
-            basis.gears, basis.low, basis.high, tuple(basis.time_constants[k] for k in kept), basis.delay
-        )
+        basis = replace(basis, time_constants=tuple(basis.time_constants[k] for k in kept))
         structure = Structure(
             structure.slopes,
             tuple(range(len(kept))),

@@ -21,13 +21,15 @@ from dbo_cli.hysteresis.identification.selection import (
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, Statistics, gather
 
 SELECTION_ROWS = 60_000  # orders are chosen on at most so many rows; the final fit uses all
-COARSE_GEARS = 64
-GEAR_CHOICES = (128, 256, 64, 32)  # in the order of preference
-ROWS_PER_GEAR = 8  # fewer usable rows than this for each gear is not safe
+ALL_GEARS = 1024
+GEAR_CHOICES = (128, 256, 512, 1024)
+SLOPE_CHOICES = (64, 128, 32)  # different slopes among the gears, in the order of preference
+ROWS_PER_SLOPE = 8  # fewer usable rows than this for each unknown slope is not safe
 FINE_SEGMENTS = 8
 SEGMENT_CHOICES = (1, 2, 4, 8)
+FINE_INDIFFERENCE = 0.005  # where the logs themselves can tell
 ORDER_INDIFFERENCE = 0.01  # a kink in the asymmetry is worth having for less than rougher slopes are
-SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 START_SMOOTHNESS = 1e-8
 TIME_CONSTANT_RATIO = 3.0
 LONGEST_DELAY_SHARE = 0.125  # of a cycle
@@ -142,7 +144,15 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
         grid = orders.time_constants
     else:
         grid = time_constant_grid(prepared, period, cycle)
-    coarse = Basis(COARSE_GEARS, prepared.low, prepared.high, grid, orders.delay or 0.0)
+    count = slopes_for(orders.gears or ALL_GEARS, SLOPE_CHOICES[0])
+    coarse = Basis(
+        count,
+        prepared.low,
+        prepared.high,
+        (orders.gears or ALL_GEARS) // count,
+        grid,
+        orders.delay or 0.0,
+    )
     fine = orders.segments if orders.segments is not None else FINE_SEGMENTS
     fine = max(fine, 1)
     everything = tuple(range(len(grid)))
@@ -260,25 +270,37 @@ def _gears(
     segments: int,
     one_amplitude: bool,
 ) -> tuple[Basis, Structure, Score]:
-    """Smoothest slopes that are no worse, then the number of gears.
+    """Smoothest slopes that are no worse, then how many of them, then the number of gears.
 
     Gears cost nothing per sample, and a turn inside a gear retraces it, which is an error that a log with
-    one amplitude does not show: so the search starts from 128 and leaves it only for a number that the data
-    left out clearly prefer.
+    one amplitude does not show: such a log keeps all of them.
     """
-    usable = sum(int((log.fold >= 0).sum()) for log in logs)
-    if orders.gears is not None:
-        choices: tuple[int, ...] = (orders.gears,)
-    else:
-        choices = tuple(n for n in GEAR_CHOICES if n * ROWS_PER_GEAR <= usable) or (min(GEAR_CHOICES),)
-    sized = replace(basis, gears=choices[0])
-    statistics = gather(logs, sized, segments)
+    statistics = gather(logs, basis, segments)
     smoothed = [replace(trial, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
     scores = [cross_validate(statistics, structure) for structure in smoothed]
-    best = simplest_of(scores, INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE / 2.0)
-    candidates = [(sized, scores[best])]
-    for gears in choices[1:]:
-        other = replace(basis, gears=gears)
-        candidates.append((other, cross_validate(gather(logs, other, segments), smoothed[best])))
-    sized, score = candidates[simplest_of([candidate[1] for candidate in candidates])]
-    return sized, smoothed[best], score
+    best = simplest_of(scores, INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE)
+    structure, score = smoothed[best], scores[best]
+    if orders.gears is not None:
+        return basis, structure, score
+    usable = sum(int((log.fold >= 0).sum()) for log in logs)
+    candidates = [(basis, score)]
+    for count in SLOPE_CHOICES[1:]:
+        if count * ROWS_PER_SLOPE <= usable:
+            other = replace(basis, gears=count, split=ALL_GEARS // count)
+            candidates.append((other, cross_validate(gather(logs, other, segments), structure)))
+    basis, score = candidates[simplest_of([candidate[1] for candidate in candidates], FINE_INDIFFERENCE)]
+    if one_amplitude:
+        return basis, structure, score
+    sized = [replace(basis, split=total // basis.gears) for total in GEAR_CHOICES if total >= basis.gears]
+    scores = [cross_validate(gather(logs, one, segments), structure) for one in sized]
+    fewest = simplest_of(scores, FINE_INDIFFERENCE)
+    return sized[fewest], structure, scores[fewest]
+
+
+def slopes_for(gears: int, wanted: int) -> int:
+    """Return the number of different slopes for so many gears: a divisor of theirs, near ``wanted``."""
+    divisors = [count for count in range(1, min(gears, 2 * wanted) + 1) if gears % count == 0]
+    if gears <= 2 * wanted:
+        return gears
+    best = min(divisors, key=lambda count: abs(np.log(count / wanted)))
+    return best if best >= wanted // 2 else gears

@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 
 INDIFFERENCE = 0.02  # a gain in RMSE below this share is not worth a larger model, however certain
 
+LARGEST_EXCUSE = 0.03  # of the RMSE: what one standard error can excuse at most
+
 
 @dataclass(frozen=True)
 class Score:
@@ -62,12 +64,12 @@ def no_worse(candidate: Score, best: Score, indifference: float = INDIFFERENCE) 
     """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
 
     The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common.
+    common. With few or uneven folds it says little, so it excuses a loss only up to ``LARGEST_EXCUSE``.
     """
     excess = candidate.excess_over(best)
     mean = float(excess.mean())
     error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
-    return mean <= max(error, float(np.log1p(indifference)))
+    return bool(mean <= max(min(error, LARGEST_EXCUSE), float(np.log1p(indifference))))
 
 
 def simplest_of(scores: Sequence[Score], indifference: float = INDIFFERENCE) -> int:
