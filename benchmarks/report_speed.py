@@ -2,7 +2,7 @@
 
     python benchmarks/report_speed.py [ROWS]
 
-Writes a log of ROWS rows (10 million) of time, voltage, desired and measured displacement, as CSV and as HDF5,
+Writes a log of ROWS rows (10 million): time, voltage, desired and measured displacement, as CSV and as HDF5,
 into a temporary folder. Every figure is that of a whole process, start included, the better of two.
 Targets: at most 400 MB, and at most 4 times the time of reading.
 """

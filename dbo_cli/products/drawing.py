@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Kind = Literal["png", "svg", "inline"]
+FILES: tuple[Kind, ...] = ("png", "svg")
+
 
 @dataclass(frozen=True)
 class Plot:
@@ -31,20 +34,23 @@ class Plot:
     paint: Callable[[Axes], None]
 
 
-def draw(plot: Plot, kind: Literal["png", "svg", "inline"], note: str = "", scope: str = "") -> bytes:
+def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
     """Return the figure as PNG, as SVG (letters as outlines), or as SVG to stand inside a page.
 
     ``note`` is set small above the axes, at the right. The inline form has letters as text, no background,
     the colours of ``figure_style.SCHEME`` as variables, and ids that begin with ``scope`` and the figure's
     key (they must differ within a page).
     """
+    content = _saved(_painted(plot, note), kind)
+    return _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode() if kind == "inline" else content
+
+
+def _painted(plot: Plot, note: str) -> Figure:
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    inline = kind == "inline"
-    changes = {"svg.fonttype": "none"} if inline else {}
-    with rc_context(style.RC | changes):
+    with rc_context(style.RC):
         figure = Figure(figsize=plot.size)
         FigureCanvasAgg(figure)
         axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
@@ -53,11 +59,19 @@ def draw(plot: Plot, kind: Literal["png", "svg", "inline"], note: str = "", scop
         if note:
             axes.set_title(note, loc="right", color=style.MUTED, fontsize=8.0, pad=5.0)
         _fit_left(figure, axes)
-        out = io.BytesIO()
-        metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+    return figure
+
+
+def _saved(figure: Figure, kind: Kind) -> bytes:
+    """Return a painted figure in one form; no date or version in it, so the bytes repeat."""
+    from matplotlib import rc_context
+
+    inline = kind == "inline"
+    out = io.BytesIO()
+    metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+    with rc_context(style.RC | ({"svg.fonttype": "none"} if inline else {})):
         figure.savefig(out, format="png" if kind == "png" else "svg", metadata=metadata, transparent=inline)
-    content = out.getvalue()
-    return _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode() if inline else content
+    return out.getvalue()
 
 
 def check_folder(folder: str) -> Path:
@@ -82,10 +96,10 @@ def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list
     """Write every figure as ``STEM-KEY.png`` and ``.svg``; each appears whole or not at all."""
     written = []
     for plot in plots:
-        for kind in ("png", "svg"):
+        figure = _painted(plot, note)
+        for kind in FILES:
             path = folder / f"{stem}-{plot.key}.{kind}"
-            content = draw(plot, "png" if kind == "png" else "svg", note)
-            write_whole(str(path), content)
+            write_whole(str(path), _saved(figure, kind))
             written.append(path)
     return written
 

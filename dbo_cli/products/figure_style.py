@@ -42,7 +42,6 @@ RC: dict[str, object] = {
     "axes.spines.right": False,
     "axes.xmargin": 0.01,
     "axes.ymargin": 0.04,
-    "axes.formatter.use_mathtext": True,
     "axes.unicode_minus": True,
     "grid.color": RULE,
     "grid.linewidth": 0.6,

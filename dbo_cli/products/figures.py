@@ -33,6 +33,16 @@ def axis_label(quantity: str, unit: str | None) -> str:
     return f"{quantity} ({shown_unit(unit)})" if unit else quantity
 
 
+def decade(value: float, _: float = 0.0) -> str:
+    """Return the label of a power of ten: plain from 0.01 to 1000, else 10 with a raised exponent.
+
+    Set as plain letters, which a page can select and which take a tenth of the time of set formulas.
+    """
+    if 0.005 < value < 5000.0:
+        return f"{value:g}"
+    return "10" + f"{math.log10(value):.0f}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
 def plots_of_log(report: Report, log: LogReport, traces: Traces) -> list[Plot]:
     """Return the figures of one log, drawn from what ``traces`` gathered while it was evaluated."""
     view = _LogView(report, log, traces)
@@ -128,6 +138,7 @@ class _LogView:
         )
         if self._figures.max_abs > 3.0 * self._figures.p95_abs > 0.0:
             axes.set_yscale("log")  # or a spike of one sample in a million is not to be seen
+            axes.yaxis.set_major_formatter(decade)
         axes.set(xlabel=self._length("Error"), ylabel="Share of samples (%)")
 
     def spectrum(self, axes: Axes) -> None:
@@ -137,6 +148,8 @@ class _LogView:
             return
         floor = curve.y.max() * 1e-9 if curve.y.max() > 0.0 else 1e-30
         axes.loglog(curve.x, np.maximum(curve.y, floor), **style.ALONE)
+        axes.xaxis.set_major_formatter(decade)
+        axes.yaxis.set_major_formatter(decade)
         unit = shown_unit(self._report.unit)
         axes.set_xlabel("Frequency (Hz)" if period else "Frequency (cycles a sample)")
         density = f"{unit}/√Hz" if period else unit
