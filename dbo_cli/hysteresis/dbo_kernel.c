@@ -3,13 +3,22 @@
 
 #define ALL_ONES UINT64_MAX
 
+/* The state stays in registers only where these are inlined; left to choose, compilers do not. */
+#if defined(__GNUC__) || defined(__clang__)
+#define INLINE static inline __attribute__((always_inline))
+#elif defined(_MSC_VER)
+#define INLINE static __forceinline
+#else
+#define INLINE static inline
+#endif
+
 /* ---- find first set (4): the compiler's instruction, or de Bruijn as in the paper's reference [10] -- */
 
 #if !defined(DBO_PORTABLE_SCAN) && (defined(__GNUC__) || defined(__clang__))
-static inline unsigned first_one(uint64_t word) { return (unsigned)__builtin_ctzll(word); }
+INLINE unsigned first_one(uint64_t word) { return (unsigned)__builtin_ctzll(word); }
 #elif !defined(DBO_PORTABLE_SCAN) && defined(_MSC_VER) && defined(_WIN64)
 #include <intrin.h>
-static inline unsigned first_one(uint64_t word) {
+INLINE unsigned first_one(uint64_t word) {
     unsigned long index;
     _BitScanForward64(&index, word);
     return (unsigned)index;
@@ -17,7 +26,7 @@ static inline unsigned first_one(uint64_t word) {
 #else
 /* The lowest one, alone, times a de Bruijn sequence leaves a different six-bit number on top for each
  * of the 64 places; the table, made from the sequence itself, turns it back into the place. */
-static inline unsigned first_one(uint64_t word) {
+INLINE unsigned first_one(uint64_t word) {
     static const unsigned char place[64] = {
         0,  1,  2,  53, 3,  7,  54, 27, 4,  38, 41, 8,  34, 55, 48, 28, 62, 5,  39, 46, 44, 42,
         22, 9,  24, 35, 59, 56, 49, 18, 29, 11, 63, 52, 6,  26, 37, 40, 33, 47, 61, 45, 43, 21,
@@ -45,31 +54,32 @@ static size_t index_words(size_t n) { return ((n + 63) / 64 + 63) / 64; }
 
 size_t dbo_backlash_words(size_t n) { return (n + 63) / 64 + 2 * index_words(n); }
 
-/* Z (5) above word k, which has just become full; the words below it are full already. */
-static size_t zero_above(const walk *w, size_t k) {
-    w->full[k >> 6] |= (uint64_t)1 << (k & 63);
-    for (size_t i = k >> 6; i < index_words(w->n); i++)
-        if (w->full[i] != ALL_ONES) {
-            k = 64 * i + first_one(~w->full[i]);
-            return k < w->word_count ? 64 * k + first_one(~w->words[k]) : w->n;
+/* Z (5) above word k, which has just become full; the words below it are full already. (The walk comes by
+ * value: a pointer to it would keep it out of the registers.) */
+static size_t zero_above(const walk w, size_t k) {
+    w.full[k >> 6] |= (uint64_t)1 << (k & 63);
+    for (size_t i = k >> 6; i < index_words(w.n); i++)
+        if (w.full[i] != ALL_ONES) {
+            k = 64 * i + first_one(~w.full[i]);
+            return k < w.word_count ? 64 * k + first_one(~w.words[k]) : w.n;
         }
-    return w->n;
+    return w.n;
 }
 
 /* S (4) above word k, which has just become zero; the words below it are zero already. */
-static size_t one_above(const walk *w, size_t k) {
-    w->some[k >> 6] &= ~((uint64_t)1 << (k & 63));
-    for (size_t i = k >> 6; i < index_words(w->n); i++)
-        if (w->some[i] != 0) {
-            k = 64 * i + first_one(w->some[i]);
-            return 64 * k + first_one(w->words[k]);
+static size_t one_above(const walk w, size_t k) {
+    w.some[k >> 6] &= ~((uint64_t)1 << (k & 63));
+    for (size_t i = k >> 6; i < index_words(w.n); i++)
+        if (w.some[i] != 0) {
+            k = 64 * i + first_one(w.some[i]);
+            return 64 * k + first_one(w.words[k]);
         }
-    return w->n;
+    return w.n;
 }
 
 /* To the upper neighbour: set b_Z (6)-(7). All lower bits are ones now, so S is 0 and the next Z lies
  * above the old one. A word can only leave zero at its lowest bit. */
-static inline void move_up(walk *w) {
+INLINE void move_up(walk *w) {
     const size_t z = w->zero, k = z >> 6;
     const uint64_t word = w->words[k] | (uint64_t)1 << (z & 63);
     w->x += w->gears[z].dx;
@@ -77,12 +87,12 @@ static inline void move_up(walk *w) {
     w->words[k] = word;
     if ((z & 63) == 0) w->some[k >> 6] |= (uint64_t)1 << (k & 63);
     w->set = 0;
-    w->zero = word != ALL_ONES ? (z & ~(size_t)63) + first_one(~word) : zero_above(w, k);
+    w->zero = word != ALL_ONES ? (z & ~(size_t)63) + first_one(~word) : zero_above(*w, k);
 }
 
 /* To the lower neighbour: clear b_S (8)-(9). All lower bits are zeros now, so Z is 0. A word can only
  * cease to be full at its lowest bit. */
-static inline void move_down(walk *w) {
+INLINE void move_down(walk *w) {
     const size_t s = w->set, k = s >> 6;
     const uint64_t word = w->words[k] & ~((uint64_t)1 << (s & 63));
     w->x -= w->gears[s].dx;
@@ -90,10 +100,10 @@ static inline void move_down(walk *w) {
     w->words[k] = word;
     if ((s & 63) == 0) w->full[k >> 6] &= ~((uint64_t)1 << (k & 63));
     w->zero = 0;
-    w->set = word != 0 ? (s & ~(size_t)63) + first_one(word) : one_above(w, k);
+    w->set = word != 0 ? (s & ~(size_t)63) + first_one(word) : one_above(*w, k);
 }
 
-static inline walk begin(const dbo_backlash *op, const dbo_backlash_state *state) {
+INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state) {
     walk w;
     w.gears = op->gears;
     w.n = op->n;
@@ -108,7 +118,7 @@ static inline walk begin(const dbo_backlash *op, const dbo_backlash_state *state
     return w;
 }
 
-static inline void finish(const walk *w, dbo_backlash_state *state) {
+INLINE void finish(const walk *w, dbo_backlash_state *state) {
     state->set = w->set;
     state->zero = w->zero;
     state->x = w->x;
@@ -128,14 +138,14 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
             w.y += gear->dy;
         }
     }
-    w.zero = w.words[0] != ALL_ONES ? first_one(~w.words[0]) : zero_above(&w, 0);
-    w.set = w.words[0] != 0 ? first_one(w.words[0]) : one_above(&w, 0);
+    w.zero = w.words[0] != ALL_ONES ? first_one(~w.words[0]) : zero_above(w, 0);
+    w.set = w.words[0] != 0 ? first_one(w.words[0]) : one_above(w, 0);
     finish(&w, state);
 }
 
 /* ---- the procedure, steps 1 to 4 ------------------------------------------------------------------- */
 
-static inline void note(size_t *counter, size_t *first, size_t index) {
+INLINE void note(size_t *counter, size_t *first, size_t index) {
     if ((*counter)++ == 0) *first = index;
 }
 
@@ -146,7 +156,7 @@ typedef struct {
     double slope;
 } engaged;
 
-static inline engaged engage(const dbo_backlash *op, size_t i) {
+INLINE engaged engage(const dbo_backlash *op, size_t i) {
     engaged e;
     const dbo_gear *gear = op->gears + (i < op->n ? i : op->n - 1);
     e.reach = gear->dx * (i < op->n ? gear->keep : 1.0 - gear->keep);
@@ -154,90 +164,100 @@ static inline engaged engage(const dbo_backlash *op, size_t i) {
     return e;
 }
 
-/* Samples that stay in the engaged gear and on one side of X_B need no decision one by one: they are taken
- * STRIDE at a time, by loops that the compiler can vectorise without changing a bit. Returns how many. */
-enum { STRIDE = 8, QUIET = 4 };
-
-static inline size_t run_within(const walk *w, engaged gear, int rising, double x0, double y0,
-                                const double *x, double *y, size_t count) {
-    size_t done = 0;
-    while (done + STRIDE <= count) {
-        double d[STRIDE];
-        uint64_t leaves = 0;
-        for (int j = 0; j < STRIDE; j++) d[j] = (x[done + j] - x0) - w->x;
-        if (rising)
-            for (int j = 0; j < STRIDE; j++) leaves |= (d[j] >= 0.0) & (d[j] < gear.reach) ? 0 : 1;
-        else
-            for (int j = 0; j < STRIDE; j++) leaves |= (d[j] < 0.0) & (-d[j] < gear.reach) ? 0 : 1;
-        if (leaves) break;
-        for (int j = 0; j < STRIDE; j++) y[done + j] = y0 + (w->y + gear.slope * d[j]);
-        done += STRIDE;
-    }
-    return done;
+INLINE uint64_t bits_of(double value) {
+    union {
+        double value;
+        uint64_t bits;
+    } u;
+    u.value = value;
+    return u.bits;
 }
 
-/* Only one direction is taken for one sample, so that it always ends. A sample that crosses a gear by
- * the tolerance falls short of the new X_B and keeps that gear's own slope: an operator and its inverse
- * then see the same fraction of the same gear, and decide alike. */
-static inline void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
-                               double *y, size_t count, const double *decay, size_t decay_stride,
-                               dbo_counts *counts, const size_t terms) {
+/* Samples that stay in the engaged gear and on one side of X_B; returns how many. Of two positive numbers
+ * the greater has the greater bits, and every other number, its sign turned where the way is down, has
+ * greater bits than `reach`: one comparison finds what leaves the gear either way. */
+INLINE size_t run_within(const walk *w, engaged gear, int rising, double x0, double y0,
+                         const double *x, double *y, size_t count) {
+    const uint64_t turned = rising ? 0 : (uint64_t)1 << 63, reach = bits_of(gear.reach);
+    const double start = w->x, height = w->y, slope = gear.slope;
+    size_t k = 0;
+    for (; k < count; k++) {
+        const double d = (x[k] - x0) - start;
+        if ((bits_of(d) ^ turned) >= reach) break;
+        y[k] = y0 + (height + slope * d);
+    }
+    return k;
+}
+
+/* Steps 2 and 4: move while gears are crossed, one direction only for one sample, so that it always ends.
+ * Returns the slope that serves the sample. One that crosses a gear by the tolerance falls short of the new
+ * X_B and keeps that gear's own slope: an operator and its inverse then see the same fraction of the same
+ * gear, and decide alike. */
+INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
+                       engaged first, int *outside) {
+    double slope = up->slope, d = u - w->x;
+    while (w->zero < w->n && d >= up->reach) {
+        slope = up->slope;
+        move_up(w);
+        *up = engage(op, w->zero);
+        *down = first;
+        d = u - w->x;
+    }
+    *outside = d >= up->reach;
+    return d >= 0.0 ? up->slope : slope;
+}
+
+INLINE double cross_down(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
+                         engaged first, int *outside) {
+    double slope = down->slope, d = u - w->x;
+    while (w->set < w->n && -d >= down->reach) {
+        slope = down->slope;
+        move_down(w);
+        *down = engage(op, w->set);
+        *up = first;
+        d = u - w->x;
+    }
+    *outside = -d >= down->reach;
+    return d <= 0.0 ? down->slope : slope;
+}
+
+/* L_j after a sample of the remembered signal; returns sum c_j L_j. */
+INLINE double remember(const dbo_backlash *op, double *memory, const double *a, double signal) {
+    const double drive = signal - op->reference;
+    double sum = 0.0;
+    for (size_t j = 0; j < op->terms; j++) {
+        memory[j] = a[j] * memory[j] + (1.0 - a[j]) * drive;
+        sum += op->gain[j] * memory[j];
+    }
+    return sum;
+}
+
+/* No limits, and no memory on the output: the common case, with everything in registers. */
+INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
+                        size_t count, const double *decay, size_t decay_stride, dbo_counts *counts,
+                        const int remembers) {
     walk w = begin(op, state);
     engaged up = engage(op, w.zero), down = engage(op, w.set);
     const engaged first = engage(op, 0);
     const double x0 = op->x0, y0 = op->y0;
     for (size_t k = 0, quiet = 0; k < count; k++, quiet++) {
-        const double u = x[k] - x0;
-        double d = u - w.x, slope;
+        const double u = x[k] - x0, d = u - w.x;
         const int rising = d >= 0.0;
-        if (rising) {
-            slope = up.slope;
-            if (d >= up.reach) {
-                while (w.zero < w.n && d >= up.reach) {
-                    slope = up.slope;
-                    move_up(&w);
-                    up = engage(op, w.zero);
-                    d = u - w.x;
-                    down = first;
-                }
-                if (d >= 0.0) {
-                    slope = up.slope;
-                    if (d >= up.reach) note(&counts->outside, &counts->first_outside, k);
-                }
-                quiet = 0;
-            }
-        } else {
-            slope = down.slope;
-            if (-d >= down.reach) {
-                while (w.set < w.n && -d >= down.reach) {
-                    slope = down.slope;
-                    move_down(&w);
-                    down = engage(op, w.set);
-                    d = u - w.x;
-                    up = first;
-                }
-                if (d <= 0.0) {
-                    slope = down.slope;
-                    if (-d >= down.reach) note(&counts->outside, &counts->first_outside, k);
-                }
-                quiet = 0;
-            }
+        double slope = rising ? up.slope : down.slope;
+        if (rising ? d >= up.reach : -d >= down.reach) {
+            int outside;
+            slope = rising ? cross_up(op, &w, u, &up, &down, first, &outside)
+                           : cross_down(op, &w, u, &up, &down, first, &outside);
+            if (outside) note(&counts->outside, &counts->first_outside, k);
+            quiet = 0;
         }
-        if (terms) {
-            const double *a = decay + k * decay_stride;
-            const double drive = x[k] - op->reference;
-            double remembered = 0.0;
-            for (size_t j = 0; j < terms; j++) {
-                state->memory[j] = a[j] * state->memory[j] + (1.0 - a[j]) * drive;
-                remembered += op->gain[j] * state->memory[j];
-            }
-            y[k] = y0 + ((w.y + slope * d) + remembered);
+        if (remembers) {
+            const double sum = remember(op, state->memory, decay + k * decay_stride, x[k]);
+            y[k] = y0 + ((w.y + slope * (u - w.x)) + sum);
         } else {
-            y[k] = y0 + (w.y + slope * d);
-            if (quiet >= QUIET) {
+            y[k] = y0 + (w.y + slope * (u - w.x));
+            if (quiet > 1) /* worth it only where crossings are far apart */
                 k += run_within(&w, rising ? up : down, rising, x0, y0, x + k + 1, y + k + 1, count - k - 1);
-                quiet = 0;
-            }
         }
     }
     if (count) state->last = y[count - 1];
@@ -247,7 +267,7 @@ static inline void run_forward(const dbo_backlash *op, dbo_backlash_state *state
 /* ---- memory on the output, and limits on the output ------------------------------------------------- */
 
 /* A gear with the memory's immediate share kappa of the output added to its width on the input. */
-static inline double wide(const dbo_gear *gear, double kappa) { return gear->dx + kappa * gear->dy; }
+INLINE double wide(const dbo_gear *gear, double kappa) { return gear->dx + kappa * gear->dy; }
 
 /* Drive the exchanged operator one way, to the relative output `y`, crossing gears by their dy. */
 static void follow_output(walk *w, double y, int rising) {
@@ -344,8 +364,7 @@ static void run_general(const dbo_backlash *op, dbo_backlash_state *state, const
         }
         if (outside) note(&counts->outside, &counts->first_outside, k);
         if (clipped) note(&counts->clipped, &counts->first_clipped, k);
-        for (size_t j = 0; j < op->terms; j++)
-            state->memory[j] = a[j] * state->memory[j] + (1.0 - a[j]) * (y[k] - op->reference);
+        remember(op, state->memory, a, y[k]);
         state->last = y[k];
     }
     finish(&w, state);
@@ -357,7 +376,7 @@ void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const d
     if (limits || (op->terms && op->memory_on_output))
         run_general(op, state, x, y, count, decay, decay_stride, limits, counts);
     else if (op->terms)
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, op->terms);
+        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1);
     else
         run_forward(op, state, x, y, count, decay, decay_stride, counts, 0);
 }

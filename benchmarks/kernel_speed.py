@@ -1,0 +1,132 @@
+"""How fast is the compiled kernel: against the fastest Prandtl-Ishlinskii loop found, and against a copy.
+
+    python benchmarks/kernel_speed.py [--samples N] [--repeats N]
+
+One run, one machine, ratios. 2,000 samples a cycle; times are the best of the repeats, in ns a sample.
+"dither" is the worst case for finding Z: every low bit is set and one of them toggles, so that each sample
+makes a transition whose next zero bit lies beyond all of the words. Needs g++ (or CXX) for the competitor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
+
+Floats = NDArray[np.float64]
+LAYOUTS = {"plain": 1, "lanes4x1": 4, "lanes4x2": 8, "lanes4x4": 16,
+           "lanes8x1": 8, "lanes8x2": 16, "lanes8x4": 32, "lanes8x7": 56}  # fmt: skip
+GEARS = (25, 100, 400, 1000)
+NOTHING = np.empty(0)
+
+
+def best(run: Callable[[], object], repeats: int) -> float:
+    """Return the shortest of the run times, in seconds."""
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def backlash(operator: DiscreteBacklashOperator, start: BacklashState, x: Floats) -> Callable[[], object]:
+    """Return one run of the compiled kernel over ``x``, buffers ready."""
+    y, words = np.empty_like(x), np.zeros(kernel.buffer_words(operator.n), np.uint64)
+    words[: kernel.state_words(operator.n)] = operator._words(start)[: kernel.state_words(operator.n)]
+    return lambda: kernel.CHOSEN.backlash_run(
+        operator.gears, operator.x0, operator.y0, True, NOTHING, 0.0, False, words.copy(), NOTHING, 0.0, x, y,
+        NOTHING, False, 0.0, 0.0, 0.0, NOTHING,
+    )  # fmt: skip
+
+
+def competitor(folder: Path) -> ctypes.CDLL:
+    """Compile the play operators for this machine."""
+    source = Path(__file__).with_name("play_operators.cc")
+    library = folder / "plays.so"
+    compiler = os.environ.get("CXX", "g++")
+    flags = ["-O3", "-march=native", "-ffast-math", "-funroll-loops", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, str(source), "-o", str(library)], check=True)
+    return ctypes.CDLL(str(library))
+
+
+def plays(library: ctypes.CDLL, layout: str, n: int, x: Floats) -> tuple[Callable[[], object], Floats]:
+    """Return one run of n plays in one layout, and where its output goes."""
+    size = -(-n // LAYOUTS[layout]) * LAYOUTS[layout]
+    thresholds, weights, held, y = np.zeros(size), np.zeros(size), np.zeros(size), np.empty_like(x)
+    thresholds[:n] = np.linspace(0.0, 1.7, n)
+    weights[:n] = 1.0 / n
+    function = getattr(library, layout)
+    pointers = [ctypes.c_void_p(a.ctypes.data) for a in (thresholds, weights, held)]
+    signals = [ctypes.c_void_p(a.ctypes.data) for a in (x, y)]
+    count = ctypes.c_size_t(x.size)
+
+    def run() -> None:
+        assert held.size == weights.size == thresholds.size  # keeps the arrays alive
+        function(*pointers, ctypes.c_size_t(size), *signals, count)
+
+    return run, y
+
+
+def fastest_plays(library: ctypes.CDLL, n: int, x: Floats, repeats: int) -> tuple[float, str]:
+    """Return the best time over all layouts and its name; all of them must agree."""
+    results, expected = {}, None
+    for layout in LAYOUTS:
+        run, y = plays(library, layout, n, x)
+        run()
+        expected = y.copy() if expected is None else expected
+        assert np.abs(y - expected).max() < 1e-9, layout
+        results[layout] = best(run, repeats)
+    layout = min(results, key=lambda name: results[name])
+    return results[layout], layout
+
+
+def dither(n: int, samples: int) -> tuple[DiscreteBacklashOperator, BacklashState, Floats]:
+    """Return an operator, the state with all bits but the highest set, and a dither of gear 0."""
+    operator = DiscreteBacklashOperator(np.ones(n), np.ones(n))
+    x = np.full(samples, n - 1.0)
+    x[::2] -= 1.0
+    return operator, BacklashState((1 << n - 1) - 1), x
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, default=1_000_000)
+    parser.add_argument("--repeats", type=int, default=7)
+    options = parser.parse_args()
+    if kernel.KIND != "compiled":
+        raise SystemExit("the compiled kernel is not there")
+    x = 1.8 - 1.8 * np.cos(2.0 * np.pi / 2000.0 * np.arange(options.samples))
+    scale = 1e9 / options.samples
+    y = np.empty_like(x)
+    copy = best(lambda: np.copyto(y, x), options.repeats) * scale
+    print(f"{options.samples:,} samples, 2,000 a cycle; copying the array: {copy:.2f} ns a sample")
+    print("gears  DBO ns  dither ns  plays ns  layout     plays/DBO  DBO/copy")
+    with tempfile.TemporaryDirectory() as folder:
+        library = competitor(Path(folder))
+        for n in GEARS:
+            gears = DiscreteBacklashOperator(np.full(n, 3.6 / n), np.linspace(0.5, 1.5, n) * 3.6 / n)
+            own = best(backlash(gears, gears.empty(), x), options.repeats) * scale
+            worst = best(backlash(*dither(n, options.samples)), options.repeats) * scale
+            repeats = max(2, options.repeats * 25 // n) if n > 25 else options.repeats
+            other, layout = fastest_plays(library, n, x, repeats)
+            other *= scale
+            print(
+                f"{n:5}  {own:6.2f}  {worst:9.2f}  {other:8.2f}  {layout:9}"
+                f"  {other / own:9.1f}  {own / copy:8.1f}"
+            )
+
+
+if __name__ == "__main__":
+    main()
