@@ -110,7 +110,7 @@ REFUSED: list[tuple[dict[str, Any] | str, str]] = [
     (changed("output.min", "0"), 'output.min: "0" is not a number'),
     (changed("output.low", 1), "output.low: is not a known key"),
     (changed("stages", {}), "stages: is not a list"),
-    (changed("stages", []), "stages: a backlash stage must come first in the forward direction"),
+    (changed("stages", []), "stages: no backlash stage is among them"),
     (changed("stages.0", 7), "stages[0]: is not an object"),
     (changed("stages.0.type", ...), "stages[0].type: is missing"),
     (changed("stages.0.type", "gear"),

@@ -1,8 +1,9 @@
 """The model of an actuator: a cascade of stages, its inverse, its states, simulation and compensation.
 
 displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K and Y0 a scale stage. A
-delay stands last, on the output. The inverse (17)-(18) inverts every stage and reverses their order; started
-in the same state, model and inverse compose to the identity, to rounding.
+delay stands last, on the output. Beyond the paper, points may also stand before Γ: an asymmetry that acts on
+the drive. The inverse (17)-(18) inverts every stage and reverses their order; started in the same state,
+model and inverse compose to the identity, to rounding.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ Floats = NDArray[np.float64]
 Direction = Literal["forward", "inverse"]
 BacklashStage = DiscreteBacklashOperator
 PointStage = DiscretePointOperator
+MemoryFree = tuple[DiscretePointOperator | ScaleStage, ...]
 
 NEGLIGIBLE = 1e-9
 """Clipping, and missing a first value, count from this fraction of the range on."""
@@ -65,7 +67,7 @@ class ActuatorModel:
     Parameters
     ----------
     direction : {"forward", "inverse"}
-        Forward: the backlash stage first, then points and scales, a delay at most once and last.
+        Forward: one backlash stage, points and scales around it, a delay at most once and last.
         Inverse: the mirror image.
     input, output : Quantity
         What goes in and comes out; the output's range is what the model reaches slowly.
@@ -90,19 +92,20 @@ class ActuatorModel:
     def __post_init__(self) -> None:
         """Check the order of the stages."""
         forward = self.direction == "forward"
-        ordered = self.stages if forward else self.stages[::-1]
-        places = range(len(ordered)) if forward else range(len(ordered) - 1, -1, -1)
-        end = "first" if forward else "last"
-        if not ordered or not isinstance(ordered[0], DiscreteBacklashOperator):
-            raise ModelError(f"stages: a backlash stage must come {end} in the {self.direction} direction")
+        gears = [k for k, stage in enumerate(self.stages) if isinstance(stage, DiscreteBacklashOperator)]
+        if not gears:
+            raise ModelError("stages: no backlash stage is among them")
+        if len(gears) > 1:
+            raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
+        backlash = self.stages[gears[0]]
+        assert isinstance(backlash, DiscreteBacklashOperator)
         axis = "input" if forward else "output"
-        if ordered[0].relaxation is not None and ordered[0].memory_on != axis:
-            raise ModelError(f"stages[{places[0]}].relaxation.on: must be {axis!r} in this direction")
-        for place, stage in list(zip(places, ordered, strict=True))[1:]:
-            if isinstance(stage, DiscreteBacklashOperator):
-                raise ModelError(f"stages[{place}]: only one backlash stage is possible")
+        if backlash.relaxation is not None and backlash.memory_on != axis:
+            raise ModelError(f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction")
+        end = len(self.stages) - 1 if forward else 0
+        for place, stage in enumerate(self.stages):
             if isinstance(stage, DelayStage):
-                if place != places[-1]:
+                if place != end:
                     raise ModelError(f"stages[{place}]: a delay stands {'last' if forward else 'first'}")
                 if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
                     raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
@@ -127,9 +130,13 @@ class ActuatorModel:
         )
 
     @cached_property
+    def _place(self) -> int:
+        return next(k for k, stage in enumerate(self.stages) if isinstance(stage, DiscreteBacklashOperator))
+
+    @cached_property
     def backlash(self) -> DiscreteBacklashOperator:
         """The backlash stage as it stands in this model."""
-        stage = self.stages[0 if self.direction == "forward" else -1]
+        stage = self.stages[self._place]
         assert isinstance(stage, DiscreteBacklashOperator)
         return stage
 
@@ -139,8 +146,12 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def _memory_free(self) -> tuple[DiscretePointOperator | ScaleStage, ...]:
-        return tuple(s for s in self.stages if isinstance(s, DiscretePointOperator | ScaleStage))
+    def _head(self) -> MemoryFree:
+        return _memory_free(self.stages[: self._place])
+
+    @cached_property
+    def _tail(self) -> MemoryFree:
+        return _memory_free(self.stages[self._place :])
 
     @cached_property
     def _delay(self) -> DelayStage | None:
@@ -171,8 +182,23 @@ class ActuatorModel:
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
         """Return what reaches the backlash stage of this model."""
-        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        return _through(self._memory_free, signal) if self.direction == "inverse" else signal
+        return _through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
+
+    def _inner_limits(self, limits: DriveLimits | None) -> DriveLimits | None:
+        """Limits on the drive as the backlash stage of an inverse model meets them.
+
+        Where points stand between, the steepest step they may let through is counted on everywhere, so that
+        the slew limit is kept with something to spare.
+        """
+        if limits is None or not self._tail:
+            return limits
+        bent = [stage.inverse() for stage in reversed(self._tail)]
+        ends = _through(bent, np.array([limits.v_min, limits.v_max]))
+        slew = limits.max_slew
+        if slew is not None:
+            for stage in bent:
+                slew *= _least_slope(stage)
+        return DriveLimits(float(ends.min()), float(ends.max()), slew)
 
     def start(
         self,
@@ -192,9 +218,29 @@ class ActuatorModel:
         if self.direction == "forward" or state in {"empty", "full"}:
             return ModelState(start_state(operator, value, state))
         start_state(operator, value, state)  # refuses a name that is none
-        bounds = (limits.v_min, limits.v_max) if limits else (-math.inf, math.inf)
+        inner = self._inner_limits(limits)
+        bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
+        if self._tail:
+            first = self._off_the_step(first)
         return ModelState(first.state, first=first)
+
+    def _off_the_step(self, first: DriveStart) -> DriveStart:
+        """Move a first voltage off a step of the settled curve, over which rounding might push it.
+
+        Points between drive and gears round the voltage on its way out and in again; the start that it
+        leads to must stay the same.
+        """
+        operator = self.forward_backlash
+        forth = [stage.inverse() for stage in reversed(self._tail)]
+        low, high = operator.x_range
+        for steps in range(16):
+            for side in (1.0, -1.0):
+                voltage = first.voltage + side * steps * 1e-15 * (high - low)
+                again = float(_through(forth, _through(self._tail, np.array([voltage])))[0])
+                if start_state(operator, again, "auto") == first.state:
+                    return first._replace(voltage=voltage)
+        return first
 
     def simulate(
         self,
@@ -232,14 +278,17 @@ class ActuatorModel:
             self.require("inverse")
         signal = self._before_backlash(x)
         steps = self._steps(time_step, signal.size, state, limits)
-        y, after, counts, missed = self._backlash_block(signal, state, steps, outside, limits)
+        inner = self._inner_limits(limits)
+        y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
         if outside == "error" and counts.outside:
-            low, high = self.backlash.x_range
-            raise OutsideError(counts.first_outside, float(signal[counts.first_outside]), low, high)
+            first = counts.first_outside
+            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._outer_range())
+        y = _through(self._tail, y)
+        if limits is not None and self._tail:
+            y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
             if signal.size:
                 after = dataclasses.replace(after, drive=float(signal[-1]))
-            y = _through(self._memory_free, y)
             if self._delay and self._delay.seconds > 0.0 and steps is not None:
                 y, history = self._delay.lag(y, steps, state.history)
                 after = dataclasses.replace(after, history=history)
@@ -314,6 +363,11 @@ class ActuatorModel:
         miss = missed if short and not clipped and not unbound.outside else 0.0
         return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
 
+    def _outer_range(self) -> tuple[float, float]:
+        """Return the range of the backlash stage's input, seen from this model's input."""
+        ends = _through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
+        return float(ends.min()), float(ends.max())
+
     def _input_per_stage_input(self) -> float:
         """Return the mean size of this model's input per unit of the backlash stage's input."""
         low, high = self.backlash.x_range
@@ -346,11 +400,23 @@ class ActuatorModel:
         return self.inverse()
 
 
+def _memory_free(stages: Sequence[Stage]) -> MemoryFree:
+    """Return the points and scales among stages."""
+    return tuple(s for s in stages if isinstance(s, DiscretePointOperator | ScaleStage))
+
+
 def _through(stages: Sequence[DiscretePointOperator | ScaleStage], signal: Floats) -> Floats:
     """Pass a block through memory-free stages."""
     for stage in stages:
         signal = stage.run(signal)
     return signal
+
+
+def _least_slope(stage: DiscretePointOperator | ScaleStage) -> float:
+    """Return the least slope of a memory-free stage, without its sign."""
+    if isinstance(stage, ScaleStage):
+        return abs(stage.gain)
+    return float(np.min(stage.dy / stage.dx))
 
 
 def _output_limits(limits: DriveLimits | None, steps: float | Floats | None) -> OutputLimits | None:
@@ -367,12 +433,11 @@ def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tu
     Slowly: relaxation has come to rest at either end, and a delay does not matter. The voltage goes from
     empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
     """
-    operator = stages[0]
-    assert isinstance(operator, DiscreteBacklashOperator)
-    memory_free = [s for s in stages if isinstance(s, DiscretePointOperator | ScaleStage)]
+    place, operator = next((k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator))
+    head, tail = _memory_free(stages[:place]), _memory_free(stages[place:])
     state, ends = operator.empty(), []
     for voltage in (v_max, v_min):
-        y, after, _ = operator.run([voltage], state)
+        y, after, _ = operator.run(_through(head, np.array([voltage])), state)
         state = BacklashState(after.bits)
-        ends.append(float(_through(memory_free, y)[0]))
+        ends.append(float(_through(tail, y)[0]))
     return min(ends), max(ends)
