@@ -41,6 +41,12 @@ class PairBlock:
         """Return the number of samples."""
         return len(self.desired)
 
+    def row_numbers(self) -> Floats:
+        """Return the data row of every sample."""
+        if isinstance(self.rows, range):  # numpy would walk through it one integer at a time
+            return np.arange(self.rows.start, self.rows.stop, self.rows.step, dtype=np.float64)
+        return self.rows.astype(np.float64)
+
     def part(self, start: int, stop: int) -> PairBlock:
         """Return the samples ``start`` to ``stop`` (not included) as a block of their own."""
         return PairBlock(

@@ -216,7 +216,7 @@ def evaluate(
         if part is None:
             ledger.close()
             continue
-        rows = np.asarray(part.rows, dtype=np.float64)
+        rows = part.row_numbers()
         whole.add(part.desired, part.measured, row=rows, time=part.time)
         if options.segment is not None:
             ledger.add(part, rows)

@@ -131,12 +131,13 @@ class Pixels:
             self._mark(across, up)
             return
         jump = np.maximum(np.abs(np.diff(across)), np.abs(np.diff(up)))
-        usual = min(math.ceil(max(float(np.quantile(jump, 0.99)), 1.0)), max(8, min(32, 8 * BATCH // len(x))))
+        typical = float(np.quantile(jump[:: 1 + len(jump) // 4096], 0.99))
+        usual = min(math.ceil(max(typical, 1.0)), max(8, min(32, 8 * BATCH // len(x))))
         for step in range(usual):
             part = step / usual
             self._mark((1.0 - part) * across[:-1] + part * across[1:], (1.0 - part) * up[:-1] + part * up[1:])
         self._mark(across[-1:], up[-1:])
-        spikes = np.flatnonzero(jump > usual)  # few, and not to be lost
+        spikes = np.flatnonzero(jump > usual + 3.0)  # few, and not to be lost
         for at in spikes[np.argsort(-jump[spikes], kind="stable")[:200]].tolist():
             parts = np.linspace(0.0, 1.0, math.ceil(jump[at]) + 1)
             between = (side[at] + parts * (side[at + 1] - side[at]) for side in (across, up))
@@ -265,7 +266,7 @@ class Traces:
         """Take one block of pairs."""
         self.has_time = self.has_time or block.time is not None
         self.has_drive = self.has_drive or block.drive is not None
-        time = np.asarray(block.rows, dtype=np.float64) if block.time is None else block.time
+        time = block.row_numbers() if block.time is None else block.time
         drive = np.zeros(len(block)) if block.drive is None else block.drive
         columns = (time, block.desired, block.measured, drive)
         finite = np.isfinite(block.desired) & np.isfinite(block.measured) & np.isfinite(drive)
