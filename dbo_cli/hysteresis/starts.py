@@ -12,6 +12,7 @@ import math
 from typing import Literal, NamedTuple
 
 from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis.gears import CROSSING_TOLERANCE
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
 
 StartName = Literal["auto", "empty", "full", "settled"]
@@ -75,7 +76,9 @@ def start_drive(
             below = middle
         else:
             above = middle
-    ends = (_within(operator, below, low, high), _within(operator, above, low, high))
+    # A little off the step, so that a voltage that was rounded on its way still starts on the same side.
+    off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])
+    ends = (_within(operator, below - off, low, high), _within(operator, above + off, low, high))
     return min(ends, key=lambda end: abs(end.reached - displacement))
 
 
