@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,18 +43,7 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
             view.slopes,
         ),
     ]
-    if view.points_stage is not None:
-        count = view.points_stage.m
-        plots.append(
-            Plot(
-                "points",
-                f"The curve of the {count} segments",
-                f"Output against input of the point operator of {count} segments.",
-                style.TALL,
-                view.points,
-            )
-        )
-    return plots
+    return plots + [view.plot_of(place) for place in view.point_places]
 
 
 def loop_of(operator: DiscreteBacklashOperator) -> tuple[Floats, Floats, Floats, Floats]:
@@ -72,7 +62,7 @@ class _ModelView:
     def __init__(self, model: ActuatorModel) -> None:
         self._model = model
         self._gears = model.backlash
-        place = model.stages.index(self._gears)
+        place = next(i for i, stage in enumerate(model.stages) if stage is self._gears)
         first, last = place == 0, place == len(model.stages) - 1
         self._input = (
             axis_label(model.input.quantity.capitalize(), model.input.unit) if first else "Input of the gears"
@@ -82,8 +72,21 @@ class _ModelView:
             if last
             else "Output of the gears"
         )
-        found = [stage for stage in model.stages if isinstance(stage, DiscretePointOperator)]
-        self.points_stage = found[0] if found else None
+        self._gear_place = place
+        self.point_places = [
+            i for i, stage in enumerate(model.stages) if isinstance(stage, DiscretePointOperator)
+        ]
+
+    def plot_of(self, place: int) -> Plot:
+        """Return the figure of the point stage at ``place`` of the cascade."""
+        stage = self._model.stages[place]
+        assert isinstance(stage, DiscretePointOperator)
+        side = "before" if place < self._gear_place else "after"
+        title = f"The curve {side} the gears, {stage.m} segment{'' if stage.m == 1 else 's'}"
+        usual = "after" if self._model.direction == "forward" else "before"
+        key = "points" if side == usual else f"points-{side}"
+        words = f"Output against input of the point operator of {stage.m} segments {side} the gears."
+        return Plot(key, title, words, style.TALL, partial(_paint_points, stage))
 
     def gears(self, axes: Axes) -> None:
         up_x, up_y, down_x, down_y = loop_of(self._gears)
@@ -101,15 +104,13 @@ class _ModelView:
         unit = self._model.input.unit if self._input != "Input of the gears" else None
         axes.set(xlabel=axis_label("Input travelled since the turn", unit), ylabel="Slope ΔY/ΔX of the gear")
 
-    def points(self, axes: Axes) -> None:
-        stage = self.points_stage
-        if stage is None:
-            return
-        x = stage.x0 + np.concatenate([[0.0], np.cumsum(stage.dx)])
-        y = stage.y0 + np.concatenate([[0.0], np.cumsum(stage.dy)])
-        ends = [x[0], x[-1]], [y[0], y[-1]]
-        axes.plot(*ends, label="straight line", color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)))
-        marks = {"marker": "o", "markersize": 4.0} if stage.m <= FEW else {}
-        axes.plot(x, y, label="points", **(style.SOLID | marks))
-        axes.set(xlabel="Input of the points", ylabel="Output of the points")
-        mark_curves(axes)
+
+def _paint_points(stage: DiscretePointOperator, axes: Axes) -> None:
+    x = stage.x0 + np.concatenate([[0.0], np.cumsum(stage.dx)])
+    y = stage.y0 + np.concatenate([[0.0], np.cumsum(stage.dy)])
+    ends = [x[0], x[-1]], [y[0], y[-1]]
+    axes.plot(*ends, label="straight line", color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)))
+    marks = {"marker": "o", "markersize": 4.0} if stage.m <= FEW else {}
+    axes.plot(x, y, label="points", **(style.SOLID | marks))
+    axes.set(xlabel="Input of the points", ylabel="Output of the points")
+    mark_curves(axes)
