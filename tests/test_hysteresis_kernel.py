@@ -110,23 +110,27 @@ def dyadic(rng: np.random.Generator, n: int) -> Floats:
 
 
 @pytest.mark.parametrize("n", range(1, 13))
-def test_every_state_equals_the_reference(n: int, chosen: Any) -> None:
+def test_every_state_equals_the_reference(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond."""
     rng = np.random.default_rng(n)
     operator = DiscreteBacklashOperator(dyadic(rng, n), dyadic(rng, n), 1.5, -0.25)
-    states = range(1 << n) if n <= 8 or chosen is COMPILED else rng.integers(0, 1 << n, 200)
-    for bits in map(int, states):
-        paper = reference.Backlash(operator.dx.tolist(), operator.dy.tolist(), 1.5, -0.25, bits)
+    widths = operator.dx.tolist(), operator.dy.tolist()
+    kernels = [chosen for chosen in (COMPILED, kernel.PythonKernel) if chosen is not None]
+    for bits in range(1 << n):
+        paper = reference.Backlash(*widths, 1.5, -0.25, bits)
         x_b, y_b = paper.coordinates()
         assert operator.coordinates(BacklashState(bits)) == (float(x_b), float(y_b))
         s, z = reference.find_first_one(paper.bits), reference.find_first_zero(paper.bits)
         up = paper.dx[z] if z < n else Fraction(1)
         down = paper.dx[s] if s < n else Fraction(1)
         for x in (x_b, x_b + up / 4, x_b + up, x_b + up * 3, x_b - down / 4, x_b - down, x_b - down * 3):
-            paper = reference.Backlash(operator.dx.tolist(), operator.dy.tolist(), 1.5, -0.25, bits)
+            paper = reference.Backlash(*widths, 1.5, -0.25, bits)
             expected = paper.step(float(x))
-            y, after, _ = operator.run([float(x)], BacklashState(bits))
-            assert after.bits == paper.state
-            assert abs(Fraction(float(y[0])) - expected) <= Fraction(1, 2**49)
+            for chosen in kernels:
+                monkeypatch.setattr(kernel, "CHOSEN", chosen)
+                y, after, _ = operator.run([float(x)], BacklashState(bits))
+                assert after.bits == paper.state
+                assert abs(Fraction(float(y[0])) - expected) <= Fraction(1, 2**49)
 
 
 @pytest.mark.parametrize("n", [1, 2, 25, 63, 64, 65, 128, 200, 1000])

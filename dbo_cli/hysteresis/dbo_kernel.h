@@ -83,7 +83,8 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
                          const double *decay, const dbo_limits *limits, dbo_counts *counts);
 
-/* `count` inputs; row k of `decay` begins at decay + k*decay_stride (stride 0: the same for all). */
+/* `count` inputs; `y` may be `x`. Row k of `decay` begins at decay + k*decay_stride (stride 0: the same
+ * for all samples). */
 void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
                       size_t count, const double *decay, size_t decay_stride,
                       const dbo_limits *limits, dbo_counts *counts);

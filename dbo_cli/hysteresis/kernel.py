@@ -15,7 +15,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -332,22 +332,6 @@ def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> N
     y[:] = y0 + (height + slope * (u - start))
 
 
-class Kernel(Protocol):
-    """What both kernels offer; this module and the extension fulfil it."""
-
-    def backlash_run(self, *arguments: Any) -> tuple[int, int, int, int]:
-        """Equations (1)-(12) over a block."""
-
-    def backlash_engagement(self, *arguments: Any) -> None:
-        """Return the part of every gear in every sample."""
-
-    def memory_run(self, *arguments: Any) -> None:
-        """Relaxation terms over a block."""
-
-    def point_run(self, *arguments: Any) -> None:
-        """Equations (13)-(16) over a block."""
-
-
 def compiled_kernel() -> ModuleType | None:
     """Return the extension, or None where it was not built at installation."""
     try:
@@ -359,7 +343,7 @@ def compiled_kernel() -> ModuleType | None:
 
 
 class PythonKernel:
-    """The functions of this module as a kernel."""
+    """The functions of this module under the names that the extension gives its own."""
 
     backlash_run = staticmethod(backlash_run)
     backlash_engagement = staticmethod(backlash_engagement)
