@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.hysteresis.accumulators import Floats
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
+from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator, Outside, Relaxation
 from dbo_cli.products import figure_style as style
 from dbo_cli.products.drawing import Plot, draw
@@ -221,6 +224,36 @@ def relaxation(axes: Axes) -> None:
     mark_curves(axes)
 
 
+@cache
+def sample() -> tuple[ActuatorModel, Floats, Floats, Floats]:
+    """Return the model of the sample log, the log's voltage and displacement, and the model's prediction."""
+    log = FOLDER.parents[1] / "sample_data" / "identification.csv"
+    time, voltage, displacement = np.loadtxt(log, delimiter=",", skiprows=1).T
+    model = identify([Recording(log.name, voltage, displacement, time)], IdentificationOptions(), []).model
+    start = model.start(float(voltage[0]))
+    steps = np.diff(time, prepend=time[0])
+    return model, voltage, displacement, model.simulate(voltage, start, time_step=steps).y
+
+
+def identified(axes: Axes) -> None:
+    """Paint the loops of the sample log beside those of its model."""
+    _, voltage, measured, predicted = sample()
+    shift = float(np.mean(measured - predicted))
+    axes.plot(voltage, measured - shift, label="measured", **style.DASHED)
+    axes.plot(voltage, predicted, label="model", **(style.SOLID | {"linewidth": 0.8}))
+    axes.set(xlabel="Drive voltage (V)", ylabel="Displacement (µm)")
+    mark_curves(axes)
+
+
+def slopes(axes: Axes) -> None:
+    """Paint the slopes of the gears of the sample log's model."""
+    gears = sample()[0].backlash
+    edges = np.concatenate([[0.0], np.cumsum(gears.dx)])
+    axes.stairs(gears.dy / gears.dx, edges, baseline=None, color=style.FIRST, linewidth=1.3)
+    axes.set_ylim(0.0)
+    axes.set(xlabel="Voltage travelled since the turn (V)", ylabel="Slope ΔY/ΔX")
+
+
 PLOTS = (
     Plot("two-gears", "Two gears", "The loop of two gears.", style.TALL, two_gears),
     Plot("eight-states", "Three gears", "The eight states of three gears.", style.TALL, eight_states),
@@ -232,6 +265,8 @@ PLOTS = (
     Plot("segments", "The point operator", "Three segments.", style.WIDE, segments),
     Plot("inverse", "The inverse", "Operator, inverse and identity.", style.TALL, inverse),
     Plot("relaxation", "Creep and lag", "Steps with creep, compensated.", style.WIDE, relaxation),
+    Plot("identified", "Measured and model", "Loops of the sample log.", style.TALL, identified),
+    Plot("slopes", "Slopes of the gears", "Slopes of the sample log's model.", style.WIDE, slopes),
 )
 
 
