@@ -1,4 +1,4 @@
-"""From recorded logs to a model: least squares on the operator's own states, orders chosen on data left out."""
+"""From recorded logs to a model: least squares on the operator's own states, judged on data left out."""
 
 from __future__ import annotations
 

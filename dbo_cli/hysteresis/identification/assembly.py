@@ -35,7 +35,7 @@ def zero_shift(recording: Recording, zero: str | float) -> float:
 
 
 def stages_of(fitted: Fitted, prepared: Prepared, shift: float) -> tuple[Stage, ...]:
-    """Stages of the forward cascade: backlash with relaxation, point, scale, delay.
+    """Stages of the forward cascade: points on the drive, backlash with relaxation, point, scale, delay.
 
     Gears are in the unit of the voltage on their input and without a unit on their output (sum about 1);
     the scale stage carries the displacement's unit. ``shift`` is taken off the displacement.
@@ -52,7 +52,8 @@ def stages_of(fitted: Fitted, prepared: Prepared, shift: float) -> tuple[Stage, 
     count = basis.gears * basis.split
     widths = np.full(count, basis.span / count)
     heights = np.repeat(fitted.heights / basis.split, basis.split)
-    stages: list[Stage] = [BacklashStage(widths, heights, basis.low, fitted.origin, relaxation)]
+    stages: list[Stage] = [basis.bend_points()] if basis.bend else []
+    stages.append(BacklashStage(widths, heights, basis.low, fitted.origin, relaxation))
     segments = len(fitted.knots) - 1
     if segments > 1:
         stages.append(PointStage(np.diff(fitted.knots), np.full(segments, 1.0 / segments), 0.0, 0.0))

@@ -28,7 +28,8 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
         if moving.any() and held.sum() > HELD_SHARE * moving.sum() and levels > 16:
             warnings.append(
                 f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
-                "before while the drive moves: the sensor is slower than the log (sample-and-hold); log at the "
+                "before while the drive moves: the sensor is slower than the log (sample-and-hold); "
+                "log at the "
                 "sensor's rate, or the fit sees a lag that is not the actuator's"
             )
         seconds = log.seconds()
@@ -43,16 +44,19 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
             elif (steps == 0.0).any():
                 warnings.append(
                     f"{log.name}: {int((steps == 0).sum())} repeated time stamps (first at row "
-                    f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time with more digits"
+                    f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time "
+                    "with more digits"
                 )
     if prepared.one_amplitude:
         warnings.append(
-            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, loop width and "
+            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, "
+            "loop width and "
             "delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a drive)"
         )
     if all(shape.cycle_count < 2 for shape in prepared.shapes):
         warnings.append(
-            "less than two whole cycles: nothing could be left out to test the model on; record at least three"
+            "less than two whole cycles: nothing could be left out to test the model on; record at "
+            "least three"
         )
     return warnings
 
@@ -66,7 +70,8 @@ def rated_warnings(prepared: Prepared, rated: tuple[float, float] | None) -> lis
     if covered >= 95.0:
         return []
     return [
-        f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range {low:g} to "
+        f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range "
+        f"{low:g} to "
         f"{high:g}: outside, the model goes straight on; record the whole range before using it there"
     ]
 
@@ -85,25 +90,31 @@ def fit_warnings(
     rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in residuals) / rows))
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
-            f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for each that "
+            f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} "
+            "for each that "
             "are safe: record longer, or give fewer gears (--gears)"
         )
     if choice.clockwise > CLOCKWISE:
         warnings.append(
-            "the loop runs clockwise: the displacement leads the voltage. Either the actuator softens after a turn "
-            "(friction, magnetics), or voltage and displacement are swapped: check --voltage and --displacement"
+            "the loop runs clockwise: the displacement leads the voltage. Either the actuator "
+            "softens after a turn "
+            "(friction, magnetics), or voltage and displacement are swapped: check --voltage and "
+            "--displacement"
         )
     if 100.0 * rmse / span > POOR_PERCENT:
         warnings.append(
-            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows something this "
-            "class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong column); look at "
+            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows "
+            "something this "
+            "class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
+            "column); look at "
             "'dbo report --model' before using it"
         )
     warnings.extend(_shape_warnings(recordings, prepared, knots))
     speed = _speed_correlation(recordings, residuals)
     if abs(speed) > SPEED_CORRELATION and 100.0 * rmse / span > 0.5:
         warnings.append(
-            f"what is left over follows the drive's speed (correlation {speed:.2f}): the actuator's loop depends "
+            f"what is left over follows the drive's speed (correlation {speed:.2f}): the actuator's "
+            "loop depends "
             "on the rate, which this model does not follow; identify at the speed of use"
         )
     return warnings
@@ -131,7 +142,8 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared, knots: 
             np.median(climbs)
         ):
             warnings.append(
-                f"{log.name}: the displacement hardly moves at an end of the drive's range (saturation, or an end "
+                f"{log.name}: the displacement hardly moves at an end of the drive's range "
+                "(saturation, or an end "
                 "stop): the inverse asks for large voltages there; keep trajectories away from it"
             )
     return warnings

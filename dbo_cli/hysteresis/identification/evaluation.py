@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
-from dbo_cli.hysteresis.identification.preparation import PreparedLog
-from dbo_cli.hysteresis.identification.recordings import Floats, Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.recordings import Floats, Integers, Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
-from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 
 BLOCK_ROWS = 65536
 
@@ -24,7 +24,7 @@ class Residual:
 
     name: str
     values: Floats
-    rows: Floats
+    rows: Integers
     drift_span: float
 
     @property
@@ -88,22 +88,13 @@ def straight_line(recording: Recording, log: PreparedLog) -> float:
 def loop_width_percent(model: ActuatorModel) -> float:
     """Greatest distance between the slow rising and falling branch, in % of the output's range.
 
-    Walked over the full input range with the relaxation left out (it opens no loop when slow enough).
+    Walked over the full input range so slowly that relaxation is at rest at every step.
     """
-    operator = model.backlash
-    gears = DiscreteBacklashOperator(operator.dx, operator.dy, operator.x0, operator.y0)
-    kappa = sum(operator.relaxation.gain) if operator.relaxation else 0.0
-    low, high = operator.x_range
-    up = np.linspace(low, high, 1001)
-    rising, state, _ = gears.run(up, gears.empty())
-    falling, _, _ = gears.run(up[::-1], state)
-    branches = []
-    for branch, voltage in ((rising, up), (falling[::-1], up)):
-        out = branch + kappa * (voltage - low)
-        for stage in model.stages[1:]:
-            if not isinstance(stage, DelayStage):
-                out = stage.run(out)  # type: ignore[union-attr]
-        branches.append(out)
-    width = float(np.abs(branches[1] - branches[0]).max())
-    reach = float(max(np.ptp(branches[0]), np.ptp(branches[1])))
-    return 100.0 * width / reach
+    up = np.linspace(model.input.minimum, model.input.maximum, 1001)
+    walk = np.concatenate((up, up[::-1]))
+    still = dataclasses.replace(model, stages=tuple(s for s in model.stages if not isinstance(s, DelayStage)))
+    slow = still.simulate(
+        walk, still.start(float(up[0]), "empty"), time_step=1e9 if still.needs_time else None
+    )
+    rising, falling = slow.y[: len(up)], slow.y[: len(up) - 1 : -1]
+    return 100.0 * float(np.abs(falling - rising).max()) / float(np.ptp(slow.y))

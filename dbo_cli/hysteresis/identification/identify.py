@@ -132,7 +132,8 @@ def identify(
         )
     if rmse > NO_BETTER * line:
         message = (
-            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows no loop "
+            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the "
+            "log shows no loop "
             "that this class of models can follow; check the columns and the sensor"
         )
         if not options.force:
@@ -182,6 +183,7 @@ def _figures(
         "gears": gears.gears * gears.split,
         "different_slopes": gears.gears,
         "points": len(fitted.knots) - 1 if len(fitted.knots) > 2 else 0,
+        "drive_bend": gears.bend,
         "slopes": choice.structure.slopes,
         "smoothness": choice.structure.smoothness,
         "loop_width_percent": loop_width_percent(model),
@@ -234,17 +236,20 @@ def _summary(
     unit = f" {model.output.unit}" if model.output.unit else ""
     volt = f" {model.input.unit}" if model.input.unit else ""
     lines = [
-        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles left out "
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles "
+        "left out "
         f"{figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
         f"straight line {figures['straight_line_rmse']:.4g}{unit}"
     ]
     lines.extend(
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / abs(prepared.scale):.2f} % "
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE "
+        f"({100.0 * one.rmse / abs(prepared.scale):.2f} % "
         "of range), offset removed"
         for one in checks
     )
     lines.append(
-        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, loop "
+        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of "
+        "asymmetry, loop "
         f"{figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to {prepared.high:g}{volt}"
     )
     lines.append(_lag_line(figures, choice))
@@ -267,7 +272,12 @@ def _lag_line(figures: dict[str, object], choice: Choice) -> str:
     taus = figures["relaxation_seconds"]
     assert isinstance(taus, list)
     memories = ", ".join(f"{tau:.3g}" for tau in taus) + " s" if taus else "none"
-    line = f"lag {1e3 * float(str(figures['lag_seconds'])):.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories})"
+    lag = figures["lag_seconds"]
+    assert isinstance(lag, float)
+    line = (
+        f"lag {1e3 * lag:.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories}), "
+        f"drive bent by {100.0 * choice.basis.bend:.0f} %"
+    )
     if choice.delay_interval is not None:
         low, high = choice.delay_interval
         if high > low:

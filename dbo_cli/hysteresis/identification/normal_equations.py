@@ -1,4 +1,4 @@
-"""Sufficient statistics of the problem, and its solution under the sign rules that keep a model invertible."""
+"""Solution of the problem from its sufficient statistics, under the sign rules that keep it invertible."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def slope_map(gears: int, slopes: str) -> Floats:
 
 
 def knot_map(fine: int, coarse: int) -> Floats:
-    """Matrix that gives the hats of ``coarse`` segments as sums of those of ``fine``; a divisor is required."""
+    """Matrix that gives the hats of ``coarse`` segments as sums of those of ``fine``, a multiple."""
     if coarse < 2:
         return np.empty((max(fine - 1, 0), 0))
     inner = np.arange(1, fine) / fine
@@ -152,7 +152,7 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
 
 
 def _bounded(matrix: Floats, right: Floats, bounded: Floats, loose: Floats) -> Floats:
-    """Minimise x'Mx - 2r'x over x = bounded p + loose q with p >= 0: the loose unknowns are eliminated first."""
+    """Minimise x'Mx - 2r'x over x = bounded p + loose q, p >= 0; the loose unknowns are eliminated first."""
     from scipy.linalg import cholesky, qr, solve_triangular
     from scipy.optimize import nnls
 
@@ -192,7 +192,8 @@ def _check_optimum(matrix: Floats, target: Floats, answer: Floats) -> None:
     )
     if not falls_short <= 1e-7 * size:
         raise FitError(
-            f"the least-squares solver stopped away from the optimum (gradient {falls_short / size:.1e} of its "
+            "the least-squares solver stopped away from the optimum (gradient "
+            f"{falls_short / size:.1e} of its "
             "size): give fewer gears (--gears) or leave out bad rows"
         )
 

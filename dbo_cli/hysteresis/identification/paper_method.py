@@ -1,8 +1,12 @@
-"""Identification as in the paper's Section V: one cycle, K, X_0 and Y_0 by its rule, few even gears.
+"""Identification as in the paper's Section V: one cycle, K, X_0 and Y_0 by its rule, few gears, no lag.
 
 K is the range of the cycle's output over that of its drive, Y_0 the output's minimum, X_0 the drive's; the
-gears then map volts to volts. The paper does not say how its gears were fitted beyond "least squares"; here
-slopes may only grow, so that the model can be inverted, and the point operator is found together with them.
+gears then map volts to volts. The paper does not say how its 25 gears were placed and fitted beyond "least
+squares". Here their edges are spaced as a sine is in time, narrow where the drive turns. A turn inside a
+gear retraces it; fitted to the one full cycle alone, so few gears therefore predict smaller loops badly (0.76
+against 0.58 um on the authors' other log). So a fine operator is fitted to the cycle first, and the few gears
+to what it does on the cycle and on the cycle shrunk about its middle. Slopes may only grow, so that the model
+can be inverted.
 """
 
 from __future__ import annotations
@@ -11,8 +15,8 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.assembly import zero_shift
-from dbo_cli.hysteresis.identification.normal_equations import Structure, solve
-from dbo_cli.hysteresis.identification.recordings import Recording
+from dbo_cli.hysteresis.identification.normal_equations import SLOPE_FLOOR, Structure, solve
+from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.refinement import corners, invertible
 from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, gather
@@ -27,7 +31,10 @@ from dbo_cli.hysteresis.model import (
 )
 
 GEARS = 25
-SEGMENTS = 4
+SEGMENTS = 2
+FINE = (64, 16)  # slopes, gears for each
+SMOOTHNESS = 5e-7
+SHRUNK = tuple(share / 20 for share in range(20, 5, -1))  # amplitudes, as shares of the cycle's own
 
 
 def twice_over(recording: Recording, low: float, scale: float) -> PreparedLog:
@@ -64,23 +71,18 @@ def identify_as_in_paper(
     x0, swing = float(voltage.min()), float(np.ptp(voltage))
     gain = float(np.ptp(displacement)) / swing
     y0 = float(displacement.min())
-    basis = Basis(gears or GEARS, x0, x0 + swing)
+    basis = Basis(FINE[0], x0, x0 + swing, FINE[1])
     log = twice_over(recording, y0, gain * swing)
-    fine = max(SEGMENTS if segments is None else segments, 1)
-    while True:
-        statistics = gather([log], basis, fine)
-        gram, rows = statistics.total()
-        solution = solve(gram, statistics.columns, Structure("growing", (), fine, 0.0), rows)
-        knots = corners(solution.knots, fine)
-        if fine == 1 or invertible(knots):
-            break
-        fine //= 2
-    shift = zero_shift(recording, zero)
-    widths = np.full(basis.gears, swing / basis.gears)
-    stages: list[Stage] = [BacklashStage(widths, solution.heights * swing, x0, 0.0)]
-    if fine > 1:
-        stages.append(PointStage(np.diff(knots) * swing, np.full(fine, swing / fine), 0.0, 0.0))
-    stages.append(ScaleStage(gain, y0 - shift))
+    fine, knots = _fine_heights(log, basis, max(SEGMENTS if segments is None else segments, 1))
+    count = gears or GEARS
+    edges = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
+    widths = np.diff(edges) * swing
+    heights = _few_heights(voltage, basis, fine, widths)
+    stages: list[Stage] = [BacklashStage(widths, heights * swing, x0, 0.0)]
+    parts = len(knots) - 1
+    if parts > 1:
+        stages.append(PointStage(np.diff(knots) * swing, np.full(parts, swing / parts), 0.0, 0.0))
+    stages.append(ScaleStage(gain, y0 - zero_shift(recording, zero)))
     low, high = slow_output_range(stages, x0, x0 + swing)
     model = ActuatorModel(
         direction="forward",
@@ -89,3 +91,41 @@ def identify_as_in_paper(
         stages=tuple(stages),
     )
     return model, log
+
+
+def _fine_heights(log: PreparedLog, basis: Basis, segments: int) -> tuple[Floats, Floats]:
+    """Heights of the fine operator (a slope's gears together) and the corners of the asymmetry."""
+    while True:
+        statistics = gather([log], basis, segments)
+        gram, rows = statistics.total()
+        structure = Structure("growing", (), segments, SMOOTHNESS)
+        solution = solve(gram, statistics.columns, structure, rows)
+        knots = corners(solution.knots, segments)
+        if segments == 1 or invertible(knots):
+            return solution.heights, knots
+        segments //= 2
+
+
+def _few_heights(cycle: Floats, basis: Basis, fine: Floats, widths: Floats) -> Floats:
+    """Heights of gears of the given widths that do what the fine operator does, over all amplitudes.
+
+    Each amplitude has an offset of its own. The first of two cycles of each only sets the state.
+    """
+    from scipy.optimize import nnls
+
+    middle = 0.5 * (basis.low + basis.high)
+    drive = np.concatenate([np.tile(middle + share * (cycle - middle), 2) for share in SHRUNK])
+    judged = np.tile(np.repeat([False, True], len(cycle)), len(SHRUNK))
+    operator = basis.operator()
+    engaged, _ = operator.engagement(drive, operator.empty(), share=basis.split)
+    target = (engaged @ fine)[judged]
+    few = BacklashStage(widths, widths, basis.low, 0.0)
+    parts, _ = few.engagement(drive, few.empty())
+    shares = widths / basis.span
+    floor = SLOPE_FLOOR * shares
+    growing = (parts * shares)[judged] @ np.tril(np.ones((len(widths), len(widths))))
+    amplitude = np.repeat(np.eye(len(SHRUNK)), len(cycle), axis=0)
+    table = np.hstack((growing, amplitude, -amplitude))
+    increments, _ = nnls(table, target - parts[judged] @ floor, maxiter=100 * table.shape[1])
+    heights: Floats = floor + shares * np.cumsum(increments[: len(widths)])
+    return heights

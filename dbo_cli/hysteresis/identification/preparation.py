@@ -70,7 +70,7 @@ def used_rows(log: PreparedLog) -> Booleans:
 
 
 def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
-    """Rows where the displacement stands at its own extreme while the drive moves on: a sensor out of range."""
+    """Rows where the displacement stands at its own extreme while the drive moves on: out of range."""
     stuck = np.zeros(len(displacement), bool)
     moving = np.abs(np.diff(voltage, prepend=voltage[0])) > 0.0
     for extreme in (displacement.min(), displacement.max()):
@@ -203,19 +203,22 @@ def _usable_rows(log: Recording, skip_seconds: float, notes: list[str]) -> tuple
         usable[:wiped] = False
         transient = wiped - skipped
         notes.append(
-            f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both ends of its "
+            f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both "
+            "ends of its "
             "range, the actuator's history is unknown"
         )
     stuck = clipped_sensor(log.displacement, log.voltage) & usable
     if stuck.any():
         usable &= ~stuck
         notes.append(
-            f"{log.name}: {int(stuck.sum())} rows left out: the sensor stands at the end of its range while the "
+            f"{log.name}: {int(stuck.sum())} rows left out: the sensor stands at the end of its range "
+            "while the "
             "drive moves (clipped); move the sensor or lower its gain and record again"
         )
     if int(usable.sum()) < FEWEST_ROWS:
         raise FitError(
-            f"{log.name}: {int(usable.sum())} usable rows are too few to identify from: record longer, or skip less"
+            f"{log.name}: {int(usable.sum())} usable rows are too few to identify from: record "
+            "longer, or skip less"
         )
     return usable, transient, int(stuck.sum())
 

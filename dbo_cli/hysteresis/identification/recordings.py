@@ -22,8 +22,8 @@ REVERSAL_SHARE = 0.02  # a reversal smaller than this share of the drive's range
 class Recording:
     """One log of an actuator: what was applied and what was measured.
 
-    ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time`` is in seconds with the
-    same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
+    ``voltage`` and ``displacement`` have shape (samples,), in the units named; ``time`` is in seconds with
+    the same shape, or None where the log has no clock; ``sample_period`` in seconds serves in its place.
     """
 
     name: str
@@ -37,9 +37,11 @@ class Recording:
     def seconds(self) -> Floats | None:
         """Time of each sample in seconds from the first, or None where the log has no clock."""
         if self.time is not None:
-            return self.time - self.time[0]
+            elapsed: Floats = self.time - self.time[0]
+            return elapsed
         if self.sample_period is not None:
-            return np.arange(len(self.voltage)) * self.sample_period
+            even: Floats = self.sample_period * np.arange(len(self.voltage), dtype=np.float64)
+            return even
         return None
 
 
@@ -99,7 +101,7 @@ def turning_points(signal: Floats, threshold: float) -> Integers:
 
 
 def drive_shape(voltage: Floats) -> DriveShape:
-    """Turning points, whole cycles and amplitudes of one log's drive."""
+    """Find turning points, whole cycles and amplitudes of one log's drive."""
     turns = turning_points(voltage, REVERSAL_SHARE * float(np.ptp(voltage)))
     heights = voltage[turns]
     amplitudes = np.abs(np.diff(heights))
@@ -125,7 +127,8 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
     for log in recordings:
         if len(log.voltage) < FEWEST_ROWS:
             raise FitError(
-                f"{log.name}: {len(log.voltage)} rows are too few to identify from: record at least one whole "
+                f"{log.name}: {len(log.voltage)} rows are too few to identify from: record at least "
+                "one whole "
                 f"cycle with {FEWEST_ROWS} rows or more"
             )
         if np.ptp(log.voltage) == 0.0:

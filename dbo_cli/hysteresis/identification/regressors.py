@@ -19,12 +19,17 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+)
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 BLOCK_ROWS = 4096
+BEND_SEGMENTS = 32
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,8 @@ class Basis:
     ``low`` and ``high`` bound the gears on the voltage axis, which ``gears * split`` equal widths divide;
     ``split`` neighbours share one slope, so that ``gears`` heights are unknown. A turn inside a gear
     retraces it: splitting makes that error of the operator small without a single unknown more.
-    ``time_constants`` in seconds; ``delay`` in seconds, of the output behind the drive.
+    ``time_constants`` in seconds; ``delay`` in seconds, of the output behind the drive. ``bend`` is the
+    asymmetry that acts on the drive before the gears: at a share s of the range it adds bend s (1 - s).
     """
 
     gears: int
@@ -43,11 +49,22 @@ class Basis:
     split: int = 1
     time_constants: tuple[float, ...] = ()
     delay: float = 0.0
+    bend: float = 0.0
 
     @property
     def span(self) -> float:
         """Width of all gears together, in the unit of the voltage."""
         return self.high - self.low
+
+    def bend_points(self) -> DiscretePointOperator:
+        """Return the asymmetry that acts on the drive: a parabola in straight segments, ends held."""
+        at = np.arange(BEND_SEGMENTS + 1) / BEND_SEGMENTS
+        bent = at + self.bend * at * (1.0 - at)
+        return DiscretePointOperator(np.diff(at) * self.span, np.diff(bent) * self.span, self.low, self.low)
+
+    def drive(self, voltage: Floats) -> Floats:
+        """Return what reaches the gears, in the unit of the voltage."""
+        return self.bend_points().run(voltage) if self.bend else voltage
 
     def operator(self) -> DiscreteBacklashOperator:
         """Return an operator of these gears with equal heights that sum to one."""
@@ -69,7 +86,7 @@ def start_state(operator: DiscreteBacklashOperator, voltage: Floats, start: str)
 def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[float, ...]) -> Floats:
     """Exponentially forgetting averages of the drive, one column a time constant.
 
-    L_k = a_k L_k-1 + (1 - a_k) u_k with a_k = exp(-dt_k / tau) and, at rest before the first sample, L_0 = u_0.
+    L_k = a_k L_k-1 + (1 - a_k) u_k with a_k = exp(-dt_k / tau); L_0 = u_0, at rest before the first sample.
 
     Parameters
     ----------
@@ -114,7 +131,7 @@ def hat_functions(position: Floats, segments: int) -> Floats:
 
 
 def drift_columns(seconds: Floats, order: int) -> Floats:
-    """Legendre polynomials of time, order 0 (the sensor's offset) to ``order``; shape (samples, order + 1)."""
+    """Legendre polynomials of time from order 0, the sensor's offset; shape (samples, order + 1)."""
     length = float(seconds[-1] - seconds[0]) or 1.0
     centred = 2.0 * (seconds - seconds[0]) / length - 1.0
     return legendre.legvander(centred, order)
@@ -141,7 +158,7 @@ class DriveRows:
         wanted: NDArray[np.bool_] | None = None,
     ) -> None:
         self._basis = basis
-        self._voltage = voltage
+        self._voltage = voltage = basis.drive(voltage)
         self._start = start
         self._wanted = np.ones(len(voltage), bool) if wanted is None else wanted
         self._memory = relaxed_drive((voltage - basis.low) / basis.span, seconds, basis.time_constants)

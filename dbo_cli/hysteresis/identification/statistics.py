@@ -1,4 +1,4 @@
-"""What the logs say about the unknowns, gathered once and kept by folds so that any of them can be left out."""
+"""What the logs say about the unknowns, gathered once by folds so that any of them can be left out."""
 
 from __future__ import annotations
 
