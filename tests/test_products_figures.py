@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -250,6 +251,10 @@ def test_page_is_self_contained_and_the_same_each_time():
 def test_figures_of_a_model_in_both_directions():
     assert [plot.key for plot in plots_of_model(model())] == ["gears", "slopes", "points"]
     assert [plot.key for plot in plots_of_model(model(points=0).inverse())] == ["gears", "slopes"]
+    bent = model()
+    bent = replace(bent, stages=(PointStage([1.0, 2.6], [1.5, 2.1]), *bent.stages))
+    assert [plot.key for plot in plots_of_model(bent)] == ["gears", "slopes", "points-before", "points"]
+    assert [plot.key for plot in plots_of_model(bent.inverse())][2:] == ["points", "points-after"]
     text = draw(plots_of_model(model())[0], "inline").decode()
     assert "Voltage (V)" in text
     for plot in plots_of_model(model().inverse()):

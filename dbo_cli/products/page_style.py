@@ -66,7 +66,7 @@ dl { display: grid; grid-template-columns: max-content 1fr; gap: .25rem 1.2rem; 
 dt { font-weight: 600; }
 dd { margin: 0; }
 footer { margin-top: 3rem; font-size: .85rem; overflow-wrap: anywhere; }
-@media (max-width: 860px) {
+@media screen and (max-width: 860px) {
   main { padding: 1.2rem 1rem 2rem; }
   thead { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
   tr, td { display: block; }
@@ -82,7 +82,11 @@ footer { margin-top: 3rem; font-size: .85rem; overflow-wrap: anywhere; }
 }
 @media print {
   :root { color-scheme: light; LIGHT }
+  body { font-size: 10pt; }
   main { max-width: none; padding: 0; }
+  table { font-size: 7.5pt; }
+  th { font-size: 7.5pt; }
+  th, td { padding: .25rem .3rem; }
   .figures { grid-template-columns: 1fr 1fr; }
   figure, tr { break-inside: avoid; }
   h2, h3 { break-after: avoid; }

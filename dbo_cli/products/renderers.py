@@ -102,17 +102,16 @@ def _mean_title(report: Report) -> str:
 
 
 def _error_table(report: Report) -> str:
-    mean = _mean_title(report)
-    head = ["log", "samples", "RMSE", "% range", "95 %", "largest", mean, "ratio"]
+    several = len(report.logs) > 1
+    head = ["log", "samples", "RMSE", "% range", "95 %", "largest", _mean_title(report)]
     rows = []
     for log in report.logs:
         figures = log.figures
         shown = figures.offset if report.options.remove_offset else figures.mean
         numbers = [figures.rmse, figures.nrmse_percent, figures.p95_abs, figures.max_abs, shown]
-        several = len(report.logs) > 1
-        ratio = digits(log.ratio_to_first) if several else "-"
-        rows.append([_short(log.name), str(figures.samples), *map(digits, numbers), ratio])
-    return _table(head, rows)
+        ratio = [digits(log.ratio_to_first)] if several else []
+        rows.append([_short(log.name), str(figures.samples), *map(digits, numbers), *ratio])
+    return _table(head + ["ratio"] * several, rows)
 
 
 def _loop_table(report: Report) -> str:
