@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from dbo_cli.cli import signals
@@ -19,12 +18,6 @@ if TYPE_CHECKING:
     from dbo_cli.products.traces import Traces
     from dbo_cli.records.columns import ColumnWish
     from dbo_cli.records.logs import SignalLog
-
-
-def short_names(addresses: Sequence[str]) -> dict[str, str]:
-    """Return the names of logs without their folders, where that tells them apart."""
-    short = {address: os.path.basename(address) for address in addresses if address != "-"}
-    return short if len(set(short.values())) == len(short) else {}
 
 
 @dataclass
@@ -53,10 +46,10 @@ class PairReader:
         from dbo_cli.products.pairs import rows_with_lag
         from dbo_cli.products.report import evaluate
 
-        rows = self.reading.rows
+        reading = self.reading
         if isinstance(self.compared.lag, int):
-            rows = rows_with_lag(rows, self.compared.lag)
-        with signals.open_signals(address, self._want(), self.reading, self.voice, rows=rows) as log:
+            reading = replace(reading, rows=rows_with_lag(reading.rows, self.compared.lag))
+        with signals.open_signals(address, self._want(), reading, self.voice) as log:
             self._note_units(log)
             traces = self._new_traces(log) if self.traced else None
             rate = self.reading.resample or log.sample_rate

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.cli import options, signals, values
@@ -64,9 +65,9 @@ def identify(
 
     others = validate or []
     check_output(output, [*logs, *others])
-    reader = RecordingReader(reading, voice, voltage, displacement)
-    recordings = [reader.read(address, reading.rows) for address in logs]
-    checks = [reader.read(address, None) for address in others]
+    reader = RecordingReader(voice, voltage, displacement, signals.short_names([*logs, *others]))
+    recordings = [reader.read(address, reading) for address in logs]
+    checks = [reader.read(address, dataclasses.replace(reading, rows=None)) for address in others]
     result = _identified(recordings, IdentificationOptions(**asked), checks)
     _write(result, output, reader.inputs, _arguments(command_line, [*logs, *others]))
     voice.notes(result.summary)
@@ -77,30 +78,34 @@ def identify(
 class RecordingReader:
     """Reads whole logs and keeps the record of each for the model's provenance."""
 
-    def __init__(self, reading: Reading, voice: Voice, voltage: str | None, displacement: str | None) -> None:
+    def __init__(
+        self,
+        voice: Voice,
+        voltage: str | None,
+        displacement: str | None,
+        names: Mapping[str, str],
+    ) -> None:
         from dbo_cli.records.columns import ColumnWish
 
-        self.reading = reading
         self.voice = voice
+        self.names = names
         self.want = {
             "voltage": ColumnWish(voltage, signals.VOLTAGE, option="--voltage"),
             "displacement": ColumnWish(displacement, signals.DISPLACEMENT, option="--displacement"),
         }
         self.inputs: list[dict[str, Any]] = []
 
-    def read(self, address: str, rows: str | None) -> Recording:
+    def read(self, address: str, reading: Reading) -> Recording:
         """Read the wanted rows of one log."""
         from dbo_cli.hysteresis.identification import Recording
 
-        with signals.open_signals(
-            address, self.want, self.reading, self.voice, rows=rows, digest=True
-        ) as log:
+        with signals.open_signals(address, self.want, reading, self.voice, digest=True) as log:
             block = log.read()
         self.voice.notes(log.notes)
         self.inputs.append(dict(log.record()))
-        rate = None if self.reading.skip_bad else self.reading.resample or log.sample_rate
+        rate = None if reading.skip_bad else reading.resample or log.sample_rate
         return Recording(
-            log.name,
+            self.names.get(address, log.name),
             block.values["voltage"],
             block.values["displacement"],
             time=block.time if rate is None else None,
@@ -122,8 +127,6 @@ def _write(
     result: Identification, output: str, inputs: Iterable[dict[str, Any]], arguments: Sequence[str]
 ) -> None:
     """Write the model with its provenance."""
-    import dataclasses
-
     from dbo_cli.records.model_file import model_to_bytes
     from dbo_cli.records.outputs import write_whole
     from dbo_cli.records.provenance import program_version_string

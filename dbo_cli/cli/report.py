@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dbo_cli.cli import options, values
+from dbo_cli.cli import options, signals, values
 from dbo_cli.cli.bundles import Reading, bundled
-from dbo_cli.cli.comparison import PairReader, short_names
+from dbo_cli.cli.comparison import PairReader
 from dbo_cli.cli.messages import Voice
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def report(
         desired,
         measured,
         voltage,
-        short_names(logs),
+        signals.short_names(logs),
     )
     merits = [reader.evaluate(address) for address in logs]
     result = reports.Report.of(merits, compared, reports.common_unit(reader.units))

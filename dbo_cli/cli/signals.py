@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from dbo_cli.cli.bundles import Reading
@@ -32,11 +33,10 @@ def open_signals(
     reading: Reading,
     voice: Voice,
     *,
-    rows: str | None = None,
     live: bool = False,
     digest: bool = False,
 ) -> SignalLog:
-    """Open a log as the reading options say; ``rows`` goes before ``reading.rows`` where given."""
+    """Open a log as the reading options say."""
     from dbo_cli.records.dialect import DialectOptions
     from dbo_cli.records.logs import open_log
 
@@ -54,7 +54,7 @@ def open_signals(
         want,
         time=reading.time,
         sample_rate=reading.sample_rate,
-        rows=rows if rows is not None else reading.rows,
+        rows=reading.rows,
         skip_bad=reading.skip_bad,
         format=format_for(address, reading.file_format),
         dialect=dialect,
@@ -65,6 +65,12 @@ def open_signals(
     )
     voice.detail(log.describe())
     return log
+
+
+def short_names(addresses: Sequence[str]) -> dict[str, str]:
+    """Return the names of logs without their folders, where that tells them apart."""
+    short = {address: os.path.basename(address) for address in addresses if address != "-"}
+    return short if len(set(short.values())) == len(short) else {}
 
 
 def format_for(address: str, named: str | None) -> str | None:

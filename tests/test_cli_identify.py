@@ -1,0 +1,170 @@
+# ruff: noqa: E501  (a message of one line stands on one line here)
+"""identify through the command line: models, messages, provenance and refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import folder_content
+from virtual_actuator import PRESETS, VirtualActuator
+
+ROOT = Path(__file__).resolve().parent.parent
+SAMPLE = ROOT / "sample_data" / "identification.csv"
+QUICK = ["--gears", "32", "--points", "2", "--relaxation", "0", "--delay", "0"]
+
+
+def write_log(name: str, voltage: Any, displacement: Any, rate: float = 100.0) -> Path:
+    """Write a log with the usual header."""
+    rows = zip(np.asarray(voltage, float).tolist(), np.asarray(displacement, float).tolist(), strict=True)
+    lines = [f"{k / rate!r},{v!r},{y!r}" for k, (v, y) in enumerate(rows)]
+    path = Path(name)
+    path.write_text("time_s,voltage_V,displacement_um\n" + "\n".join(lines) + "\n")
+    return path
+
+
+def cycles(count: int = 4, samples: int = 120, top: float = 10.0) -> Any:
+    return top * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(count * samples) / samples))
+
+
+@pytest.fixture
+def small_log(dbo: Any) -> Path:
+    """Return a log of 480 rows from the virtual actuator, in the working folder."""
+    drive = cycles(top=100.0) * np.repeat([1.0, 1.0, 0.7, 0.4], 120)
+    time = np.arange(len(drive)) / 100.0
+    return write_log("log.csv", drive, VirtualActuator(PRESETS["stack"]).play(time, drive, 7))
+
+
+def test_model_with_its_origin(dbo: Any, small_log: Path) -> None:
+    done = dbo("identify", "log.csv", *QUICK, "-o", "model.json", "--quiet")
+    assert done == (0, "", "")
+    model = json.loads(Path("model.json").read_text())
+    assert model["direction"] == "forward"
+    assert (model["input"]["quantity"], model["input"]["unit"]) == ("voltage", "V")
+    assert (model["output"]["quantity"], model["output"]["unit"]) == ("displacement", "um")
+    assert model["fit"]["rmse"] < 0.1
+    assert model["provenance"]["program"] == "dbo 0.1.0"
+    assert model["provenance"]["arguments"] == ["identify", "log.csv", *QUICK]
+    [origin] = model["provenance"]["inputs"]
+    assert (origin["name"], origin["rows"], len(origin["sha256"])) == ("log.csv", 480, 64)
+
+
+def test_the_same_log_and_options_give_the_same_bytes(dbo: Any, small_log: Path, tmp_path: Path) -> None:
+    dbo("identify", "log.csv", *QUICK, "-o", "a.json")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "log.csv").write_bytes(small_log.read_bytes())
+    dbo("identify", "elsewhere/log.csv", *QUICK, "--output", "b.json", "--quiet", "--verbose")
+    assert Path("a.json").read_bytes() == Path("b.json").read_bytes()
+
+
+def test_the_model_predicts_the_log_with_its_level(dbo: Any, small_log: Path) -> None:
+    """Not only changes: the displacement itself, offset included."""
+    dbo("identify", "log.csv", *QUICK, "-o", "model.json", "-q")
+    done = dbo("report", "log.csv", "--model", "model.json", "--format", "json")
+    [log] = json.loads(done.out)["logs"]
+    assert abs(log["mean"]) < 0.05
+    assert log["rmse"] < 0.15
+
+
+def test_what_was_found_is_said(dbo: Any, small_log: Path) -> None:
+    done = dbo("identify", "log.csv", *QUICK, "-o", "model.json")
+    assert (done.code, done.out) == (0, "")
+    assert all(line.startswith("dbo: ") for line in done.err.splitlines())
+    assert "dbo: fit RMSE " in done.err
+    assert "32 gears" in done.err
+
+
+def test_a_model_goes_to_standard_output(dbo: Any, small_log: Path) -> None:
+    done = dbo("identify", "log.csv", *QUICK, "-q")
+    assert json.loads(done.out)["format"] == "dbo-model"
+
+
+def test_validation_says_how_well_another_log_is_predicted(dbo: Any, small_log: Path) -> None:
+    done = dbo("identify", "log.csv", "--rows", "1:300", *QUICK, "--validate", "log.csv", "-o", "model.json")
+    assert "log.csv: predicts it to " in done.err
+    model = json.loads(Path("model.json").read_text())
+    assert model["fit"]["validation_rmse"] < 0.3
+    assert [origin["rows"] for origin in model["provenance"]["inputs"]] == [300, 480]
+
+
+def test_hdf5_gives_the_same_model_as_text(dbo: Any) -> None:
+    words = ["--rows", "1:2000", *QUICK, "-q"]
+    text = json.loads(dbo("identify", SAMPLE, *words).out)
+    same = json.loads(dbo("identify", SAMPLE.with_suffix(".h5"), *words).out)
+    assert text["input"] == same["input"]
+    ours, theirs = (np.array(model["stages"][0]["dy"]) for model in (text, same))
+    assert ours == pytest.approx(theirs, rel=1e-6)
+
+
+REFUSED = {
+    "none.csv": "none.csv: ",
+    "empty.csv": "empty.csv: the file is empty",
+    "header.csv": "header.csv: no data rows",
+    "constant.csv": "constant.csv: the voltage is constant (5): ",
+    "short.csv": "short.csv: 3 rows are too few to identify from: ",
+    "ramp.csv": "ramp.csv: the voltage never turns back, so the log shows no loop: ",
+    "word.csv": "word.csv:3: column 'voltage_V' is not a number: 'high' (--skip-bad drops such rows)",
+    "hole.csv": "hole.csv:3: column 'displacement_um' is ",
+    "nan.csv": "nan.csv:3: column 'displacement_um' is not finite: 'nan' (--skip-bad drops such rows)",
+    "uneven.csv": "uneven.csv:3: ",
+    "log.csv --voltage speed": "log.csv: there is no column 'speed': it has 1 time_s, 2 voltage_V, 3 displacement_um",
+    "log.csv --voltage 7": "log.csv: there is no column 7: it has 3 columns",
+    "log.csv -o none/m.json": "none/m.json: there is no folder 'none': create it first",
+    "line.csv": "the model (RMSE ",
+}
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_refusals_are_one_line_and_leave_nothing(dbo: Any, small_log: Path, line: str) -> None:
+    Path("empty.csv").write_text("")
+    Path("header.csv").write_text("time_s,voltage_V,displacement_um\n")
+    header = "time_s,voltage_V,displacement_um\n0,1,2\n"
+    Path("word.csv").write_text(header + "1,high,3\n2,3,4\n")
+    Path("hole.csv").write_text(header + "1,2,\n2,3,4\n")
+    Path("nan.csv").write_text(header + "1,2,nan\n2,3,4\n")
+    Path("uneven.csv").write_text(header + "1,2\n2,3,4\n")
+    ramp = np.linspace(0.0, 10.0, 200)
+    write_log("constant.csv", np.full(200, 5.0), ramp)
+    write_log("short.csv", [0.0, 1.0, 0.0], [0.0, 1.0, 0.1])
+    write_log("ramp.csv", ramp, ramp)
+    rng = np.random.default_rng(5)
+    write_log("line.csv", cycles(), 2.0 * cycles() + rng.normal(0.0, 0.5, 480))
+    before = folder_content(Path())
+    done = dbo("identify", *line.split(), *QUICK, *([] if "-o" in line else ["-o", "model.json"]))
+    assert (done.code, done.out) == (1, "")
+    last = done.err.splitlines()[-1]
+    assert last.startswith(f"dbo: error: {REFUSED[line]}")
+    assert folder_content(Path()) == before
+
+
+def test_force_keeps_what_would_be_refused(dbo: Any) -> None:
+    rng = np.random.default_rng(5)
+    write_log("line.csv", cycles(), 2.0 * cycles() + rng.normal(0.0, 0.5, 480))
+    done = dbo("identify", "line.csv", *QUICK, "--force", "-o", "model.json")
+    assert done.code == 0
+    assert "dbo: warning: the model (RMSE " in done.err
+    assert Path("model.json").exists()
+
+
+def test_logs_of_different_units_are_not_mixed(dbo: Any, small_log: Path) -> None:
+    text = small_log.read_text()
+    Path("nano.csv").write_text(text.replace("displacement_um", "displacement_nm"))
+    done = dbo("identify", "log.csv", "nano.csv", *QUICK)
+    assert (done.code, done.out) == (1, "")
+    assert "its displacement is in nm, that of log.csv in um: bring the logs to one unit" in done.err
+
+
+def test_paper_method_takes_its_scale_from_one_cycle(dbo: Any, small_log: Path) -> None:
+    done = dbo("identify", "log.csv", "--rows", "1:120", "--method", "paper", "--zero", "mean", "-q")
+    assert (done.code, done.err) == (0, "")
+    model = json.loads(done.out)
+    table = np.loadtxt("log.csv", delimiter=",", skiprows=1)[:120]
+    scale = next(stage for stage in model["stages"] if stage["type"] == "scale")
+    gears = next(stage for stage in model["stages"] if stage["type"] == "backlash")
+    assert scale["gain"] == pytest.approx(np.ptp(table[:, 2]) / np.ptp(table[:, 1]), rel=1e-12)
+    assert scale["offset"] == pytest.approx(table[:, 2].min() - table[:, 2].mean(), rel=1e-12)
+    assert (gears["x0"], len(gears["dx"])) == (table[:, 1].min(), 25)
