@@ -1,0 +1,170 @@
+# ruff: noqa: E501  (a message of one line stands on one line here)
+"""report through the command line: forms, limits, lag, models, figures and refusals."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import folder_content
+
+T = np.arange(200) / 100.0
+DESIRED = 5.0 - 4.0 * np.cos(2 * np.pi * T)
+
+
+def write_log(name: str, error: Any, header: str = "time_s,desired_um,displacement_um") -> Path:
+    """Write desired and measured, which is desired plus ``error``."""
+    rows = zip(T.tolist(), DESIRED.tolist(), (DESIRED + error).tolist(), strict=True)
+    path = Path(name)
+    path.write_text(header + "\n" + "".join(f"{t!r},{d!r},{m!r}\n" for t, d, m in rows))
+    return path
+
+
+@pytest.fixture
+def logs(dbo: Any) -> Any:
+    """Return the runner beside two logs with errors of ±0.5 and ±0.1 µm."""
+    sign = np.where(np.arange(200) % 2, 1.0, -1.0)
+    write_log("before.csv", 0.5 * sign)
+    write_log("after.csv", 0.1 * sign)
+    return dbo
+
+
+def test_text_has_both_and_their_ratio(logs: Any) -> None:
+    done = logs("report", "before.csv", "after.csv")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.startswith("Error = measured - desired in um\n")
+    assert max(map(len, done.out.splitlines())) <= 80
+    rows = {line.split()[0]: line.split() for line in reversed(done.out.splitlines()) if line.split()}
+    assert (rows["before.csv"][2], rows["before.csv"][-1]) == ("0.5000", "1.000")
+    assert (rows["after.csv"][2], rows["after.csv"][-1]) == ("0.1000", "0.2000")
+
+
+def test_json(logs: Any) -> None:
+    report = json.loads(logs("report", "before.csv", "after.csv", "--format", "json").out)
+    assert (report["format"], report["version"], report["unit"]) == ("dbo-report", 1, "um")
+    first, second = report["logs"]
+    assert (first["name"], first["samples"]) == ("before.csv", 200)
+    assert first["rmse"] == pytest.approx(0.5, rel=1e-12)
+    assert first["nrmse_percent"] == pytest.approx(100 * 0.5 / 8.0, rel=1e-12)
+    assert first["max_abs"] == pytest.approx(0.5, rel=1e-12)
+    assert second["ratio_to_first"] == pytest.approx(0.2, rel=1e-12)
+
+
+def test_csv_has_one_line_a_log(logs: Any) -> None:
+    rows = list(csv.DictReader(io.StringIO(logs("report", "before.csv", "after.csv", "--format", "csv").out)))
+    assert [row["name"] for row in rows] == ["before.csv", "after.csv"]
+    assert float(rows[1]["rmse"]) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [("r.json", "{"), ("r.csv", "name,"), ("r.html", "<!doctype html>"), ("r.txt", "Error")],
+)
+def test_the_form_follows_the_name_of_the_output(logs: Any, name: str, start: str) -> None:
+    assert logs("report", "after.csv", "-o", name) == (0, "", "")
+    assert Path(name).read_text().lower().startswith(start.lower())
+
+
+def test_html_reaches_for_no_network(logs: Any) -> None:
+    logs("report", "before.csv", "after.csv", "-o", "r.html")
+    text = Path("r.html").read_text()
+    assert "http://" not in text.replace("http://www.w3.org/", "")
+    assert "https://" not in text and "<script" not in text and "@import" not in text
+
+
+def test_the_same_logs_give_the_same_bytes(logs: Any) -> None:
+    for form in ("text", "json", "csv", "html"):
+        words = ["report", "before.csv", "after.csv", "--format", form]
+        assert logs(*words) == logs(*words)
+
+
+def test_rows_count_desired_and_lag_takes_measured_later(dbo: Any) -> None:
+    rows = zip(DESIRED.tolist(), np.roll(DESIRED, 3).tolist(), strict=True)
+    Path("late.csv").write_text("".join(f"{d!r},{m!r}\n" for d, m in rows))
+    words = ["report", "late.csv", "--desired", "1", "--measured", "2", "--format", "json"]
+    [log] = json.loads(dbo(*words, "--lag", "3").out)["logs"]
+    assert (log["rmse"], log["samples"], log["lag_samples"]) == (0.0, 197, 3)
+    [log] = json.loads(dbo(*words, "--lag", "3", "--rows", "11:60").out)["logs"]
+    assert (log["rmse"], log["samples"]) == (0.0, 50)
+    [log] = json.loads(dbo(*words, "--lag", "auto").out)["logs"]
+    assert (log["lag_samples"], log["rmse"]) == (3, 0.0)
+
+
+def test_offset_removed(dbo: Any) -> None:
+    write_log("off.csv", np.full(200, 2.5))
+    [log] = json.loads(dbo("report", "off.csv", "--remove-offset", "--format", "json").out)["logs"]
+    assert log["rmse"] == pytest.approx(0.0, abs=1e-12)
+    assert log["offset_removed"] == pytest.approx(2.5)
+
+
+def test_limits_exit_with_3_and_write_the_report_all_the_same(logs: Any) -> None:
+    done = logs("report", "before.csv", "--max-rmse", "0.4", "-o", "r.json")
+    assert done.code == 3
+    assert (
+        done.err == "dbo: error: before.csv: RMSE 0.5 um is above the limit of 0.4 um by 0.1 (--max-rmse)\n"
+    )
+    assert json.loads(Path("r.json").read_text())["logs"][0]["samples"] == 200
+    assert logs("report", "before.csv", "--max-rmse", "0.6", "--max-abs", "0.6", "-o", "r.json").code == 0
+    assert logs("report", "before.csv", "--max-abs", "0.4", "-o", "r.json").code == 3
+    assert logs("report", "before.csv", "--max-nrmse-percent", "5", "-o", "r.json").code == 3
+
+
+def test_segments(logs: Any) -> None:
+    report = json.loads(logs("report", "after.csv", "--segment", "0.5", "--format", "json").out)
+    parts = report["logs"][0]["segments"]
+    assert [part["samples"] for part in parts] == [50, 50, 50, 50]
+    assert all(math.isclose(part["rmse"], 0.1, rel_tol=1e-9) for part in parts)
+
+
+def test_a_model_takes_the_place_of_desired(dbo: Any, model_file: Path) -> None:
+    drive = 5.0 - 5.0 * np.cos(2 * np.pi * T)
+    Path("drive.csv").write_text(
+        "time_s,voltage_V\n"
+        + "".join(f"{t!r},{v!r}\n" for t, v in zip(T.tolist(), drive.tolist(), strict=True))
+    )
+    dbo("simulate", "model.json", "drive.csv", "-o", "played.csv")
+    done = dbo("report", "played.csv", "--model", "model.json", "--format", "json")
+    report = json.loads(done.out)
+    assert report["compared"] == ["model", "measured"]
+    assert report["logs"][0]["rmse"] == 0.0
+
+
+def test_figures_are_drawn(logs: Any) -> None:
+    assert logs("report", "after.csv", "--figures", "figures", "-o", "r.txt") == (0, "", "")
+    names = folder_content(Path("figures"))
+    for key in ("tracking", "error", "output", "histogram"):
+        assert {f"after-{key}.png", f"after-{key}.svg"} <= names
+    assert Path("figures/after-error.png").read_bytes().startswith(b"\x89PNG")
+
+
+REFUSED = {
+    "none.csv": "none.csv: ",
+    "plain.csv": "plain.csv: no column is recognised as the desired",
+    "mixed.csv": "mixed.csv: desired is in nm, measured in um",
+    "after.csv --lag 500": "after.csv: a lag of 500 samples leaves nothing of 200 rows",
+    "after.csv nano.csv": "nano.csv: is in nm, but after.csv in um",
+    "after.csv --model inverse.json": "inverse.json: is an inverse model where a forward one is needed (dbo invert turns it)",
+    "after.csv --model model.json": "after.csv: no column is recognised as the voltage",
+    "after.csv --figures after.csv/figures": "after.csv/figures: figures cannot be written there: ",
+    "after.csv -o none/r.txt": "none/r.txt: there is no folder 'none': create it first",
+}
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_refusals_are_one_line_and_leave_nothing(logs: Any, model_file: Path, line: str) -> None:
+    Path("plain.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
+    write_log("mixed.csv", 0.0 * T, "time_s,desired_nm,displacement_um")
+    write_log("nano.csv", 0.1 + 0.0 * T, "time_s,desired_nm,displacement_nm")
+    logs("invert", "model.json", "-o", "inverse.json")
+    before = folder_content(Path())
+    done = logs("report", *line.split())
+    assert (done.code, done.out) == (1, "")
+    assert done.err.startswith(f"dbo: error: {REFUSED[line]}")
+    assert done.err.count("\n") == 1
+    assert folder_content(Path()) == before
