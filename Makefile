@@ -41,11 +41,11 @@ $(VENV)/installed-test: $(VENV)/installed
 LOG := sample_data/identification.csv
 TRAJECTORY := sample_data/trajectory.csv
 
-demo: demo/report.html
+demo: demo/report.html demo/picture.png
 	@echo
 	@cat demo/report.txt
 	@echo
-	@echo "demo/ holds the model, both drives, both measured logs, report.html and the pictures in figures/"
+	@echo "demo/ holds the model, both drives, both measured logs, report.html, picture.png and more in figures/"
 
 demo/model.json: $(LOG) | $(VENV)/installed
 	@mkdir -p demo
@@ -70,6 +70,9 @@ demo/report.txt: demo/uncompensated.csv demo/compensated.csv
 demo/report.html: demo/uncompensated.csv demo/compensated.csv demo/report.txt
 	$(DBO) report demo/uncompensated.csv demo/compensated.csv --figures demo/figures -o $@
 
+demo/picture.png: demo/uncompensated.csv demo/compensated.csv sample_data/draw_demo.py
+	$(BIN)/python sample_data/draw_demo.py demo/uncompensated.csv demo/compensated.csv $@
+
 # --- make test ---
 
 test: $(VENV)/installed-test
@@ -80,7 +83,8 @@ test: $(VENV)/installed-test
 # --- the rest ---
 
 paper: $(VENV)/installed
-	@test -n "$(DATA)" || { echo "make paper DATA=FOLDER: the folder with the authors' recordings (README.md says where they are public)"; exit 2; }
+	@test -n "$(DATA)" || { \
+	  echo "make paper DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
 	$(BIN)/python benchmarks/paper.py "$(DATA)" paper
 
 fuzz: $(VENV)/installed-test

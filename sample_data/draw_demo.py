@@ -1,0 +1,49 @@
+#!/usr/bin/env python3
+"""Draw what the demo is about in one picture: the same move by a straight-line drive and compensated.
+
+    python draw_demo.py uncompensated.csv compensated.csv picture.png
+
+Above, what was desired and what came out; below, the error of both. The logs are the virtual actuator's.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from virtual_actuator import read_drive
+
+from dbo_cli.products import figure_style as style
+
+
+def draw(uncompensated: str, compensated: str, picture: str) -> None:
+    """Write the picture of two measured logs of one trajectory."""
+    logs = []
+    for path in (uncompensated, compensated):
+        with open(path, encoding="utf-8") as file:
+            logs.append(read_drive(file))
+    time, desired = logs[0]["time"], logs[0]["desired"]
+    looks = [("straight-line drive", style.DASHED), ("compensated by dbo", style.SOLID)]
+    with rc_context(style.RC):
+        figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        above, below = figure.subplots(2, 1, sharex=True)
+        above.plot(time, desired, color=style.INK, linewidth=2.4, alpha=0.25, label="desired")
+        for log, (label, look) in zip(logs, looks, strict=True):
+            error = log["displacement"] - log["desired"]
+            rmse = float(np.sqrt(np.mean(error**2)))
+            above.plot(time, log["displacement"], label=label, **look)
+            below.plot(time, error, label=f"{label}: {rmse:.3f} µm RMSE", **look)
+        above.set_ylabel("Displacement (µm)")
+        below.set_ylabel("Error (µm)")
+        below.set_xlabel("Time (s)")
+        above.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.22))
+        below.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.2))
+        figure.savefig(picture, dpi=160, metadata={"Software": None})
+
+
+if __name__ == "__main__":
+    draw(*sys.argv[1:4])
