@@ -21,7 +21,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     first_wiped_row,
 )
 from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift_columns
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, gather
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 
 Booleans = NDArray[np.bool_]
 
@@ -232,7 +232,7 @@ def _best_start(log: PreparedLog, low: float, high: float) -> str:
     basis, structure = _probe(low, high)
     errors = []
     for start in STARTS:
-        trial = gather([replace(log, start=start)], basis, 1)
+        trial = gather(fewer_rows([replace(log, start=start)]), basis, 1)
         gram, rows = trial.total()
         errors.append(squared_error(gram, solve(gram, trial.columns, structure, rows).vector))
     best = int(np.argmin(errors))
@@ -247,7 +247,7 @@ def _without_drift_and_spikes(
     outliers = np.zeros(len(logs), np.int64)
     residuals: list[Floats] = []
     for attempt in range(2):
-        statistics = gather(logs, basis, 1)
+        statistics = gather(fewer_rows(logs), basis, 1)
         gram, rows = statistics.total()
         solution = solve(gram, statistics.columns, structure, rows)
         begin = 0

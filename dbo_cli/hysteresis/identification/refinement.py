@@ -18,6 +18,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.normal_equations import (
+    Columns,
     Solution,
     Structure,
     penalties,
@@ -26,7 +27,12 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 )
 from dbo_cli.hysteresis.identification.recordings import Floats
 from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
-from dbo_cli.hysteresis.identification.statistics import Linearise, PreparedLog, gather
+from dbo_cli.hysteresis.identification.statistics import (
+    Linearise,
+    PreparedLog,
+    fewer_rows,
+    gather,
+)
 
 STEPS = 4
 WORTHWHILE = 0.02  # of the squared output error: a smaller gain is not worth leaving the convex solution
@@ -73,29 +79,27 @@ def asymmetry(w: Floats, knots: Floats) -> tuple[Floats, Floats]:
 
 
 def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitted:
-    """Solve the equation-error problem on all rows, then refine on the output error, then prune memories.
+    """Solve the equation-error problem, prune memories, refine on the output error where that helps.
+
+    What to prune, how many segments can be inverted and whether refining helps is found out on at most
+    ``SELECTION_ROWS`` rows; the model itself is fitted to all of them.
 
     Raises
     ------
     FitError
         The solver failed.
     """
-    fitted, structure = _equation_error(logs, basis, structure)
-    fitted = _refined(logs, fitted, structure)
-    total = float(fitted.heights.sum())
-    kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * total)
-    if kept != structure.memories:
+    some = fewer_rows(logs)
+    fitted, structure = _equation_error(some, basis, structure)
+    kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * fitted.heights.sum())
+    if kept != tuple(range(len(basis.time_constants))):
         basis = replace(basis, time_constants=tuple(basis.time_constants[k] for k in kept))
-        structure = Structure(
-            structure.slopes,
-            tuple(range(len(kept))),
-            structure.segments,
-            structure.smoothness,
-            structure.bend,
-        )
-        fitted, structure = _equation_error(logs, basis, structure)
-        fitted = _refined(logs, fitted, structure)
-    return fitted
+        structure = replace(structure, memories=tuple(range(len(kept))))
+        fitted, structure = _equation_error(some, basis, structure)
+    helps = _refined(some, fitted, structure) is not None
+    fitted, structure = _equation_error(logs, basis, structure)
+    refined = _refined(logs, fitted, structure) if helps else None
+    return refined or _levelled(logs, fitted)
 
 
 def _equation_error(
@@ -104,9 +108,7 @@ def _equation_error(
     """Solve with fewer and fewer segments until the asymmetry can be inverted."""
     segments = structure.segments
     while True:
-        structure = Structure(
-            structure.slopes, structure.memories, segments, structure.smoothness, structure.bend
-        )
+        structure = replace(structure, segments=segments)
         statistics = gather(logs, basis, segments)
         gram, rows = statistics.total()
         solution = solve(gram, statistics.columns, structure, rows)
@@ -133,43 +135,55 @@ def _rows_about(fitted: Fitted) -> Linearise:
     return rows
 
 
-def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -> Fitted:
-    """Gauss-Newton steps while they lower the penalised output error; the best point met is kept.
+def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -> Fitted | None:
+    """Gauss-Newton steps while they lower the penalised output error; None where they gain too little.
 
     Where noise is small beside what no model of this class can follow, the two errors differ by their
     weights alone and the convex problem's solution predicts as well or better; so a refined model must earn
     its place.
     """
-    best: tuple[float, Fitted] | None = None
-    unrefined: tuple[float, Fitted] | None = None
-    current = start
     segments = len(start.knots) - 1
+    if segments == 1:
+        return None  # without an asymmetry the two errors are one
+    first = best = np.inf
+    found: Fitted | None = None
+    current = start
     for _ in range(STEPS):
         statistics = gather(logs, current.basis, segments, _rows_about(current))
         gram, rows = statistics.total()
-        columns = statistics.columns
-        drift = slice(columns.total - columns.drift, columns.total)
-        deviation = current.knots[1:-1] - np.arange(1, segments) / segments
-        vector = np.concatenate((current.heights, current.gains, deviation, np.zeros(columns.drift)))
-        form = penalties(columns, structure, rows)
+        vector, drift = _vector_of(current, statistics.columns)
+        form = penalties(statistics.columns, structure, rows)
         error = squared_error_free_of(gram, vector, drift) + float(vector @ form @ vector)
-        if best is not None and error > best[0] * (1.0 - 1e-5):
+        if error > best * (1.0 - 1e-4):
             break
-        best = (error, _with_drift(current, gram, vector, drift))
-        unrefined = unrefined or best
+        first = error if found is None else first
+        best, found = error, _with_drift(current, gram, vector, drift)
         try:
-            solution: Solution = solve(gram, columns, structure, rows)
+            solution: Solution = solve(gram, statistics.columns, structure, rows)
         except FitError:
             break
         knots = corners(solution.knots, segments)
-        if segments > 1 and not invertible(knots):
+        if not invertible(knots):
             break
-        current = Fitted(
-            current.basis, solution.heights, solution.gains, current.origin, knots, solution.drift
+        current = replace(
+            current, heights=solution.heights, gains=solution.gains, knots=knots, drift=solution.drift
         )
-    if best is None or unrefined is None:
-        return start
-    return best[1] if best[0] < (1.0 - WORTHWHILE) * unrefined[0] else unrefined[1]
+    return found if best < (1.0 - WORTHWHILE) * first else None
+
+
+def _levelled(logs: Sequence[PreparedLog], fitted: Fitted) -> Fitted:
+    """Return the same model with offset and drift taken from the output error."""
+    statistics = gather(logs, fitted.basis, len(fitted.knots) - 1, _rows_about(fitted))
+    gram, _ = statistics.total()
+    return _with_drift(fitted, gram, *_vector_of(fitted, statistics.columns))
+
+
+def _vector_of(fitted: Fitted, columns: Columns) -> tuple[Floats, slice]:
+    """Return the unknowns as they are in ``fitted``, drift left at zero, and where the drift stands."""
+    segments = len(fitted.knots) - 1
+    deviation = fitted.knots[1:-1] - np.arange(1, segments) / segments
+    vector = np.concatenate((fitted.heights, fitted.gains, deviation, np.zeros(columns.drift)))
+    return vector, slice(columns.total - columns.drift, columns.total)
 
 
 def _with_drift(fitted: Fitted, gram: Floats, vector: Floats, drift: slice) -> Fitted:
@@ -177,5 +191,4 @@ def _with_drift(fitted: Fitted, gram: Floats, vector: Floats, drift: slice) -> F
     full = np.append(vector, -1.0)
     own = gram[drift, drift]
     ridge = 1e-12 * float(np.trace(own)) * np.eye(len(own))
-    best = -np.linalg.solve(own + ridge, gram[drift, :] @ full)
-    return Fitted(fitted.basis, fitted.heights, fitted.gains, fitted.origin, fitted.knots, best)
+    return replace(fitted, drift=-np.linalg.solve(own + ridge, gram[drift, :] @ full))

@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.operators import (
     DiscreteBacklashOperator,
     DiscretePointOperator,
 )
+from dbo_cli.hysteresis.relaxation import Relaxation
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -100,18 +101,9 @@ def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[f
     """
     if not time_constants or seconds is None:
         return np.empty((len(drive), 0))
-    from scipy.linalg import solve_banded
-
-    steps = np.diff(seconds)
-    columns = np.empty((len(drive), len(time_constants)))
-    for place, tau in enumerate(time_constants):
-        keep = np.exp(-np.maximum(steps, 0.0) / tau)
-        bands = np.ones((2, len(drive)))
-        bands[1, :-1] = -keep
-        bands[1, -1] = 0.0
-        entering = np.concatenate((drive[:1], (1.0 - keep) * drive[1:]))
-        columns[:, place] = solve_banded((1, 0), bands, entering, check_finite=False)
-    return columns
+    steps = np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
+    terms = Relaxation(0.0, time_constants, (0.0,) * len(time_constants))
+    return terms.lags(drive, steps)[0]
 
 
 def hat_functions(position: Floats, segments: int) -> Floats:

@@ -18,9 +18,13 @@ from dbo_cli.hysteresis.identification.selection import (
     no_worse,
     simplest_of,
 )
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, Statistics, gather
+from dbo_cli.hysteresis.identification.statistics import (
+    PreparedLog,
+    Statistics,
+    fewer_rows,
+    gather,
+)
 
-SELECTION_ROWS = 60_000  # orders are chosen on at most so many rows; the final fit uses all
 ALL_GEARS = 1024
 GEAR_CHOICES = (128, 256, 512, 1024)
 SLOPE_CHOICES = (64, 128, 32)  # different slopes among the gears, in the order of preference
@@ -67,23 +71,6 @@ class Choice:
     segments: int
     delay_interval: tuple[float, float] | None
     clockwise: float
-
-
-def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
-    """Keep at most ``limit`` rows, whole stretches of every fold, for choosing orders on."""
-    total = sum(int((log.fold >= 0).sum()) for log in logs)
-    if total <= limit:
-        return list(logs)
-    kept = []
-    for log in logs:
-        fold = log.fold.copy()
-        folds = np.unique(fold[fold >= 0])
-        quota = int(limit * (fold >= 0).sum() / total / len(folds))
-        for k in folds:
-            rows = np.flatnonzero(fold == k)
-            fold[rows[quota:]] = -1
-        kept.append(replace(log, fold=fold))
-    return kept
 
 
 def sample_period(logs: Sequence[PreparedLog]) -> float | None:

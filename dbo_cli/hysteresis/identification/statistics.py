@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, hat_f
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+SELECTION_ROWS = 60_000  # orders are chosen on at most so many rows; the final fit uses all
+
 Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 
@@ -48,6 +50,23 @@ class Statistics:
         """Sum over the folds, all or all but one: the products and the number of rows."""
         keep = [k for k in range(len(self.grams)) if k != leave_out]
         return np.sum([self.grams[k] for k in keep], axis=0), sum(self.rows[k] for k in keep)
+
+
+def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
+    """Keep at most ``limit`` rows, whole stretches of every fold, for choosing orders on."""
+    total = sum(int((log.fold >= 0).sum()) for log in logs)
+    if total <= limit:
+        return list(logs)
+    kept = []
+    for log in logs:
+        fold = log.fold.copy()
+        folds = np.unique(fold[fold >= 0])
+        quota = int(limit * (fold >= 0).sum() / total / len(folds))
+        for k in folds:
+            rows = np.flatnonzero(fold == k)
+            fold[rows[quota:]] = -1
+        kept.append(replace(log, fold=fold))
+    return kept
 
 
 def equation_rows(segments: int) -> Linearise:
