@@ -79,6 +79,24 @@ def test_samples_that_are_not_numbers_are_left_out_and_counted():
     assert (figures.samples, figures.not_finite, figures.rmse) == (97, 3, pytest.approx(1.0, abs=1e-12))
 
 
+@pytest.mark.parametrize("scale", [5e-324, 1e-300, 1e-150, 1e-9, 1e69])
+def test_no_scale_breaks_it(scale):
+    desired = sine(500, 100, amplitude=1.0) * scale
+    figures = figures_of(desired, desired + np.where(np.arange(500) % 2, scale, -scale) * 0.25)
+    assert all(value is None or math.isfinite(value) for value in vars(figures).values())
+    if scale >= 1e-150:
+        assert figures.rmse == pytest.approx(0.25 * scale, rel=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e71, 1e308, np.inf])
+def test_beyond_what_can_be_squared_counts_as_no_number(scale):
+    metrics = TrackingMetrics()
+    metrics.add(np.array([1.0, scale, 2.0]), np.array([1.0, 1.0, -scale]))
+    figures = metrics.result()
+    assert figures is not None
+    assert (figures.samples, figures.not_finite, metrics.missing) == (1, 2, [1, 1])
+
+
 def test_no_number_at_all():
     metrics = TrackingMetrics()
     metrics.add(np.arange(5.0), np.full(5, np.nan))

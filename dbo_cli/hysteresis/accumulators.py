@@ -29,6 +29,15 @@ _LOOP_BINS = 64
 _LOOP_LEAST = 3
 
 
+LARGEST = 1e70
+_SMALLEST_SPAN = 1e-290
+
+
+def usable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
+    """Return where a pair can be compared: both are numbers, and so small that their squares are too."""
+    return (np.abs(desired) < LARGEST) & (np.abs(measured) < LARGEST)
+
+
 class Batches:
     """Cut a stream of equally long columns into batches of one fixed length.
 
@@ -213,7 +222,7 @@ class LoopWidth:
         low, high = float(desired.min()), float(desired.max())
         if self._width == 0.0:
             span = high - low
-            scale = span if span > 0.0 else max(abs(low), 1.0) * 2.0**-40
+            scale = max(span if span > 0.0 else max(abs(low), 1.0) * 2.0**-40, _SMALLEST_SPAN)
             self._width = 2.0 ** math.floor(math.log2(scale / _GRID_BINS) + 1)
             self._first = math.floor(low / self._width)
         while True:

@@ -18,6 +18,7 @@ from dbo_cli.hysteresis.accumulators import (
     Floats,
     LoopWidth,
     PhaseLag,
+    usable,
 )
 
 
@@ -144,17 +145,15 @@ class TrackingMetrics:
             return
         first = self._times[0] if self._times else float(time[0])
         self._times = (first, float(time[-1]))
-        error = measured - desired
-        finite = np.isfinite(error)
+        finite = usable(desired, measured)
         if not finite.all():
-            self._not_finite += int(len(error) - np.count_nonzero(finite))
+            self._not_finite += int(len(finite) - np.count_nonzero(finite))
             for which, column in enumerate((desired, measured)):
-                self.missing[which] += int(len(column) - np.count_nonzero(np.isfinite(column)))
-            desired, measured, row, time, error = (
-                array[finite] for array in (desired, measured, row, time, error)
-            )
-        if len(error) == 0:
+                self.missing[which] += int(len(column) - np.count_nonzero(usable(column, column)))
+            desired, measured, row, time = (array[finite] for array in (desired, measured, row, time))
+        if len(desired) == 0:
             return
+        error = measured - desired
         self._range = (min(self._range[0], float(desired.min())), max(self._range[1], float(desired.max())))
         self.distribution.add(error)
         shifted = error - self.distribution.centre

@@ -126,7 +126,13 @@ class _LogView:
     def histogram(self, axes: Axes) -> None:
         values, counts = self._traces.distribution.values()
         bins = int(min(max(math.sqrt(self._figures.samples), 12), 60))
-        share, edges = np.histogram(values - self._offset, bins, weights=counts)
+        low, high = float(values[0]) - self._offset, float(values[-1]) - self._offset
+        margin = max(1e-9 * max(abs(low), abs(high)), 1e-290)
+        if high - low < margin:  # one value, or as good as one: no room for bins
+            low, high = low - margin, high + margin
+        share, edges = np.histogram(
+            np.clip(values - self._offset, low, high), bins, range=(low, high), weights=counts
+        )
         axes.bar(
             edges[:-1],
             100.0 * share / self._figures.samples,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.hysteresis.accumulators import BATCH, Floats
+from dbo_cli.hysteresis.accumulators import BATCH, Floats, usable
 from dbo_cli.records.blocks import Places, join_places
 
 LAG_WINDOW = 1 << 18
@@ -155,18 +155,19 @@ def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[Pair
         return 0, iter(window)
     desired = np.concatenate([block.desired for block in window])[:LAG_WINDOW]
     measured = np.concatenate([block.measured for block in window])[:LAG_WINDOW]
-    finite = np.isfinite(desired) & np.isfinite(measured)
+    finite = usable(desired, measured)
     if not finite.any():
         raise InputError(f"{name}: no sample is a number, so no lag can be found")
-    desired = np.where(finite, desired - desired[finite].mean(), 0.0)
-    measured = np.where(finite, measured - measured[finite].mean(), 0.0)
+    desired = np.where(finite, desired, 0.0) - np.where(finite, desired[finite].mean(), 0.0)
+    measured = np.where(finite, measured, 0.0) - np.where(finite, measured[finite].mean(), 0.0)
+    scale = max(float(np.abs(desired).max()), float(np.abs(measured).max()), 1e-290)
 
     def again() -> Iterator[PairBlock]:
         yield from window
         window.clear()
         yield from source
 
-    return _best_lag(desired, measured), again()
+    return _best_lag(desired / scale, measured / scale), again()
 
 
 def batched(blocks: Iterable[PairBlock], size: int = BATCH) -> Iterator[PairBlock]:

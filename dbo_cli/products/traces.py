@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.hysteresis.accumulators import BATCH, Batches, ErrorDistribution, Floats
+from dbo_cli.hysteresis.accumulators import BATCH, Batches, ErrorDistribution, Floats, usable
 from dbo_cli.hysteresis.metrics import TrackingFigures
 from dbo_cli.products.pairs import PairBlock
 
@@ -144,7 +144,10 @@ class Pixels:
             self._mark(*between)
 
     def _mark(self, across: Floats, up: Floats) -> None:
-        self._passed.ravel()[up.astype(np.int64) * PIXELS + across.astype(np.int64)] = True
+        column, row = across.astype(np.int64), up.astype(np.int64)
+        for place in (column, row):  # between two samples at the edge, rounding may step over it
+            np.clip(place, 0, PIXELS - 1, out=place)
+        self._passed.ravel()[row * PIXELS + column] = True
 
     def raster(self) -> Raster:
         """Return the pixels and where they lie."""
@@ -156,7 +159,7 @@ class Pixels:
         low, high = float(values.min()), float(values.max())
         width = self._width[axis]
         if width == 0.0:
-            span = high - low if high > low else max(abs(high), 1.0) * 1e-6
+            span = max(high - low if high > low else max(abs(high), 1.0) * 1e-6, 1e-290)
             width = 2.0 ** math.floor(math.log2(span / PIXELS) + 1)
             self._width[axis], self._first[axis] = width, math.floor(low / width)
         while True:
@@ -269,7 +272,7 @@ class Traces:
         time = block.row_numbers() if block.time is None else block.time
         drive = np.zeros(len(block)) if block.drive is None else block.drive
         columns = (time, block.desired, block.measured, drive)
-        finite = np.isfinite(block.desired) & np.isfinite(block.measured) & np.isfinite(drive)
+        finite = usable(block.desired, block.measured) & usable(drive, drive)
         if not finite.all():
             columns = (time[finite], block.desired[finite], block.measured[finite], drive[finite])
         for batch in self._batches.add(*columns):
