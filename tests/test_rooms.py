@@ -68,7 +68,7 @@ def test_only_the_shell_prints_and_exits() -> None:
 def test_modules_and_functions_stay_small() -> None:
     for path in MODULES:
         text = path.read_text(encoding="utf-8")
-        assert text.count("\n") <= 420, path
+        assert text.count("\n") <= 450, path
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef) and node.body:
                 last = node.body[-1].end_lineno

@@ -12,10 +12,12 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli import __version__
+from dbo_cli.cli import options
 from dbo_cli.errors import UsageError
 
 COMMANDS = ("identify", "invert", "simulate", "compensate", "report", "excite")
 PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
+HEADINGS = ("Arguments", "Options", options.STATE, options.READING, options.COMMON)
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
@@ -39,20 +41,18 @@ class PlainCommand(PlainValues, TyperCommand):
     """A command whose help lists its options under headings, in plain text."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments first, then the options of each heading in the order they were declared."""
-        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        """Write arguments first, then each heading's options as declared, columns before the rest."""
+        sections: dict[str, list[Any]] = {heading: [] for heading in HEADINGS}
         for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record is None:
-                continue
-            heading = getattr(parameter, "rich_help_panel", None) or "Options"
-            if parameter.param_type_name == "argument":
-                heading, record = "Arguments", (parameter.metavar, parameter.help)
-            sections.setdefault(heading, []).append(record)
-        for heading, records in sections.items():
-            if records:
+            is_argument = parameter.param_type_name == "argument"
+            named = getattr(parameter, "rich_help_panel", None)  # the library's own --help has none
+            heading = "Arguments" if is_argument else named or "Options"
+            sections[heading].append(parameter)
+        for heading, parameters in sections.items():
+            if parameters:
+                parameters.sort(key=lambda parameter: parameter.metavar != options.COLUMN)
                 with formatter.section(heading):
-                    formatter.write_dl(records, col_max=28)
+                    formatter.write_dl([_explained(parameter, ctx) for parameter in parameters], col_max=28)
 
 
 class Commands(PlainValues, TyperGroup):
@@ -84,6 +84,14 @@ def root_command() -> Any:
     app = typer.Typer(cls=Commands, no_args_is_help=False, context_settings=CONTEXT, **PLAIN)  # type: ignore[arg-type]
     app.callback(invoke_without_command=True)(_root)
     return typer.main.get_command(app)
+
+
+def _explained(parameter: Any, context: Any) -> tuple[str, str]:
+    """Return how a parameter is written and what it means."""
+    if parameter.param_type_name == "argument":
+        return parameter.metavar, parameter.help or ""
+    written, meaning = parameter.get_help_record(context)
+    return written, meaning
 
 
 def _root(

@@ -12,6 +12,7 @@ import typer
 READING = "Reading logs"
 COMMON = "Output and messages"
 STATE = "State"
+COLUMN = "COLUMN"
 
 
 def _argument(metavar: str, meaning: str) -> Any:
@@ -59,20 +60,20 @@ Debug = Annotated[bool, _common("--debug", None, "Show the traceback of an error
 Flush = Annotated[bool, _common("--flush", None, "Write each row as soon as it is there (live streams).")]
 
 # --- columns: a header name, a dataset path, or a number counted from 1 ---
-Voltage = Annotated[str | None, _reading("--voltage", "COLUMN", "The drive voltage; guessed by name.")]
+Voltage = Annotated[str | None, _reading("--voltage", COLUMN, "The drive voltage; guessed by name.")]
 ReportVoltage = Annotated[
     str | None,
-    _reading("--voltage", "COLUMN", "The drive voltage, for --model and the figures; guessed by name."),
+    _reading("--voltage", COLUMN, "The drive voltage, for --model and the figures; guessed by name."),
 ]
-Displacement = Annotated[str | None, _reading("--displacement", "COLUMN", "Displacement; guessed by name.")]
-Input = Annotated[str | None, _reading("--input", "COLUMN", "The model's input; guessed by name.")]
-Desired = Annotated[str | None, _reading("--desired", "COLUMN", "What was wanted; guessed by name.")]
-Measured = Annotated[str | None, _reading("--measured", "COLUMN", "What came out; guessed by name.")]
+Displacement = Annotated[str | None, _reading("--displacement", COLUMN, "Displacement; guessed by name.")]
+Input = Annotated[str | None, _reading("--input", COLUMN, "The model's input; guessed by name.")]
+Desired = Annotated[str | None, _reading("--desired", COLUMN, "What was wanted; guessed by name.")]
+Measured = Annotated[str | None, _reading("--measured", COLUMN, "What came out; guessed by name.")]
 Time = Annotated[
     str | None,
     _reading(
         "--time",
-        "COLUMN",
+        COLUMN,
         "Time, as every column a header name, a dataset path, or a number counted from 1; guessed by name.",
     ),
 ]
