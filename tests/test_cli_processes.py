@@ -120,6 +120,17 @@ def test_flush_gives_each_sample_as_it_comes(folder: Path) -> None:
     assert ended(running) == (0, b"", b"")
 
 
+def wait_until_quiet(folder: Path) -> None:
+    """Wait until the unfinished output has grown as far as it can before the next row arrives."""
+    size, since = 0, time.monotonic()
+    while time.monotonic() - since < (0.5 if size else 60.0):
+        partial = [path.stat().st_size for path in folder.glob(".out.csv*.partial")]
+        if partial and partial[0] > size:
+            size, since = partial[0], time.monotonic()
+        time.sleep(0.02)
+    assert size > 0, "no unfinished output stands beside the old one"
+
+
 @posix
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_leaves_the_old_output_and_no_litter(folder: Path, number: int, code: int) -> None:
@@ -128,11 +139,7 @@ def test_an_interrupt_leaves_the_old_output_and_no_litter(folder: Path, number: 
     assert running.stdin is not None
     running.stdin.write(b"voltage_V\n" + b"1\n2\n" * 400_000)
     running.stdin.flush()
-    for _ in range(600):
-        if len(folder_content(folder)) > 2:
-            break
-        time.sleep(0.05)
-    assert len(folder_content(folder)) == 3, "the unfinished output stands beside the old one"
+    wait_until_quiet(folder)
     running.send_signal(number)
     said = b"dbo: interrupted\n" if number == signal.SIGINT else b""
     assert ended(running) == (code, b"", said)
