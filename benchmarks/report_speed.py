@@ -74,13 +74,16 @@ def main() -> None:
         for name in ("log.csv", "log.h5"):
             log = Path(folder, name)
             write_log(log, rows)
-            figures = ["--figures", f"{folder}/figures", "-o", f"{folder}/report.html"]
+            figures = ["--voltage", "voltage", "--figures", f"{folder}/figures"]
+            page = ["-o", f"{folder}/report.html"]
             ways = {
                 "read and do nothing": [sys.executable, f"{folder}/read.py", str(log)],
                 "report": [*dbo, str(log)],
                 "report, automatic lag": [*dbo, str(log), "--lag", "auto"],
                 "report by 10 s": [*dbo, str(log), "--segment", "10"],
-                "report, figures and page": [*dbo, str(log), "--voltage", "voltage", *figures],
+                "report, 14 figure files": [*dbo, str(log), *figures],
+                "report, page of 7 figures": [*dbo, str(log), "--voltage", "voltage", *page],
+                "report, both": [*dbo, str(log), *figures, *page],
             }
             print(f"{name}: {rows} rows, {log.stat().st_size / 1e6:.0f} MB")
             reading = 0.0

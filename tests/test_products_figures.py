@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import OutputError
+from dbo_cli.hysteresis.accumulators import BATCH
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.products.drawing import check_folder, draw, file_stems, save
@@ -72,12 +73,12 @@ def model(gears=5, points=3):
 
 
 class TestEnvelope:
-    @pytest.mark.parametrize("samples", [1, 9, BUCKETS, BUCKETS + 1, 65536, 200_001])
+    @pytest.mark.parametrize("samples", [1, 9, BUCKETS, BUCKETS + 1, BATCH, 200_001])
     def test_keeps_the_extremes(self, samples):
         values = np.cumsum(np.random.default_rng(samples).normal(size=samples))
         envelope = Envelope()
-        for start in range(0, samples, 65536):
-            part = slice(start, min(start + 65536, samples))
+        for start in range(0, samples, BATCH):
+            part = slice(start, min(start + BATCH, samples))
             envelope.add(np.arange(part.start, part.stop, dtype=float), values[part])
         band = envelope.band()
         assert len(band.x) <= BUCKETS
@@ -88,8 +89,8 @@ class TestEnvelope:
     def test_stretches_are_even_and_each_keeps_its_own_extremes(self):
         values = np.random.default_rng(0).normal(size=131072)
         envelope = Envelope()
-        for part in np.split(values, 2):
-            envelope.add(np.zeros(65536), part)
+        for part in np.split(values, 131072 // BATCH):
+            envelope.add(np.zeros(BATCH), part)
         stretches = values.reshape(2048, 64)
         band = Band(np.zeros(2048), stretches.min(axis=1), stretches.max(axis=1))
         assert np.array_equal(envelope._done[1], band.low)

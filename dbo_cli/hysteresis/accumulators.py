@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-BATCH = 65536
+BATCH = 32768
 Floats = NDArray[np.float64]
 
 _MANTISSA_BITS = 9

@@ -129,13 +129,15 @@ def _frame(size: tuple[float, float], headed: bool) -> tuple[float, float, float
 
 def _fit_left(figure: Figure, axes: Axes) -> None:
     """Give tick labels wider than usual the room they need."""
-    box = axes.get_tightbbox(figure.canvas.get_renderer())  # type: ignore[attr-defined]
-    if box is None:
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    boxes = [box for axis in (axes.xaxis, axes.yaxis) if (box := axis.get_tightbbox(renderer)) is not None]
+    if not boxes:
         return
+    left, right = min(box.x0 for box in boxes), max(box.x1 for box in boxes)
     width = figure.get_size_inches()[0] * figure.dpi
     place = axes.get_position()
-    x0 = max(place.x0 + (0.06 * figure.dpi - box.x0) / width, 0.0)
-    x1 = min(place.x1, place.x1 - (box.x1 - width + 0.06 * figure.dpi) / width)
+    x0 = max(place.x0 + (0.06 * figure.dpi - left) / width, 0.0)
+    x1 = min(place.x1, place.x1 - (right - width + 0.06 * figure.dpi) / width)
     axes.set_position((x0, place.y0, x1 - x0, place.height))
 
 

@@ -31,6 +31,9 @@ MOST_SEGMENTS = 10_000
 class Collector(Protocol):
     """What looks at every block on its way, e.g. the traces that figures are drawn from."""
 
+    def begin(self, labels: tuple[str, str]) -> None:
+        """Learn what is compared with what."""
+
     def add(self, block: PairBlock) -> None:
         """Take one block."""
 
@@ -210,6 +213,8 @@ def evaluate(
     if lag == "auto":
         lag, blocks = find_lag(name, blocks)
         notes.append(f"{name}: measured follows best at a lag of {_samples(lag)}")
+    if traces is not None:
+        traces.begin(options.labels)
     whole = TrackingMetrics(remove_offset=options.remove_offset)
     ledger = _SegmentLedger(name, options)
     for part in _segmented(batched(lagged(name, blocks, lag)), options.segment, sample_rate):

@@ -130,13 +130,16 @@ class Pixels:
         if len(x) == 1:
             self._mark(across, up)
             return
-        jump = np.maximum(np.abs(np.diff(across)), np.abs(np.diff(up)))
+        jump = np.diff(across)
+        np.abs(jump, out=jump)
+        rise = np.diff(up)
+        np.maximum(jump, np.abs(rise, out=rise), out=jump)
         typical = float(np.quantile(jump[:: 1 + len(jump) // 4096], 0.99))
         usual = min(math.ceil(max(typical, 1.0)), max(8, min(32, 8 * BATCH // len(x))))
-        for step in range(usual):
+        self._mark(across, up)
+        for step in range(1, usual):
             part = step / usual
             self._mark((1.0 - part) * across[:-1] + part * across[1:], (1.0 - part) * up[:-1] + part * up[1:])
-        self._mark(across[-1:], up[-1:])
         spikes = np.flatnonzero(jump > usual + 3.0)  # few, and not to be lost
         for at in spikes[np.argsort(-jump[spikes], kind="stable")[:200]].tolist():
             parts = np.linspace(0.0, 1.0, math.ceil(jump[at]) + 1)
@@ -261,9 +264,12 @@ class Traces:
         self._batches = Batches(4)
         self._whole: tuple[Floats, ...] | None = None
         self._envelopes = {name: Envelope() for name in ("desired", "measured", "error", "drive")}
-        self._pixels = {
-            pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"), ("drive", "desired"))
-        }
+        self._pixels = {pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"))}
+
+    def begin(self, labels: tuple[str, str]) -> None:
+        """Prepare for what is compared: the loop of a model is drawn beside the measured one."""
+        if labels[0] == "model":
+            self._pixels["drive", "desired"] = Pixels()
 
     def add(self, block: PairBlock) -> None:
         """Take one block of pairs."""
