@@ -79,7 +79,7 @@ def tracking(parameters: ActuatorParameters, seed: int) -> tuple[float, float, f
 
 def main() -> None:
     """Print one line a preset and seed, and the verdict."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--seeds", type=int, default=3)
     seeds = parser.parse_args().seeds
     print("preset        seed  straight line  compensated  ratio   noise  without lag  ratio")

@@ -73,7 +73,7 @@ class DriveShape:
 def turning_points(signal: Floats, threshold: float) -> Integers:
     """Rows where ``signal`` reverses by more than ``threshold``: alternating maxima and minima.
 
-    The last sample of a plateau counts as the turn. The two ends of the signal are not turning points.
+    The first sample of a plateau counts as the turn. The two ends of the signal are not turning points.
     """
     slope = np.sign(np.diff(signal))
     moving = np.flatnonzero(slope)

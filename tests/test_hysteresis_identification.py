@@ -1,0 +1,304 @@
+"""Identification as a whole: operators found again, nuisances kept out, what is said, what is refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import FitError, UsageError
+from dbo_cli.hysteresis.identification import (
+    Identification,
+    IdentificationOptions,
+    Recording,
+    identify,
+)
+from dbo_cli.hysteresis.identification.evaluation import predict
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    PointStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+)
+from dbo_cli.records.model_file import model_to_bytes
+
+PERIOD = 0.01
+STATIC = IdentificationOptions(relaxation=(), delay=0.0)
+NOISE = 0.03
+Floats = np.ndarray
+Change = Callable[[Floats], Floats]
+
+
+def nested(cycles: int = 8, samples: int = 150, top: float = 10.0) -> Floats:
+    """Return two full cycles, then ever smaller ones about the middle of the range."""
+    phase = 2.0 * np.pi * np.arange(samples) / samples
+    heights = np.concatenate(([1.0, 1.0], np.linspace(0.95, 0.3, cycles - 2)))
+    return np.concatenate([top * (0.5 - 0.5 * height * np.cos(phase)) for height in heights])
+
+
+def actuator(falling: bool = False, gain: float = 4.0, relaxation: Relaxation | None = None) -> ActuatorModel:
+    """Return an operator of 2000 gears with an asymmetry, over 0 to 10 V."""
+    slopes = 0.6 + 0.8 * np.sqrt(np.arange(2000) / 1999.0)
+    widths = np.full(2000, 0.005)
+    gears = BacklashStage(widths, widths * (slopes[::-1] if falling else slopes), 0.0, 0.0, relaxation)
+    total = gears.dy.sum()
+    points = PointStage([0.3 * total, 0.25 * total, 0.25 * total, 0.3 * total], [2.5, 2.4, 2.6, 3.1])
+    return ActuatorModel(
+        "forward", Quantity("voltage", "V", 0.0, 10.0), Quantity("displacement", "um", -100.0, 100.0),
+        (gears, points, ScaleStage(gain, 3.0)),
+    )  # fmt: skip
+
+
+def record(model: ActuatorModel, voltage: Floats, seed: int = 1, change: Change | None = None) -> Recording:
+    clean = Recording("log", voltage, voltage, sample_period=PERIOD)
+    displacement = predict(model, clean, "empty")
+    noisy = displacement + NOISE * np.random.default_rng(seed).normal(size=len(voltage))
+    return replace(
+        clean,
+        displacement=noisy if change is None else change(noisy),
+        voltage_unit="V",
+        displacement_unit="um",
+    )
+
+
+def held_out(result: Identification, truth: ActuatorModel) -> float:
+    """Return the error on a drive with other turning points, offset removed, without noise."""
+    k = np.arange(1200)
+    voltage = 5.0 - 2.2 * np.cos(k / 31.0) - 2.0 * np.cos(k / 47.0)
+    drive = np.concatenate((np.linspace(0.0, 10.0, 80), np.linspace(10.0, 0.0, 80), voltage))
+    test = Recording("test", drive, drive, sample_period=PERIOD)
+    error = (predict(result.model, test, "empty") - predict(truth, test, "empty"))[160:]
+    return float(np.std(error))
+
+
+@pytest.mark.parametrize("falling", [False, True])
+@pytest.mark.parametrize("gain", [4.0, -4.0])
+def test_an_operator_is_found_again(falling: bool, gain: float) -> None:
+    truth = actuator(falling, gain)
+    result = identify([record(truth, nested())])
+    span = 10.6 * 4.0
+    assert result.fit["slopes"] == ("falling" if falling else "growing")
+    assert result.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert held_out(result, truth) < 0.0006 * span
+    scale = next(stage for stage in result.model.stages if isinstance(stage, ScaleStage))
+    assert np.sign(scale.gain) == np.sign(gain)
+    assert result.fit["delay_seconds"] == 0.0
+
+
+def test_lag_and_creep_are_found_beside_the_gears() -> None:
+    truth = actuator(relaxation=Relaxation(0.0, (0.03, 2.0), (0.08, 0.04)))
+    log = record(truth, nested(10, 200))
+    auto = identify([log])
+    static = identify([log], STATIC)
+    assert auto.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert held_out(auto, truth) < 0.35 * held_out(static, truth)
+    assert auto.model.backlash.relaxation is not None
+
+
+def test_a_pure_delay_is_found_within_its_interval() -> None:
+    truth = actuator()
+    log = record(truth, nested(10, 120))
+    late = np.interp(np.arange(len(log.voltage)) - 2.5, np.arange(len(log.voltage)), log.displacement)
+    result = identify([replace(log, displacement=late)])
+    low, high = result.fit["delay_interval_seconds"]  # type: ignore[misc]
+    assert low - 1e-9 <= 2.5 * PERIOD <= high + 1e-9
+    assert result.fit["lag_seconds"] == pytest.approx(2.5 * PERIOD, rel=0.1)
+
+
+def test_uneven_sampling_is_as_good_as_even() -> None:
+    truth = actuator(relaxation=Relaxation(0.0, (0.05,), (0.1,)))
+    voltage = nested(10, 200)
+    rng = np.random.default_rng(4)
+    time = np.cumsum(rng.uniform(0.5, 1.5, len(voltage))) * PERIOD
+    clean = Recording("log", voltage, voltage, time, None, "V", "um")
+    measured = predict(truth, clean, "empty") + NOISE * rng.normal(size=len(voltage))
+    result = identify([replace(clean, displacement=measured)])
+    assert result.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+
+
+def test_each_log_has_its_own_sensor_offset() -> None:
+    truth = actuator()
+    first = record(truth, nested(), 1)
+    second = replace(record(truth, nested(6, 130), 2), name="second")
+    moved = replace(second, displacement=second.displacement + 55.0)
+    together = identify([first, moved], STATIC)
+    assert together.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    still = Recording("test", nested(), nested(), sample_period=PERIOD)
+    assert np.abs(predict(together.model, still, "empty") - predict(truth, still, "empty")).max() < 0.1
+
+
+def test_drift_spikes_and_clipping_stay_out_of_the_gears() -> None:
+    truth = actuator()
+    clean = identify([record(truth, nested())], STATIC)
+
+    def drifting(y: Floats) -> Floats:
+        return y + np.linspace(0.0, 2.0, len(y))
+
+    def spiked(y: Floats) -> Floats:
+        out = y.copy()
+        out[[200, 555, 790]] += [30.0, -25.0, 40.0]
+        return out
+
+    drift = identify([record(truth, nested(), change=drifting)], STATIC)
+    assert drift.fit["logs"][0]["drift"] == pytest.approx(2.0, rel=0.1)  # type: ignore[index]
+    assert held_out(drift, truth) < 2.0 * held_out(clean, truth) + 0.01
+    assert any("sensor drift of 1.88" in line for line in drift.summary)
+
+    spikes = identify([record(truth, nested(), change=spiked)], STATIC)
+    assert spikes.fit["logs"][0]["outlier_rows"] == 3  # type: ignore[index]
+    assert spikes.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert any("3 outlying rows left out" in line and "row 201" in line for line in spikes.summary)
+
+    clipped = identify([record(truth, nested(), change=lambda y: np.minimum(y, 40.0))], STATIC)
+    assert clipped.fit["logs"][0]["clipped_rows"] > 20  # type: ignore[index]
+    assert clipped.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert any("(clipped)" in line for line in clipped.summary)
+
+
+def test_the_unknown_history_before_the_log_is_left_out() -> None:
+    truth = actuator()
+    voltage = np.concatenate((nested(3, 100)[130:], nested(8, 150)))
+    log = record(truth, voltage)
+    memory = log.displacement.copy()
+    memory[:60] += np.linspace(1.5, 0.0, 60)  # what an unknown earlier state would add
+    result = identify([replace(log, displacement=memory)], STATIC)
+    assert result.fit["logs"][0]["transient_rows"] > 60  # type: ignore[index]
+    assert result.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert any("history is unknown" in line for line in result.summary)
+
+
+def test_a_model_is_judged_on_a_log_it_has_not_seen() -> None:
+    truth = actuator()
+    other = replace(record(truth, nested(5, 170), 9), name="other")
+    result = identify([record(truth, nested())], STATIC, [other])
+    assert result.fit["validation_rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert any(line.startswith("other: predicts it to") for line in result.summary)
+
+
+def test_orders_given_are_orders_taken() -> None:
+    log = record(actuator(), nested())
+    options = IdentificationOptions(gears=24, points=3, relaxation=(0.02,), delay=0.005, slopes="growing")
+    result = identify([log], options)
+    assert result.model.backlash.n == 24
+    assert (result.fit["gears"], result.fit["points"], result.fit["delay_seconds"]) == (24, 3, 0.005)
+    plain = identify([log], replace(options, points=0, relaxation=(), delay=0.0))
+    assert [type(stage) for stage in plain.model.stages] == [BacklashStage, ScaleStage]
+
+
+def test_zero_is_where_the_user_says() -> None:
+    log = record(actuator(), nested())
+    as_logged = identify([log], STATIC).model
+    for zero, level in (("mean", log.displacement.mean()), ("first", log.displacement[0]), (7.5, 7.5)):
+        moved = identify([log], replace(STATIC, zero=zero)).model
+        assert moved.output.minimum == pytest.approx(as_logged.output.minimum - level, abs=1e-9)
+
+
+def test_the_same_log_gives_the_same_bytes() -> None:
+    log = record(actuator(relaxation=Relaxation(0.0, (0.03,), (0.1,))), nested())
+    assert model_to_bytes(identify([log]).model) == model_to_bytes(identify([log]).model)
+
+
+def test_no_better_than_a_line_is_refused_unless_forced() -> None:
+    rng = np.random.default_rng(2)
+    voltage = nested()
+    line = Recording("line", voltage, 3.0 * voltage + rng.normal(size=len(voltage)), sample_period=PERIOD)
+    with pytest.raises(FitError, match=r"no better than a straight line .* \(--force keeps the model\)$"):
+        identify([line])
+    kept = identify([line], IdentificationOptions(force=True))
+    assert any("no better than a straight line" in warning for warning in kept.warnings)
+
+
+def warnings_of(log: Recording, options: IdentificationOptions = STATIC) -> str:
+    return "\n".join(identify([log], replace(options, force=True)).warnings)
+
+
+def test_what_a_user_is_warned_of() -> None:
+    truth = actuator()
+    log = record(truth, nested())
+    assert identify([log]).warnings == []
+    same = record(truth, np.tile(nested(3)[:150], 6))
+    assert "one and the same range" in warnings_of(same)
+    assert "the loop runs clockwise" in warnings_of(record(actuator(falling=True), nested()))
+    swapped = replace(log, voltage=log.displacement, displacement=log.voltage)
+    assert "voltage and displacement are swapped" in warnings_of(swapped)
+    held = replace(log, displacement=np.repeat(log.displacement[::5], 5)[: len(log.voltage)])
+    assert "(sample-and-hold)" in warnings_of(held)
+    half = replace(STATIC, rated=(0.0, 20.0))
+    assert "50 % of the rated range 0 to 20" in warnings_of(log, half)
+    butterfly = replace(log, displacement=(log.voltage - 5.0) ** 2)
+    assert "a butterfly" in warnings_of(butterfly)
+    stuck = replace(log, displacement=np.minimum(log.displacement, 33.0) + 0.02 * log.voltage)
+    assert "saturation" in warnings_of(stuck)
+    assert "no clock" in warnings_of(replace(log, sample_period=None))
+    time = np.arange(len(log.voltage)) * PERIOD
+    time[100] = time[99]
+    assert "1 repeated time stamps (first at row 101)" in warnings_of(replace(log, time=time))
+    time[200] = time[150]
+    assert "time runs backwards 1 times (first at row 201)" in warnings_of(replace(log, time=time))
+
+
+def test_options_that_contradict_the_logs() -> None:
+    log = replace(record(actuator(), nested()), sample_period=None)
+    with pytest.raises(UsageError, match=r"^--delay and --relaxation need a clock"):
+        identify([log], IdentificationOptions(delay=0.01))
+    with pytest.raises(FitError, match=r"^log: --skip needs a clock"):
+        identify([log], IdentificationOptions(skip_seconds=1.0))
+    with pytest.raises(UsageError, match=r"^--method paper takes one log"):
+        identify([log, log], IdentificationOptions(method="paper"))
+    with pytest.raises(UsageError, match=r"^--delay -1: "):
+        IdentificationOptions(delay=-1.0)
+    with pytest.raises(FitError, match=r"^log: 0 usable rows are too few"):
+        identify([record(actuator(), nested())], IdentificationOptions(skip_seconds=99.0))
+
+
+def test_the_papers_method_takes_one_cycle_and_positive_gains() -> None:
+    cycle = nested(3)[:150]
+    log = record(actuator(), cycle)
+    result = identify([log], IdentificationOptions(method="paper"))
+    scale = next(stage for stage in result.model.stages if isinstance(stage, ScaleStage))
+    assert scale.gain == pytest.approx(np.ptp(log.displacement) / 10.0)
+    assert scale.offset == pytest.approx(log.displacement.min())
+    assert (result.model.backlash.n, result.model.backlash.x0) == (25, 0.0)
+    with pytest.raises(FitError, match=r"knows positive gains only"):
+        identify([record(actuator(gain=-4.0), cycle)], IdentificationOptions(method="paper"))
+
+
+# --- the authors' recordings, where they are at hand ---
+
+PAPER = Path(os.environ.get("DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"))
+needs_paper = pytest.mark.skipif(not PAPER.is_dir(), reason=f"the authors' recordings are not in {PAPER}")
+
+
+def paper_log(name: str, rows: slice = slice(None)) -> Recording:
+    table = np.loadtxt(PAPER / name, usecols=(0, 4))[rows]
+    return Recording(name, table[:, 0].copy(), table[:, 1].copy(), None, 1.0 / 200.0, "V", "um")
+
+
+def prediction_error(result: Identification, rows: slice) -> float:
+    other = paper_log("uncompensated.dat")
+    return float(np.std((other.displacement - predict(result.model, other))[rows]))
+
+
+@needs_paper
+def test_authors_recordings_are_predicted() -> None:
+    skip = IdentificationOptions(skip_seconds=2.0)
+    one = identify([paper_log("identification.dat")], skip)
+    assert prediction_error(one, slice(600, 7000)) < 0.16
+    assert one.fit["cross_validated_rmse"] < 0.09  # type: ignore[operator]
+    two = identify([paper_log("identification.dat"), paper_log("uncompensated.dat", slice(600, 3500))], skip)
+    assert prediction_error(two, slice(3500, 7000)) < 0.15
+
+
+@needs_paper
+def test_authors_scale_is_reproduced_and_their_prediction_reached() -> None:
+    cycle = paper_log("identification.dat", slice(3151, 3351))
+    result = identify([cycle], IdentificationOptions(method="paper", gears=25, zero="mean"))
+    scale = next(stage for stage in result.model.stages if isinstance(stage, ScaleStage))
+    assert (round(scale.gain, 4), round(scale.offset, 4)) == (12.5335, -22.9726)
+    assert prediction_error(result, slice(600, 7000)) < 0.678  # that of the authors' own 25 gears
