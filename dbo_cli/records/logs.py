@@ -23,7 +23,7 @@ from dbo_cli.records.provenance import InputRecord, input_record
 from dbo_cli.records.text_logs import TextTable
 from dbo_cli.records.times import TimeCheck, parse_rows, resampled, to_seconds
 
-BLOCK_ROWS = 1 << 18
+BLOCK_ROWS = 1 << 16
 
 
 class Table(Protocol):

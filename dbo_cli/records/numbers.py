@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dbo_cli.records.blocks import FloatArray
+from dbo_cli.records.interrupts import keep_interrupts
 
 PLAIN_CELLS = (
     1 << 16
@@ -26,23 +27,29 @@ def shortest(value: float) -> str:
     return f"{digits}e{'+' if exponent[0] == '+' else '-'}{exponent[1:].lstrip('0')}"
 
 
-def rows_as_text(arrays: Sequence[FloatArray], delimiter: str) -> bytes:
+def rows_as_text(arrays: Sequence[FloatArray], delimiter: str) -> bytes | memoryview:
     """Write columns as lines of delimited text; the bytes do not depend on which way is taken."""
     if "polars" in sys.modules or len(arrays) * len(arrays[0]) >= PLAIN_CELLS:
         return _fast_rows(arrays, delimiter)
+    return _plain_rows(arrays, delimiter)
+
+
+def _plain_rows(arrays: Sequence[FloatArray], delimiter: str) -> bytes:
     columns = [[shortest(value) for value in array.tolist()] for array in arrays]
     lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
     return ("\n".join(lines) + "\n").encode() if lines else b""
 
 
-def _fast_rows(arrays: Sequence[FloatArray], delimiter: str) -> bytes:
+def _fast_rows(arrays: Sequence[FloatArray], delimiter: str) -> memoryview:
     import io
 
     import polars
+
+    keep_interrupts()
 
     buffer = io.BytesIO()
     table = polars.DataFrame(
         {str(number): np.ascontiguousarray(array) for number, array in enumerate(arrays)}
     )
     table.write_csv(buffer, include_header=False, separator=delimiter)
-    return buffer.getvalue()
+    return buffer.getbuffer()

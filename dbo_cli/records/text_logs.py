@@ -9,6 +9,7 @@ from dbo_cli.records.blocks import ColumnInfo, RawBlock
 from dbo_cli.records.cells import decode_line, is_number, split_cells
 from dbo_cli.records.columns import column_info
 from dbo_cli.records.dialect import COMMENTS, DialectOptions, chosen_delimiter, detect, is_comment
+from dbo_cli.records.overlap import one_ahead
 from dbo_cli.records.parsing import PLAIN_BYTES, BlockParser
 from dbo_cli.records.sources import ByteSource, LineBlocks
 
@@ -54,6 +55,7 @@ class TextTable:
         self._small = not live and self._lines.whole_in_head and len(head) < PLAIN_BYTES
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._live = live
+        self._ahead = self.source.is_regular and not (live or self._lines.whole_in_head)
 
     def describe(self) -> str:
         """Tell in one line how the log is written, for ``--verbose``."""
@@ -72,7 +74,7 @@ class TextTable:
         self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, block_rows * self._bytes_per_row))
         parser = BlockParser(self.place, self.dialect, picks, rows, skip_bad)
         found = parser.parse(self._data(parser), self._small or self._live)
-        yield from found
+        yield from one_ahead(found) if self._ahead else found
         if parser.dropped:
             rest = f" and {parser.dropped - 1} more" if parser.dropped > 1 else ""
             plural = "s" if parser.dropped > 1 else ""

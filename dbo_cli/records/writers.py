@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import gzip
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import IO, Any, Protocol, cast
@@ -13,9 +13,13 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import UsageError
 from dbo_cli.records.addresses import Address, parse_address
+from dbo_cli.records.blocks import FloatArray
 from dbo_cli.records.columns import is_known_unit, split_header
 from dbo_cli.records.numbers import rows_as_text
 from dbo_cli.records.outputs import check_output, replacing, standard_output
+from dbo_cli.records.overlap import OneBehind
+
+_WORTH_A_THREAD = 1 << 14  # rows
 
 
 @dataclass(frozen=True)
@@ -42,12 +46,20 @@ class SignalWriter(Protocol):
 
 
 class TextWriter:
-    """Appends rows of delimited text to a binary stream."""
+    """Appends rows of delimited text to a binary stream.
 
-    def __init__(self, stream: IO[bytes], columns: Sequence[OutColumn], delimiter: str, flush: bool) -> None:
+    With ``behind``, formatting and writing go on in a thread while the caller works on the next rows; the
+    arrays must not change after they were handed in.
+    """
+
+    def __init__(
+        self, stream: IO[bytes], columns: Sequence[OutColumn], delimiter: str, flush: bool, behind: bool
+    ) -> None:
         self._stream = stream
         self._delimiter = delimiter
         self._flush = flush
+        self._may_lag = behind
+        self._behind: OneBehind | None = None
         stream.write((delimiter.join(_cell(column.header, delimiter) for column in columns) + "\n").encode())
         if flush:
             stream.flush()
@@ -55,10 +67,35 @@ class TextWriter:
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
         columns = [np.asarray(array, dtype=np.float64) for array in arrays]
-        if len(columns[0]):
-            self._stream.write(rows_as_text(columns, self._delimiter))
+        if self._may_lag and columns[0].size >= _WORTH_A_THREAD:
+            self._behind = self._behind or OneBehind()
+            self._behind.run(self._append, columns)
+            return
+        if self._behind is not None:
+            self._behind.wait()
+        self._append(columns)
         if self._flush:
             self._stream.flush()
+
+    def finish(self) -> None:
+        """Wait until everything is handed to the stream.
+
+        Raises
+        ------
+        OSError
+            The last rows could not be written.
+        """
+        if self._behind is not None:
+            self._behind.wait()
+
+    def close(self) -> None:
+        """End the thread; called whether or not the writing succeeded."""
+        if self._behind is not None:
+            self._behind.close()
+
+    def _append(self, columns: list[FloatArray]) -> None:
+        if len(columns[0]):
+            self._stream.write(rows_as_text(columns, self._delimiter))
 
 
 def _cell(text: str, delimiter: str) -> str:
@@ -109,7 +146,17 @@ def signal_writer(
             yield hdf5
         return
     with _text_stream(target) as stream:
-        yield TextWriter(stream, columns, _delimiter(target, format), flush)
+        behind = (
+            not flush
+            and not target.is_stream
+            and (os.path.isfile(target.path) or not os.path.exists(target.path))
+        )
+        writer = TextWriter(stream, columns, _delimiter(target, format), flush, behind)
+        try:
+            yield writer
+            writer.finish()
+        finally:
+            writer.close()
 
 
 @contextlib.contextmanager
@@ -145,6 +192,8 @@ def _text_stream(target: Address) -> Iterator[IO[bytes]]:
         if not target.compressed:
             yield file
             return
+        import gzip
+
         # no name and no time in the gzip header: the same signal gives the same bytes
         with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
             yield cast(IO[bytes], cast(Any, packed))

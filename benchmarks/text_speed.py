@@ -1,0 +1,126 @@
+"""Text in and out: `dbo simulate` against a pandas script, and against the fastest library alone.
+
+    python benchmarks/text_speed.py [ROWS]
+
+Whole processes on a CSV of 1,000,000 rows x 2 columns, in turn, the least of five each; then the parsers and
+writers in one process, and the size from which importing polars pays. The limits are those the project
+promises.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+RUNS = 5
+HEIGHTS = [0.01 + 0.001 * k for k in range(25)]
+MODEL = {
+    "format": "dbo-model",
+    "version": 1,
+    "direction": "forward",
+    "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 100.0},
+    "output": {"quantity": "displacement", "unit": "um", "min": 0.0, "max": 12.0},
+    "stages": [
+        {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [4.0] * 25, "dy": HEIGHTS},
+        {"type": "scale", "gain": 21.8, "offset": 0.0},
+    ],
+}
+PANDAS = "import sys, pandas; pandas.read_csv(sys.argv[1]).to_csv(sys.argv[2], index=False)"
+POLARS = (
+    "import sys, polars; log = polars.read_csv(sys.argv[1]);"
+    "log.with_columns((log['voltage_V'] * 0.11).alias('displacement_um')).write_csv(sys.argv[2])"
+)
+
+
+def write_log(path: Path, rows: int) -> None:
+    """Write a drive of many amplitudes with full digits, as simulations and converted logs have them."""
+    from dbo_cli.records.writers import OutColumn, signal_writer
+
+    time_s = np.arange(rows) / 2000.0
+    drive = 50.0 + 50.0 * np.sin(0.7 * time_s) * np.cos(40.0 * time_s)
+    with signal_writer(str(path), [OutColumn("time", "s"), OutColumn("voltage", "V")]) as writer:
+        writer.write(time_s, drive)
+
+
+def least(function: Callable[[], object], runs: int = RUNS) -> float:
+    """Return the least time of several calls."""
+    best = float("inf")
+    for _ in range(runs):
+        begin = time.perf_counter()
+        function()
+        best = min(best, time.perf_counter() - begin)
+    return best
+
+
+def whole_processes(folder: Path, rows: int) -> bool:
+    """Compare whole processes; tell whether the promises are kept."""
+    log, model, out = folder / "log.csv", folder / "model.json", folder / "out.csv"
+    model.write_text(json.dumps(MODEL))
+    write_log(log, rows)
+    commands = {
+        "pandas, reads and writes it back": ["-c", PANDAS, str(log), str(out)],
+        "polars, a column more": ["-c", POLARS, str(log), str(out)],
+        "dbo simulate": ["-m", "dbo_cli", "simulate", str(model), str(log), "-o", str(out)],
+    }
+    best = dict.fromkeys(commands, float("inf"))
+    for _ in range(RUNS):
+        for name, words in commands.items():
+            begin = time.perf_counter()
+            subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
+            best[name] = min(best[name], time.perf_counter() - begin)
+    print(f"{rows} rows x 2 columns in, 3 out, whole processes:")
+    for name, value in best.items():
+        print(f"  {name:34} {value:6.2f} s")
+    kept = True
+    for other, limit in (("pandas, reads and writes it back", 0.25), ("polars, a column more", 2.5)):
+        ratio = best["dbo simulate"] / best[other]
+        kept = kept and ratio <= limit
+        print(f"  dbo simulate / {other}: {ratio:.2f}  (promised: at most {limit:g})")
+    return kept
+
+
+def parsers(rows: int) -> None:
+    """Show what each way of reading and writing costs inside a process."""
+    from dbo_cli.records import numbers, parsing
+    from dbo_cli.records.dialect import Dialect
+
+    values = np.random.default_rng(1).normal(size=(2, rows))
+    text = bytes(numbers._fast_rows(list(values), ","))
+    dialect = Dialect(",", ".", "#%", 2, 1, (), ())
+    print(f"one process, {rows} rows x 2 columns:")
+    ways: dict[str, Callable[[], object]] = {
+        "read, polars": lambda: parsing._parse_fast(text, rows, [0, 1], dialect),
+        "read, plain Python": lambda: parsing._parse_plain(text, rows, [0, 1], dialect),
+        "write, polars": lambda: numbers._fast_rows(list(values), ","),
+        "write, plain Python": lambda: numbers._plain_rows(list(values), ","),
+    }
+    cost = {name: least(way, 3) for name, way in ways.items()}
+    for name, value in cost.items():
+        print(f"  {name:34} {1e9 * value / rows:6.0f} ns a row")
+    load = least(lambda: subprocess.run([sys.executable, "-c", "import numpy, polars"], check=True))
+    load -= least(lambda: subprocess.run([sys.executable, "-c", "import numpy"], check=True))
+    reading = (cost["read, plain Python"] - cost["read, polars"]) / rows
+    writing = (cost["write, plain Python"] - cost["write, polars"]) / rows
+    pays = load / (reading + 1.5 * writing)
+    print(f"  importing polars takes {1e3 * load:.0f} ms: it pays from {pays:.0f} rows")
+
+
+def main() -> None:
+    """Measure, print, and exit with 1 where a promise is not kept."""
+    rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
+    with tempfile.TemporaryDirectory() as folder:
+        kept = whole_processes(Path(folder), rows)
+    parsers(min(rows, 200_000))
+    sys.exit(0 if kept else 1)
+
+
+if __name__ == "__main__":
+    main()
