@@ -30,7 +30,15 @@ from dbo_cli.hysteresis.operators import (
     Outside,
 )
 from dbo_cli.hysteresis.relaxation import Relaxation
-from dbo_cli.hysteresis.stages import DelayStage, ScaleStage, Stage
+from dbo_cli.hysteresis.stages import (
+    DelayStage,
+    MemoryFree,
+    ScaleStage,
+    Stage,
+    least_slope,
+    memory_free,
+    through,
+)
 from dbo_cli.hysteresis.starts import StartName, start_drive, start_state
 from dbo_cli.hysteresis.states import DriveLimits, ModelState, OutsideError, Quantity, Simulated
 
@@ -54,7 +62,6 @@ Floats = NDArray[np.float64]
 Direction = Literal["forward", "inverse"]
 BacklashStage = DiscreteBacklashOperator
 PointStage = DiscretePointOperator
-MemoryFree = tuple[DiscretePointOperator | ScaleStage, ...]
 
 NEGLIGIBLE = 1e-9
 """Clipping, and missing a first value, count from this fraction of the range on."""
@@ -147,11 +154,11 @@ class ActuatorModel:
 
     @cached_property
     def _head(self) -> MemoryFree:
-        return _memory_free(self.stages[: self._place])
+        return memory_free(self.stages[: self._place])
 
     @cached_property
     def _tail(self) -> MemoryFree:
-        return _memory_free(self.stages[self._place :])
+        return memory_free(self.stages[self._place :])
 
     @cached_property
     def _delay(self) -> DelayStage | None:
@@ -182,7 +189,7 @@ class ActuatorModel:
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
         """Return what reaches the backlash stage of this model."""
-        return _through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
+        return through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
 
     def _inner_limits(self, limits: DriveLimits | None) -> DriveLimits | None:
         """Limits on the drive as the backlash stage of an inverse model meets them.
@@ -193,11 +200,11 @@ class ActuatorModel:
         if limits is None or not self._tail:
             return limits
         bent = [stage.inverse() for stage in reversed(self._tail)]
-        ends = _through(bent, np.array([limits.v_min, limits.v_max]))
+        ends = through(bent, np.array([limits.v_min, limits.v_max]))
         slew = limits.max_slew
         if slew is not None:
             for stage in bent:
-                slew *= _least_slope(stage)
+                slew *= least_slope(stage)
         return DriveLimits(float(ends.min()), float(ends.max()), slew)
 
     def start(
@@ -221,26 +228,7 @@ class ActuatorModel:
         inner = self._inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
-        if self._tail:
-            first = self._off_the_step(first)
         return ModelState(first.state, first=first)
-
-    def _off_the_step(self, first: DriveStart) -> DriveStart:
-        """Move a first voltage off a step of the settled curve, over which rounding might push it.
-
-        Points between drive and gears round the voltage on its way out and in again; the start that it
-        leads to must stay the same.
-        """
-        operator = self.forward_backlash
-        forth = [stage.inverse() for stage in reversed(self._tail)]
-        low, high = operator.x_range
-        for steps in range(16):
-            for side in (1.0, -1.0):
-                voltage = first.voltage + side * steps * 1e-15 * (high - low)
-                again = float(_through(forth, _through(self._tail, np.array([voltage])))[0])
-                if start_state(operator, again, "auto") == first.state:
-                    return first._replace(voltage=voltage)
-        return first
 
     def simulate(
         self,
@@ -283,7 +271,7 @@ class ActuatorModel:
         if outside == "error" and counts.outside:
             first = counts.first_outside
             raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._outer_range())
-        y = _through(self._tail, y)
+        y = through(self._tail, y)
         if limits is not None and self._tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
@@ -365,7 +353,7 @@ class ActuatorModel:
 
     def _outer_range(self) -> tuple[float, float]:
         """Return the range of the backlash stage's input, seen from this model's input."""
-        ends = _through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
+        ends = through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
         return float(ends.min()), float(ends.max())
 
     def _input_per_stage_input(self) -> float:
@@ -400,25 +388,6 @@ class ActuatorModel:
         return self.inverse()
 
 
-def _memory_free(stages: Sequence[Stage]) -> MemoryFree:
-    """Return the points and scales among stages."""
-    return tuple(s for s in stages if isinstance(s, DiscretePointOperator | ScaleStage))
-
-
-def _through(stages: Sequence[DiscretePointOperator | ScaleStage], signal: Floats) -> Floats:
-    """Pass a block through memory-free stages."""
-    for stage in stages:
-        signal = stage.run(signal)
-    return signal
-
-
-def _least_slope(stage: DiscretePointOperator | ScaleStage) -> float:
-    """Return the least slope of a memory-free stage, without its sign."""
-    if isinstance(stage, ScaleStage):
-        return abs(stage.gain)
-    return float(np.min(stage.dy / stage.dx))
-
-
 def _output_limits(limits: DriveLimits | None, steps: float | Floats | None) -> OutputLimits | None:
     """Return the limits of a block in the operator's terms."""
     if limits is None:
@@ -434,10 +403,10 @@ def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tu
     empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
     """
     place, operator = next((k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator))
-    head, tail = _memory_free(stages[:place]), _memory_free(stages[place:])
+    head, tail = memory_free(stages[:place]), memory_free(stages[place:])
     state, ends = operator.empty(), []
     for voltage in (v_max, v_min):
-        y, after, _ = operator.run(_through(head, np.array([voltage])), state)
+        y, after, _ = operator.run(through(head, np.array([voltage])), state)
         state = BacklashState(after.bits)
-        ends.append(float(_through(tail, y)[0]))
+        ends.append(float(through(tail, y)[0]))
     return min(ends), max(ends)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,3 +145,23 @@ class DelayStage:
 
 
 Stage = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DelayStage
+MemoryFree = tuple[DiscretePointOperator | ScaleStage, ...]
+
+
+def memory_free(stages: Sequence[Stage]) -> MemoryFree:
+    """Return the points and scales among stages."""
+    return tuple(stage for stage in stages if isinstance(stage, DiscretePointOperator | ScaleStage))
+
+
+def through(stages: Sequence[DiscretePointOperator | ScaleStage], signal: Floats) -> Floats:
+    """Pass a block through memory-free stages."""
+    for stage in stages:
+        signal = stage.run(signal)
+    return signal
+
+
+def least_slope(stage: DiscretePointOperator | ScaleStage) -> float:
+    """Return the least slope of a memory-free stage, without its sign."""
+    if isinstance(stage, ScaleStage):
+        return abs(stage.gain)
+    return float(np.min(stage.dy / stage.dx))
