@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from types import TracebackType
@@ -27,6 +28,16 @@ FLAGS = (
     "--remote-debugging-pipe",
 )
 
+# the browser reads from 3 and writes to 4; via high numbers, lest one covers the other
+LAUNCHER = """
+import os, sys
+os.dup2(int(sys.argv[1]), 103)
+os.dup2(int(sys.argv[2]), 104)
+os.dup2(103, 3)
+os.dup2(104, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+
 
 def find_browser() -> str | None:
     """Return the program of an installed Chromium or Chrome, or None."""
@@ -42,18 +53,10 @@ class Browser:
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         to_browser, self._out = os.pipe()
         self._in, from_browser = os.pipe()
-
-        def pipes() -> None:
-            # the browser reads from 3 and writes to 4; via high numbers, lest one covers the other
-            os.dup2(to_browser, 103)
-            os.dup2(from_browser, 104)
-            os.dup2(103, 3)
-            os.dup2(104, 4)
-
+        command = [program, *FLAGS, f"--user-data-dir={self._folder.name}", "about:blank"]
         self._process = subprocess.Popen(
-            [program, *FLAGS, f"--user-data-dir={self._folder.name}", "about:blank"],
-            preexec_fn=pipes,
-            close_fds=False,
+            [sys.executable, "-c", LAUNCHER, str(to_browser), str(from_browser), *command],
+            pass_fds=(to_browser, from_browser),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
