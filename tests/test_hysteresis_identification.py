@@ -173,6 +173,19 @@ def test_the_unknown_history_before_the_log_is_left_out() -> None:
     assert any("history is unknown" in line for line in result.summary)
 
 
+def test_a_history_that_no_start_explains_is_left_open() -> None:
+    truth = actuator()
+    heights = np.linspace(0.3, 1.0, 5)
+    growing = [5.0 - 5.0 * height * np.cos(2.0 * np.pi * np.arange(120) / 120) for height in heights]
+    before = np.concatenate((np.linspace(0.0, 9.3, 70), np.linspace(9.3, 1.1, 70), np.linspace(1.1, 3.5, 70)))
+    whole = record(truth, np.concatenate((before, *growing)))
+    cut = replace(whole, voltage=whole.voltage[210:], displacement=whole.displacement[210:])
+    result = identify([cut], STATIC)
+    assert any("the history before the log is left open" in line for line in result.summary)
+    assert result.fit["logs"][0]["drift"] < 0.5  # type: ignore[index,operator]
+    assert held_out(result, truth) < 0.002 * 42.4
+
+
 def test_a_model_is_judged_on_a_log_it_has_not_seen() -> None:
     truth = actuator()
     other = replace(record(truth, nested(5, 170), 9), name="other")

@@ -54,7 +54,8 @@ def residual_of(model: ActuatorModel, recording: Recording, log: PreparedLog) ->
     left = (recording.displacement - predict(model, recording, log.start))[rows]
     columns = log.drift[rows]
     terms = np.linalg.lstsq(columns, left, rcond=None)[0]
-    drift = columns[:, 1:] @ terms[1:]
+    drifting = slice(1, columns.shape[1] - log.stretches)
+    drift = columns[:, drifting] @ terms[drifting]
     span = float(np.ptp(drift)) if drift.size else 0.0
     return Residual(log.name, left - columns @ terms, rows, span)
 

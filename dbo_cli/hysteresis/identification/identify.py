@@ -112,7 +112,8 @@ def identify(
         options.delay,
         options.slopes,
     )
-    choice = choose(prepared, orders, median_cycle_seconds(recordings) if clocked else None)
+    cycle = median_cycle_seconds(recordings) if clocked else None
+    choice = choose(prepared, orders, cycle)
     fitted = fit(prepared.logs, choice.basis, choice.structure)
     model = model_of(fitted, prepared, recordings[0], options.zero)
     residuals = [residual_of(model, log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)]
@@ -140,7 +141,7 @@ def identify(
             raise FitError(f"{message} (--force keeps the model)")
         warnings.append(message)
     checks = [validation_of(model, log, options.skip_seconds) for log in validation]
-    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line)
+    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle)
     summary = prepared.notes + _summary(figures, model, prepared, choice, checks)
     figures["warnings"] = list(warnings)
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
@@ -161,6 +162,7 @@ def _figures(
     checks: Sequence[Residual],
     rmse: float,
     line: float,
+    cycle: float | None,
 ) -> dict[str, object]:
     """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
     span = abs(prepared.scale)
@@ -192,7 +194,7 @@ def _figures(
         ],
         "delay_seconds": gears.delay,
         "delay_interval_seconds": list(choice.delay_interval) if choice.delay_interval else None,
-        "lag_seconds": lag_seconds(fitted),
+        "lag_seconds": lag_seconds(fitted, cycle),
         "logs": [
             {
                 "name": residual.name,
@@ -214,15 +216,24 @@ def _figures(
     return figures
 
 
-def lag_seconds(fitted: Fitted) -> float:
-    """Lag of a slow ramp in seconds: the delay, and what the fast memories hold back.
+def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
+    """Lag of the displacement in seconds at the logs' own frequency, the loop's own lag left out.
 
-    A ramp of the drive is followed with the slopes' mean s plus the gains c_j, the memories each behind by
-    tau_j: together sum c_j tau_j / (s + sum c_j).
+    To a slow sine of angular frequency w the gears answer with their mean slope s, a memory with
+    c / (1 + i w tau): together a gain whose phase, over w, is a time; the delay adds to it.
+
+    Parameters
+    ----------
+    fitted : the model in normalised terms
+    cycle : duration of a cycle in seconds, None without a clock
     """
-    held = float(fitted.gains @ np.asarray(fitted.basis.time_constants)) if len(fitted.gains) else 0.0
-    total = float(fitted.heights.sum() + fitted.gains.sum())
-    return fitted.basis.delay + held / total
+    if cycle is None or not len(fitted.gains):
+        return fitted.basis.delay
+    w = 2.0 * np.pi / cycle
+    gain = (
+        fitted.heights.sum() + (fitted.gains / (1.0 + 1j * w * np.asarray(fitted.basis.time_constants))).sum()
+    )
+    return fitted.basis.delay - float(np.angle(gain)) / w
 
 
 def _summary(

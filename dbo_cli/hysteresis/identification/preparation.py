@@ -30,6 +30,9 @@ OUTLIER_SIGMAS = 8.0
 SPIKE_SHARE = 0.02  # more rows than this are no outliers: they are what the actuator does
 PROBE_SLOPES = 64
 PROBE_SPLIT = 8
+PROBE_SEGMENTS = 4
+HISTORY_GAIN = 0.7  # an open history must lower the error by so much, since rows and offsets are its price
+MOST_STRETCHES = 12
 STARTS = ("settled", "empty", "full")
 
 
@@ -164,7 +167,7 @@ def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
         )
     # Where the rows under the unknown history are left out anyway, the start state makes no difference.
     chosen = [
-        log if cut else replace(log, start=_best_start(log, low, high))
+        log if cut else _with_history(log, low, high, notes)
         for log, cut in zip(logs, transients, strict=True)
     ]
     flat, outliers = _without_drift_and_spikes(chosen, low, high, notes)
@@ -227,16 +230,54 @@ def _probe(low: float, high: float) -> tuple[Basis, Structure]:
     return Basis(PROBE_SLOPES, low, high, PROBE_SPLIT), Structure("free", (), 1, 1e-9)
 
 
-def _best_start(log: PreparedLog, low: float, high: float) -> str:
-    """Which of the known start states explains the log best; 'settled' where it makes no difference."""
-    basis, structure = _probe(low, high)
-    errors = []
-    for start in STARTS:
-        trial = gather(fewer_rows([replace(log, start=start)]), basis, 1)
-        gram, rows = trial.total()
-        errors.append(squared_error(gram, solve(gram, trial.columns, structure, rows).vector))
+def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -> PreparedLog:
+    """Return the log with the start state that explains it best, or with its history left open.
+
+    Where the drive goes further than ever before in the log, it walks on what an earlier history left
+    behind; in between, that history shows as an offset alone. So it can be left open: rows at new extremes
+    are left out, and each stretch between them has an offset of its own.
+    """
+    starts = [replace(log, start=start) for start in STARTS]
+    errors = [_probe_error(one, low, high) for one in starts]
     best = int(np.argmin(errors))
-    return STARTS[best] if errors[best] < 0.98 * errors[0] else STARTS[0]
+    if errors[best] >= 0.99 * errors[0]:
+        best = 0
+    opened = _left_open(log)
+    if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
+        lost = int(used_rows(log).sum() - used_rows(opened).sum())
+        notes.append(
+            f"{log.name}: {lost} rows at new extremes of the drive left out: no known start explains "
+            "them, so the history before the log is left open"
+        )
+        return opened
+    return starts[best]
+
+
+def _left_open(log: PreparedLog) -> PreparedLog | None:
+    """Return the log without rows at new extremes, one offset a stretch; None where little would be left."""
+    near = 1e-3 * float(np.ptp(log.voltage))
+    top = np.maximum.accumulate(log.voltage)
+    bottom = np.minimum.accumulate(log.voltage)
+    inside = (log.voltage < top - near) & (log.voltage > bottom + near)
+    turns = np.diff(inside.astype(np.int8), prepend=0) > 0
+    stretch = np.cumsum(turns) - 1
+    fold = np.where(inside, log.fold, -1)
+    present = np.unique(stretch[fold >= 0])
+    if len(present) > MOST_STRETCHES or (fold >= 0).sum() < max(0.5 * used_rows(log).sum(), FEWEST_ROWS):
+        return None
+    own = (stretch[:, None] == present[:-1]).astype(float)  # the last stretch's offset is the model's
+    return replace(log, fold=fold, drift=np.hstack((log.drift, own)), stretches=own.shape[1])
+
+
+def _probe_error(log: PreparedLog, low: float, high: float) -> float:
+    """RMSE of a probing fit, asymmetry and all, to one log, as a share of the log's own range."""
+    basis, structure = _probe(low, high)
+    values = log.output[used_rows(log)]
+    scaled = replace(log, output=(log.output - values.min()) / np.ptp(values))
+    trial = gather(fewer_rows([scaled]), basis, PROBE_SEGMENTS)
+    gram, rows = trial.total()
+    solution = solve(gram, trial.columns, replace(structure, segments=PROBE_SEGMENTS), rows)
+    return float(np.sqrt(squared_error(gram, solution.vector) / rows)) * float(np.ptp(values))
 
 
 def _without_drift_and_spikes(

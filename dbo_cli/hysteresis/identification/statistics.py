@@ -25,7 +25,8 @@ class PreparedLog:
     ``voltage`` in its unit; ``output`` the displacement with its sign and scale taken out (0..1 over all
     logs); ``seconds`` from the first sample or None; ``fold`` the fold of each row, -1 where the row is left
     out; ``drift`` the columns of offset and drift, shape (samples, terms); ``start`` the state before the
-    first sample. All arrays have shape (samples, ...).
+    first sample. The last ``stretches`` of the drift's columns are offsets of stretches of a history left
+    open, not drift. All arrays have shape (samples, ...).
     """
 
     name: str
@@ -35,6 +36,7 @@ class PreparedLog:
     fold: Integers
     drift: Floats
     start: str
+    stretches: int = 0
 
 
 @dataclass(frozen=True)
