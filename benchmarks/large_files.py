@@ -73,26 +73,20 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         model, log, out = (Path(folder, name) for name in ("model.json", "log.csv", "out.csv"))
         model.write_text(json.dumps(MODEL))
-        runs: dict[tuple[int, bool], Run] = {}
+        runs: dict[tuple[int, str], Run] = {}
         for size in (rows // 10, rows):
             write_log(log, size)
-            for piped in (False, True):
-                run = runs[size, piped] = simulate(model, log, out, piped)
-                way = "through pipes" if piped else "from the file"
-                print(
-            way = "pipes" if piped else "file"
-            print(f"{way}: memory {memory:.0f} MB (promised: at most {MOST_MEMORY_MB})")
-                    f"{1e9 * run.seconds / size:4.0f} ns a row, peak memory {run.memory:4.0f} MB",
-                    flush=True,
-                )
+            told = f"{size / 1e6:5.1f} million rows, {log.stat().st_size / 1e9:.2f} GB"
+            for way in ("file", "pipes"):
+                run = runs[size, way] = simulate(model, log, out, way == "pipes")
+                pace = f"{run.seconds:6.1f} s, {1e9 * run.seconds / size:4.0f} ns a row"
+                print(f"{told}, {way}: {pace}, peak memory {run.memory:4.0f} MB", flush=True)
                 out.unlink()
-        for piped in (False, True):
-            memory = runs[rows, piped].memory
-            growth = runs[rows, piped].seconds / runs[rows // 10, piped].seconds / 10.0
-            print(
-                f"{'pipes' if piped else 'file'}: memory {memory:.0f} MB (promised: at most {MOST_MEMORY_MB})"
-            )
-            print(f"      time a row, whole / tenth: {growth:.2f} (linear: at most {LINEAR_WITHIN:g})")
+        for way in ("file", "pipes"):
+            memory = runs[rows, way].memory
+            growth = runs[rows, way].seconds / runs[rows // 10, way].seconds / 10.0
+            print(f"{way}: peak memory {memory:.0f} MB (promised: at most {MOST_MEMORY_MB})")
+            print(f"{way}: time a row, whole / tenth: {growth:.2f} (linear: at most {LINEAR_WITHIN:g})")
             kept = kept and memory <= MOST_MEMORY_MB and growth <= LINEAR_WITHIN
     sys.exit(0 if kept else 1)
 

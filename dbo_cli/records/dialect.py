@@ -359,7 +359,7 @@ def _aligned(
             "(check the delimiter, or skip the lines above the data with --skip-lines)"
         )
     units = _trimmed(layout.units, width)
-    units = [*units, *[""] * (width - len(units))] if units else []
+    units = [*units, *[""] * (width - len(units))][:width] if units else []
     return tuple(name.strip() for name in names), tuple(units)
 
 

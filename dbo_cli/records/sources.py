@@ -100,7 +100,7 @@ class ByteSource:
         """Read up to ``size`` bytes (what has arrived, when live); empty at the end."""
         while data := self._arrived(size):
             if self._decode is not None:
-                data = self._decode(data)
+                data = self._decoded(data)
             if self._at_start and data:
                 data = data.removeprefix(codecs.BOM_UTF8)
                 self._classic_mac = b"\n" not in data and b"\r" in data[:-1]
@@ -110,6 +110,12 @@ class ByteSource:
             if data:
                 return data
         return b""
+
+    def _decoded(self, data: bytes) -> bytes:
+        try:
+            return cast(bytes, self._decode(data))
+        except UnicodeError as problem:
+            raise InputError(f"{self.name}: the text does not fit its encoding: {problem}") from None
 
     def _arrived(self, size: int) -> bytes:
         """Read bytes as they are stored."""
