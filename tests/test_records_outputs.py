@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+import time as clock
 from pathlib import Path
 
 import h5py
@@ -260,7 +260,7 @@ def test_the_same_signal_gives_the_same_bytes(name: str, tmp_path: Path) -> None
         with signal_writer(str(path), COLUMNS, attributes={"sample_rate": 10.0}) as writer:
             writer.write(np.arange(5) / 10, np.arange(5.0))
         contents.append(path.read_bytes())
-        time.sleep(0.01)
+        clock.sleep(0.01)
     assert contents[0] == contents[1]
 
 
@@ -301,6 +301,19 @@ def test_hdf5_carries_units_rate_and_attributes(tmp_path: Path) -> None:
         assert (group["time_s"][()] == np.arange(200_000) / 100).all()
         assert group["time_s"].chunks == (65536,)
         assert group["time_s"].compression == "gzip" and group["time_s"].shuffle
+
+
+@pytest.mark.parametrize("step", [1, 3, 100])
+def test_hdf5_tells_the_sample_rate_of_an_even_clock(step: int, tmp_path: Path) -> None:
+    path = str(tmp_path / "out.h5")
+    even = 5.0 + np.arange(100) / 3000
+    gap = np.append(even, 7.0)
+    for time, rate in ((even, 3000.0), (gap, None), (even[::-1], None), (even[:1], None)):
+        with signal_writer(path, COLUMNS) as writer:
+            for start in range(0, len(time), step):
+                writer.write(time[start : start + step], time[start : start + step])
+        with h5py.File(path) as file:
+            assert file.attrs.get("sample_rate") == rate
 
 
 def test_hdf5_without_rows_is_whole(tmp_path: Path) -> None:

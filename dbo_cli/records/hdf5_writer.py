@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.records.blocks import FloatArray
+from dbo_cli.records.times import JITTER
 
 if TYPE_CHECKING:
     from dbo_cli.records.writers import OutColumn
@@ -51,6 +52,9 @@ class Hdf5Writer:
         self._group = self._file.require_group(group)
         for name, value in attributes.items():
             self._group.attrs[name] = value
+        clocks = [number for number, column in enumerate(columns) if column.header == "time_s"]
+        self._clock = clocks[0] if clocks and "sample_rate" not in attributes else None
+        self._steps = _Steps()
         self._columns = columns
         self._kept: list[list[FloatArray]] = [[] for _ in columns]
         self._kept_rows = 0
@@ -62,6 +66,8 @@ class Hdf5Writer:
         parts = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
         for kept, part in zip(self._kept, parts, strict=True):
             kept.append(part)
+        if self._clock is not None:
+            self._steps.feed(parts[self._clock])
         self._kept_rows += len(parts[0])
         if self._kept_rows >= CHUNK_ROWS:
             self._write_chunks(self._kept_rows // CHUNK_ROWS)
@@ -79,6 +85,9 @@ class Hdf5Writer:
                 self._rows += rows
         for dataset in self._datasets:
             dataset.resize((self._rows,))
+        rate = self._steps.rate()
+        if rate is not None:
+            self._group.attrs["sample_rate"] = rate
         self._file.close()
 
     def abandon(self) -> None:
@@ -117,6 +126,35 @@ class Hdf5Writer:
                 dataset.attrs["units"] = column.unit
             dataset.attrs["quantity"] = column.quantity or column.name
             self._datasets.append(dataset)
+
+
+class _Steps:
+    """Watches time stamps (s) go by for the attribute ``sample_rate``, in constant memory."""
+
+    def __init__(self) -> None:
+        self._first = self._last = 0.0
+        self._count = 0
+        self._least, self._most = np.inf, 0.0
+
+    def feed(self, time: FloatArray) -> None:
+        """Look at one block."""
+        if not len(time):
+            return
+        if self._count == 0:
+            self._first = self._last = float(time[0])
+        steps = np.diff(time, prepend=self._last)[0 if self._count else 1 :]
+        if len(steps):
+            self._least, self._most = min(self._least, steps.min()), max(self._most, steps.max())
+        self._last, self._count = float(time[-1]), self._count + len(time)
+
+    def rate(self) -> float | None:
+        """Give samples a second where no step is 5 % off the mean, else None."""
+        if self._count < 2 or not self._least > 0.0:
+            return None
+        step = (self._last - self._first) / (self._count - 1)
+        if self._most - self._least > JITTER * step:
+            return None
+        return float(f"{1.0 / step:.12g}")  # 2000, not 1999.9999999999998
 
 
 def _write_chunk(dataset: Any, start: int, values: FloatArray) -> None:
