@@ -268,9 +268,10 @@ class ActuatorModel:
         steps = self._steps(time_step, signal.size, state, limits)
         inner = self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
+        counts = self._with_uncovered(np.reshape(x, -1), counts)
         if outside == "error" and counts.outside:
             first = counts.first_outside
-            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._outer_range())
+            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered())
         y = through(self._tail, y)
         if limits is not None and self._tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
@@ -351,10 +352,26 @@ class ActuatorModel:
         miss = missed if short and not clipped and not unbound.outside else 0.0
         return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
 
-    def _outer_range(self) -> tuple[float, float]:
-        """Return the range of the backlash stage's input, seen from this model's input."""
+    def _covered(self) -> tuple[float, float]:
+        """Return the range of this model's input: what it was identified on, or less where its gears end."""
         ends = through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
-        return float(ends.min()), float(ends.max())
+        if self.direction == "inverse":
+            return self.input.minimum, self.input.maximum
+        return max(self.input.minimum, float(ends.min())), min(self.input.maximum, float(ends.max()))
+
+    def _with_uncovered(self, x: ArrayLike, counts: Counts) -> Counts:
+        """Count the samples beyond the model's input range; gears may go on a little further than it does."""
+        low, high = self._covered()
+        slack = NEGLIGIBLE * self.input.span
+        signal = np.asarray(x, dtype=np.float64)
+        beyond = (signal < low - slack) | (signal > high + slack)
+        count = int(np.count_nonzero(beyond))
+        if not count:
+            return counts
+        first = int(np.argmax(beyond))
+        if counts.outside:
+            first = min(first, counts.first_outside)
+        return counts._replace(outside=max(count, counts.outside), first_outside=first)
 
     def _input_per_stage_input(self) -> float:
         """Return the mean size of this model's input per unit of the backlash stage's input."""

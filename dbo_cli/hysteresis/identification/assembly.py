@@ -19,6 +19,8 @@ from dbo_cli.hysteresis.model import (
     slow_output_range,
 )
 
+MARGIN = 0.125  # of the range, in gears beyond its top
+
 
 def zero_shift(recording: Recording, zero: str | float) -> float:
     """Displacement that counts as zero: 'none' (as logged), 'mean' or 'first' of the log, or a value.
@@ -50,8 +52,12 @@ def stages_of(fitted: Fitted, prepared: Prepared, shift: float) -> tuple[Stage, 
             tuple((fitted.gains[acting] / basis.span).tolist()),
         )
     count = basis.gears * basis.split
-    widths = np.full(count, basis.span / count)
+    width = basis.span / count
     heights = np.repeat(fitted.heights / basis.split, basis.split)
+    if basis.split > 1:
+        # A drive that goes a little further than the logs did shall turn there as it does inside.
+        heights = np.append(heights, np.full(int(MARGIN * count), heights[-1]))
+    widths = np.full(len(heights), width)
     stages: list[Stage] = [basis.bend_points()] if basis.bend else []
     stages.append(BacklashStage(widths, heights, basis.low, fitted.origin, relaxation))
     segments = len(fitted.knots) - 1

@@ -31,6 +31,7 @@ Integers = NDArray[np.int64]
 
 BLOCK_ROWS = 4096
 BEND_SEGMENTS = 32
+EVEN = 1e-6  # of a step
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,10 @@ def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[f
         return np.empty((len(drive), 0))
     steps = np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
     terms = Relaxation(0.0, time_constants, (0.0,) * len(time_constants))
-    return terms.lags(drive, steps)[0]
+    usual = float(np.median(steps[1:])) if len(steps) > 1 else 0.0
+    # A clock that is even but for the digits it was written with need not be looked at step by step.
+    even = usual > 0.0 and float(np.abs(steps[1:] - usual).max()) <= EVEN * usual
+    return terms.lags(drive, usual if even else steps)[0]
 
 
 def hat_functions(position: Floats, segments: int) -> Floats:

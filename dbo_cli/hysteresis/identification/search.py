@@ -313,7 +313,7 @@ def _gears(
         return basis, structure, score
     sized = [replace(basis, split=total // basis.gears) for total in GEAR_CHOICES if total >= basis.gears]
     scores = [cross_validate(gather(logs, one, segments), structure) for one in sized]
-    fewest = simplest_of(scores, FINE_INDIFFERENCE)
+    fewest = simplest_of(scores, FINE_INDIFFERENCE, excuse=0.0)  # gears cost nothing: no excuse for few
     return sized[fewest], structure, scores[fewest]
 
 

@@ -60,19 +60,23 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     return Score(np.asarray(errors), rows_of / rows_of.sum())
 
 
-def no_worse(candidate: Score, best: Score, indifference: float = INDIFFERENCE) -> bool:
+def no_worse(
+    candidate: Score, best: Score, indifference: float = INDIFFERENCE, excuse: float = LARGEST_EXCUSE
+) -> bool:
     """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
 
     The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common. With few or uneven folds it says little, so it excuses a loss only up to ``LARGEST_EXCUSE``.
+    common. With few or uneven folds it says little, so it excuses a loss only up to ``excuse``.
     """
     excess = candidate.excess_over(best)
     mean = float(excess.mean())
     error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
-    return bool(mean <= max(min(error, LARGEST_EXCUSE), float(np.log1p(indifference))))
+    return bool(mean <= max(min(error, excuse), float(np.log1p(indifference))))
 
 
-def simplest_of(scores: Sequence[Score], indifference: float = INDIFFERENCE) -> int:
+def simplest_of(
+    scores: Sequence[Score], indifference: float = INDIFFERENCE, excuse: float = LARGEST_EXCUSE
+) -> int:
     """Index of the first (simplest first) candidate that is no worse than the best of all."""
     best = min(scores, key=lambda score: float(score.excess_over(scores[0]).mean()))
-    return next(k for k, score in enumerate(scores) if no_worse(score, best, indifference))
+    return next(k for k, score in enumerate(scores) if no_worse(score, best, indifference, excuse))
