@@ -82,9 +82,9 @@ def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats
     ModelError
         A slope is beyond what float64 holds.
     """
-    rounding = _ROUNDING_STEPS * np.maximum(scale_x / dx, scale_y / dy)
-    keep = 1.0 - np.clip(rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE)
     with np.errstate(over="ignore", under="ignore"):
+        rounding = _ROUNDING_STEPS * np.maximum(scale_x / dx, scale_y / dy)
+        keep = 1.0 - np.clip(rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE)
         slope, inverse_slope = dy / dx, dx / dy
     for i in np.flatnonzero(~np.isfinite(slope) | ~np.isfinite(inverse_slope))[:1]:
         raise ModelError(
