@@ -36,11 +36,14 @@ def zero_shift(recording: Recording, zero: str | float) -> float:
     return float(zero)
 
 
-def stages_of(fitted: Fitted, prepared: Prepared, shift: float) -> tuple[Stage, ...]:
+def stages_of(
+    fitted: Fitted, prepared: Prepared, shift: float, gears: int | None = None
+) -> tuple[Stage, ...]:
     """Stages of the forward cascade: points on the drive, backlash with relaxation, point, scale, delay.
 
     Gears are in the unit of the voltage on their input and without a unit on their output (sum about 1);
-    the scale stage carries the displacement's unit. ``shift`` is taken off the displacement.
+    the scale stage carries the displacement's unit. ``shift`` is taken off the displacement. ``gears``: their
+    number where the user fixed it.
     """
     basis = fitted.basis
     relaxation = None
@@ -51,13 +54,13 @@ def stages_of(fitted: Fitted, prepared: Prepared, shift: float) -> tuple[Stage, 
             tuple(float(tau) for tau, on in zip(basis.time_constants, acting, strict=True) if on),
             tuple((fitted.gains[acting] / basis.span).tolist()),
         )
-    count = basis.gears * basis.split
-    width = basis.span / count
-    heights = np.repeat(fitted.heights / basis.split, basis.split)
-    if basis.split > 1:
+    count = gears or basis.gears * basis.split
+    slope = np.minimum((np.arange(count) + 0.5) * basis.gears / count, basis.gears - 1).astype(np.int64)
+    heights = fitted.heights[slope] * basis.gears / count
+    if gears is None:
         # A drive that goes a little further than the logs did shall turn there as it does inside.
         heights = np.append(heights, np.full(int(MARGIN * count), heights[-1]))
-    widths = np.full(len(heights), width)
+    widths = np.full(len(heights), basis.span / count)
     stages: list[Stage] = [basis.bend_points()] if basis.bend else []
     stages.append(BacklashStage(widths, heights, basis.low, fitted.origin, relaxation))
     segments = len(fitted.knots) - 1
@@ -70,9 +73,11 @@ def stages_of(fitted: Fitted, prepared: Prepared, shift: float) -> tuple[Stage, 
     return tuple(stages)
 
 
-def model_of(fitted: Fitted, prepared: Prepared, recording: Recording, zero: str | float) -> ActuatorModel:
+def model_of(
+    fitted: Fitted, prepared: Prepared, recording: Recording, zero: str | float, gears: int | None = None
+) -> ActuatorModel:
     """Build the forward model; its input range is what the logs cover."""
-    stages = stages_of(fitted, prepared, zero_shift(recording, zero))
+    stages = stages_of(fitted, prepared, zero_shift(recording, zero), gears)
     low, high = slow_output_range(stages, prepared.low, prepared.high)
     return ActuatorModel(
         direction="forward",

@@ -115,7 +115,7 @@ def identify(
     cycle = median_cycle_seconds(recordings) if clocked else None
     choice = choose(prepared, orders, cycle)
     fitted = fit(prepared.logs, choice.basis, choice.structure)
-    model = model_of(fitted, prepared, recordings[0], options.zero)
+    model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
     residuals = [residual_of(model, log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)]
     line = _pooled(
         [straight_line(log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)], residuals
@@ -182,7 +182,7 @@ def _figures(
         figures["validation_percent"] = 100.0 * value / span
     figures |= {
         "samples": sum(len(one.values) for one in residuals),
-        "gears": gears.gears * gears.split,
+        "gears": model.backlash.n,
         "different_slopes": gears.gears,
         "points": len(fitted.knots) - 1 if len(fitted.knots) > 2 else 0,
         "drive_bend": gears.bend,

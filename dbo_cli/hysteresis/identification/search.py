@@ -134,24 +134,20 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
         grid = orders.time_constants
     else:
         grid = time_constant_grid(prepared, period, cycle)
-    count = slopes_for(orders.gears or ALL_GEARS, SLOPE_CHOICES[0])
-    coarse = Basis(
-        count,
-        prepared.low,
-        prepared.high,
-        (orders.gears or ALL_GEARS) // count,
-        grid,
-        orders.delay or 0.0,
-    )
-    fine = orders.segments if orders.segments is not None else FINE_SEGMENTS
-    fine = max(fine, 1)
+    slopes_wanted, split = SLOPE_CHOICES[0], ALL_GEARS // SLOPE_CHOICES[0]
+    if orders.gears is not None:
+        few = orders.gears <= 2 * slopes_wanted
+        slopes_wanted, split = (
+            (orders.gears, 1) if few else (slopes_wanted, -(-orders.gears // slopes_wanted))
+        )
+    coarse = Basis(slopes_wanted, prepared.low, prepared.high, split, grid, orders.delay or 0.0)
+    fine = max(FINE_SEGMENTS if orders.segments is None else orders.segments, 1)
     everything = tuple(range(len(grid)))
     first = gather(logs, coarse, fine)
     slopes, clockwise = _slopes(first, orders, everything, fine)
     trial = Structure(slopes, everything, fine, START_SMOOTHNESS)
     if orders.segments is None:
         coarse, first = _bend(logs, coarse, trial, first)
-    if orders.segments is None:
         scores = [cross_validate(first, replace(trial, segments=m)) for m in SEGMENT_CHOICES]
         trial = replace(trial, segments=SEGMENT_CHOICES[simplest_of(scores, ORDER_INDIFFERENCE)])
     basis, trial, interval = _lag(logs, coarse, trial, orders, first, period, cycle)
@@ -221,22 +217,16 @@ def _lag(
     """
     if period is None or cycle is None:
         return coarse, replace(trial, memories=()), None
-    still = replace(trial, memories=())
-    segments = first.columns.segments
-    offered = [trial] if orders.time_constants is not None or not trial.memories else [still, trial]
-    if orders.delay is not None:
-        scores = [cross_validate(first, structure) for structure in offered]
-        return coarse, offered[simplest_of(scores)], None
-    scanned = _delays(logs, coarse, trial, segments, period, cycle)
-    interval = _interval(scanned)
-    delay = round((interval[0] + interval[1]) / 2.0 / period * 4.0) / 4.0 * period
-    moved = replace(coarse, delay=delay)
-    scores = [cross_validate(first, structure) for structure in offered]
-    scores.append(cross_validate(gather(logs, moved, segments), trial))
-    picked = simplest_of(scores[:-2] + scores[-1:]) if len(offered) > 1 else 1
-    if picked == 0:
-        return coarse, still, interval
-    return moved, trial, interval
+    plain = trial if orders.time_constants is not None else replace(trial, memories=())
+    moved, interval = coarse, None
+    if orders.delay is None:
+        scanned = _delays(logs, coarse, trial, first.columns.segments, period, cycle)
+        interval = _interval(scanned)
+        middle = round((interval[0] + interval[1]) / 2.0 / period * 4.0) / 4.0 * period
+        moved = replace(coarse, delay=middle)
+    lagging = gather(logs, moved, first.columns.segments) if moved != coarse else first
+    scores = [cross_validate(first, plain), cross_validate(lagging, trial)]
+    return (coarse, plain, interval) if simplest_of(scores) == 0 else (moved, trial, interval)
 
 
 def _delays(
@@ -315,12 +305,3 @@ def _gears(
     scores = [cross_validate(gather(logs, one, segments), structure) for one in sized]
     fewest = simplest_of(scores, FINE_INDIFFERENCE, excuse=0.0)  # gears cost nothing: no excuse for few
     return sized[fewest], structure, scores[fewest]
-
-
-def slopes_for(gears: int, wanted: int) -> int:
-    """Return the number of different slopes for so many gears: a divisor of theirs, near ``wanted``."""
-    divisors = [count for count in range(1, min(gears, 2 * wanted) + 1) if gears % count == 0]
-    if gears <= 2 * wanted:
-        return gears
-    best = min(divisors, key=lambda count: abs(np.log(count / wanted)))
-    return best if best >= wanted // 2 else gears
