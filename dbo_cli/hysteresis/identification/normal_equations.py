@@ -207,8 +207,11 @@ def squared_error(gram: Floats, vector: Floats) -> float:
 def squared_error_free_of(gram: Floats, vector: Floats, nuisance: slice) -> float:
     """Sum of squared errors over the rows of ``gram`` after the nuisance columns are refitted to those rows.
 
-    On rows left out, a sensor's offset and drift are not the model's to predict.
+    On rows left out, what only they have (the sensor's offset of a log of its own) is not the model's to
+    predict.
     """
+    if nuisance.start == nuisance.stop:
+        return squared_error(gram, vector)
     full = np.append(vector, -1.0)
     full[nuisance] = 0.0
     left = float(full @ gram @ full)

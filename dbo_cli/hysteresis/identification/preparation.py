@@ -86,13 +86,19 @@ def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
     return stuck
 
 
+def without_outliers(values: Floats) -> Floats:
+    """Values cut to their middle 98 %, so that a spike turns neither sign nor scale over."""
+    cut: Floats = np.clip(values, *np.percentile(values, [1.0, 99.0]))
+    return cut if np.ptp(cut) > 0.0 else values
+
+
 def gain_sign(recordings: Sequence[Recording]) -> float:
     """+1 or -1: whether the displacement grows or falls with the voltage, over all logs."""
     together = 0.0
     for log in recordings:
         v = log.voltage - log.voltage.mean()
-        y = log.displacement - log.displacement.mean()
-        together += float(v @ y)
+        y = without_outliers(log.displacement)
+        together += float(v @ (y - y.mean()))
     return -1.0 if together < 0.0 else 1.0
 
 
@@ -138,7 +144,7 @@ def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
     low = min(float(log.voltage.min()) for log in recordings)
     high = max(float(log.voltage.max()) for log in recordings)
     shapes = tuple(drive_shape(log.voltage) for log in recordings)
-    scale = sign * max(float(np.ptp(log.displacement)) for log in recordings)
+    scale = sign * max(float(np.ptp(without_outliers(log.displacement))) for log in recordings)
     notes: list[str] = []
     logs: list[PreparedLog] = []
     transients: list[int] = []
@@ -202,7 +208,8 @@ def _usable_rows(log: Recording, skip_seconds: float, notes: list[str]) -> tuple
     skipped = samples - int(usable.sum())
     wiped = first_wiped_row(log.voltage)
     transient = 0
-    if wiped > skipped and samples - wiped >= 0.6 * samples:
+    moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
+    if wiped > skipped and samples - wiped >= 0.6 * moving:
         usable[:wiped] = False
         transient = wiped - skipped
         notes.append(

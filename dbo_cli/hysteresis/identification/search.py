@@ -109,9 +109,8 @@ def _moves_slowly(prepared: Prepared, tau: float, cycle: float) -> bool:
         memory = relaxed_drive((log.voltage - prepared.low) / prepared.span, log.seconds, (tau,))[used, 0]
         drift = log.drift[used]
         left = memory - drift @ np.linalg.lstsq(drift, memory, rcond=None)[0]
-        window = np.floor(log.seconds[used] / cycle).astype(np.int64)
-        counts = np.bincount(window)
-        means = np.bincount(window, left)[counts > 0] / counts[counts > 0]
+        window = np.unique(np.floor(log.seconds[used] / cycle), return_inverse=True)[1]
+        means = np.bincount(window, left) / np.bincount(window)
         if len(means) >= 4 and float(means.std()) > CREEP_EVIDENCE:
             return True
     return False

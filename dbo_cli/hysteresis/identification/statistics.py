@@ -41,12 +41,16 @@ class PreparedLog:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Products of the columns and the target, one symmetric matrix a fold, with the rows that went in."""
+    """Products of the columns and the target, one symmetric matrix a fold, with the rows that went in.
+
+    ``loose`` are the columns that a fold, when it is left out, still has to itself: the offsets of stretches
+    of an open history, or offset and drift altogether where no other fold is of the same log.
+    """
 
     columns: Columns
     grams: tuple[Floats, ...]
     rows: tuple[int, ...]
-    nuisance: tuple[slice, ...]
+    loose: tuple[slice, ...]
 
     def total(self, leave_out: int | None = None) -> tuple[Floats, int]:
         """Sum over the folds, all or all but one: the products and the number of rows."""
@@ -92,10 +96,11 @@ def gather(
     size = columns.total + 1
     grams = [np.zeros((size, size)) for _ in range(folds)]
     rows = [0] * folds
-    nuisance = [slice(shared, shared)] * folds
+    loose = [slice(shared, shared)] * folds
     begin = shared
     for log in logs:
         end = begin + log.drift.shape[1]
+        alone = len(np.unique(log.fold[log.fold >= 0])) < 2
         picked = np.r_[0:shared, begin:end, size - 1]
         rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.fold >= 0)
         for first, last, drive in rows_made.blocks():
@@ -106,6 +111,6 @@ def gather(
                 part = table[fold == k]
                 grams[k][np.ix_(picked, picked)] += part.T @ part
                 rows[k] += len(part)
-                nuisance[k] = slice(begin, end)
+                loose[k] = slice(begin if alone else end - log.stretches, end)
         begin = end
-    return Statistics(columns, tuple(grams), tuple(rows), tuple(nuisance))
+    return Statistics(columns, tuple(grams), tuple(rows), tuple(loose))
