@@ -269,6 +269,15 @@ def test_options_that_contradict_the_logs() -> None:
         identify([record(actuator(), nested())], IdentificationOptions(skip_seconds=99.0))
 
 
+def test_a_skip_that_leaves_one_cycle_or_nothing() -> None:
+    log = record(actuator(), np.tile(nested(3)[:150], 10))
+    one = identify([log], IdentificationOptions(skip_seconds=13.0))
+    assert one.fit["samples"] == 200
+    with pytest.raises(FitError, match=r"^short: nothing is left of this log to validate on: .* \(3 s\)$"):
+        short = replace(log, name="short", voltage=log.voltage[:200], displacement=log.displacement[:200])
+        identify([log], replace(STATIC, skip_seconds=3.0), [short])
+
+
 def test_the_papers_method_takes_one_cycle_and_positive_gains() -> None:
     cycle = nested(3)[:150]
     log = record(actuator(), cycle)

@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     drive_shape,
     first_wiped_row,
     turning_points,
+    without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.refinement import asymmetry
 from dbo_cli.hysteresis.identification.regressors import (
@@ -90,6 +91,13 @@ def test_logs_that_show_nothing_are_refused(
 ) -> None:
     with pytest.raises(FitError, match=f"^{message}"):
         check_recordings([Recording("a", voltage, displacement)])
+
+
+def test_a_number_no_instrument_measured_is_named() -> None:
+    wrong = sine()
+    wrong[7] = 1e308
+    with pytest.raises(FitError, match=r"^a: the voltage in row 8 is 1e\+308, which no instrument measured"):
+        check_recordings([Recording("a", wrong, sine())])
 
 
 def test_logs_of_different_units_are_refused() -> None:
@@ -247,12 +255,29 @@ def test_a_clipped_sensor_is_where_it_stands_while_the_drive_moves() -> None:
     assert not clipped_sensor(voltage, voltage).any()
 
 
-def test_fewer_rows_keeps_every_fold() -> None:
+def test_fewer_rows_are_spread_over_the_whole_log() -> None:
     log = prepared(sine(50), sine(50), folds=8)
     [cut] = fewer_rows([log], limit=400)
-    kept = np.bincount(cut.fold[cut.fold >= 0])
-    assert kept.tolist() == [50] * 8
+    assert np.bincount(cut.fold[cut.used]).tolist() == pytest.approx([50] * 8, abs=12)
+    assert np.diff(np.flatnonzero(cut.used)).max() <= 90
+    assert np.array_equal(cut.fold[cut.used], log.fold[cut.used])
     assert fewer_rows([log], limit=10_000)[0] is log
+
+
+def test_single_wrong_voltages_are_replaced_and_steps_are_not() -> None:
+    voltage = sine(5)
+    wrong = voltage.copy()
+    wrong[[33, 90]] = [60.0, -300.0]
+    [clean], notes = without_voltage_glitches([Recording("a", wrong, voltage)])
+    assert np.abs(clean.voltage - voltage).max() < 0.05
+    assert notes == [
+        "a: 2 single voltages that jump away and back replaced by the mean of their neighbours "
+        "(first at row 34: 60)"
+    ]
+    steps = np.repeat([0.0, 10.0, 2.0, 7.0], 30)
+    for drive in (steps, sine(30, 6), voltage):
+        same, silent = without_voltage_glitches([Recording("a", drive, drive)])
+        assert (same[0].voltage is drive, silent) == (True, [])
 
 
 def test_simplest_that_is_no_worse() -> None:

@@ -50,6 +50,9 @@ def run() -> None:
     # one thread gives the same bytes on every machine of a kind and leaves the others to `make -j`.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000, 50, 50)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed by whoever started the program
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     code = main()
     try:
         sys.stdout.flush()

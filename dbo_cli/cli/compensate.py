@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -10,14 +10,13 @@ from dbo_cli.cli import options, signals, values
 from dbo_cli.cli.bundles import Reading, bundled
 from dbo_cli.cli.messages import Voice
 from dbo_cli.cli.responses import Destination, start_of, write_response
-from dbo_cli.cli.streams import Clock, ModelStream
+from dbo_cli.cli.streams import LAG_DEPENDS, Clock, ModelStream, ahead
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
     from dbo_cli.hysteresis.states import DriveLimits
     from dbo_cli.records.blocks import Block, FloatArray
-    from dbo_cli.records.logs import SignalLog
 
 ON_LIMIT = ("clip", "error")
 
@@ -73,7 +72,7 @@ def compensate(
         clock = Clock(source, reading, _why_time(operator, limits, condition))
         begin = start_of(state, operator)
         stream = ModelStream(operator, source, clock, begin, limits=limits, refuse_clipping=refuse)
-        blocks = _ahead(source, operator)
+        blocks = ahead(source, wanted.quantity, operator.delay_seconds)
         sweep = None
         if condition:
             first = next(blocks)
@@ -86,7 +85,7 @@ def compensate(
 def _why_time(model: ActuatorModel, limits: DriveLimits, condition: bool) -> str | None:
     """Return why the time between samples is needed, or None where it is not."""
     if model.needs_time or model.delay_seconds > 0.0:
-        return "this model's lag, creep or delay depends on it"
+        return LAG_DEPENDS
     if limits.max_slew is not None:
         return "--max-slew depends on it"
     return "--condition depends on it" if condition else None
@@ -121,14 +120,3 @@ def _warn_of_range(voice: Voice, limits: DriveLimits, drive: Quantity) -> None:
             f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}{unit}, "
             "where the model was identified; it extrapolates there"
         )
-
-
-def _ahead(source: SignalLog, model: ActuatorModel) -> Iterator[tuple[Block, FloatArray]]:
-    """Return each block of the trajectory with what is wanted a delay later."""
-    role = model.output.quantity
-    if model.delay_seconds == 0.0:
-        return ((block, block.values[role]) for block in source.blocks())
-    from dbo_cli.hysteresis.waveforms import read_ahead
-
-    blocks = ((block, block.time, block.values[role]) for block in source.blocks() if block.time is not None)
-    return read_ahead(blocks, model.delay_seconds)

@@ -9,7 +9,7 @@ from dbo_cli.cli import options, signals, values
 from dbo_cli.cli.bundles import Reading, bundled
 from dbo_cli.cli.messages import Voice
 from dbo_cli.cli.responses import Destination, start_of, write_response
-from dbo_cli.cli.streams import Clock, ModelStream
+from dbo_cli.cli.streams import LAG_DEPENDS, Clock, ModelStream, ahead
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.operators import Outside
@@ -50,8 +50,9 @@ def simulate(
     want = {taken.quantity: ColumnWish(input_column, signals.guesses_for(taken.quantity), option="--input")}
     with signals.open_signals(log, want, reading, voice, live=flush) as source:
         signals.check_unit(source, taken.quantity, taken, signals.spoken(model))
-        why = "this model's lag, creep or delay depends on it" if operator.needs_time else None
+        look_ahead = operator.delay_seconds if operator.direction == "inverse" else 0.0
+        why = LAG_DEPENDS if operator.needs_time or look_ahead else None
         clock = Clock(source, reading, why)
         stream = ModelStream(operator, source, clock, start_of(state, operator), behaviour)
-        blocks = ((block, block.values[taken.quantity]) for block in source.blocks())
+        blocks = ahead(source, taken.quantity, look_ahead)
         write_response(stream, blocks, operator.output, reading, voice, destination)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -173,6 +174,19 @@ class ModelStream:
                 f"{place_of(self.log.name, block, problem.index)}: {x[problem.index]:.6g} is outside the "
                 f"range of the model ({self._range()}) (--outside extend or hold)"
             ) from None
+
+
+LAG_DEPENDS = "this model's lag, creep or delay depends on it"
+
+
+def ahead(source: SignalLog, role: str, seconds: float) -> Iterator[tuple[Block, FloatArray]]:
+    """Return each block with its signal as it will be ``seconds`` later: how an inverse undoes a delay."""
+    if seconds == 0.0:
+        return ((block, block.values[role]) for block in source.blocks())
+    from dbo_cli.hysteresis.waveforms import read_ahead
+
+    blocks = ((block, block.time, block.values[role]) for block in source.blocks() if block.time is not None)
+    return read_ahead(blocks, seconds)
 
 
 def place_of(name: str, block: Block, index: int) -> str:

@@ -107,8 +107,15 @@ class ActuatorModel:
         backlash = self.stages[gears[0]]
         assert isinstance(backlash, DiscreteBacklashOperator)
         axis = "input" if forward else "output"
-        if backlash.relaxation is not None and backlash.memory_on != axis:
-            raise ModelError(f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction")
+        if backlash.memory_on != axis:
+            if backlash.relaxation is not None:
+                raise ModelError(f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction")
+            # Without relaxation a file does not say which axis is the drive's; the direction does.
+            told = DiscreteBacklashOperator(
+                backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, "input" if forward else "output"
+            )
+            stages = tuple(told if stage is backlash else stage for stage in self.stages)
+            object.__setattr__(self, "stages", stages)
         end = len(self.stages) - 1 if forward else 0
         for place, stage in enumerate(self.stages):
             if isinstance(stage, DelayStage):
@@ -153,6 +160,26 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
+    def _core(self) -> DiscreteBacklashOperator:
+        """The forward backlash stage without gears beyond the voltages the model covers.
+
+        A model may have some, so that a drive that goes a little further turns there as inside. They come
+        last, so a state of the others is a state of all; they take no part in where ``full`` and ``settled``
+        are.
+        """
+        gears = self.forward_backlash
+        drive = self.input if self.direction == "forward" else self.output
+        bent = self._head if self.direction == "forward" else [s.inverse() for s in reversed(self._tail)]
+        top = float(through(bent, np.array([drive.minimum, drive.maximum])).max())
+        reach = gears.x0 + np.cumsum(gears.dx)
+        count = int(np.searchsorted(reach, top - 0.5 * gears.dx[-1])) + 1
+        if count >= gears.n:
+            return gears
+        return DiscreteBacklashOperator(
+            gears.dx[:count], gears.dy[:count], gears.x0, gears.y0, gears.relaxation, gears.memory_on
+        )
+
+    @cached_property
     def _head(self) -> MemoryFree:
         return memory_free(self.stages[: self._place])
 
@@ -179,12 +206,16 @@ class ActuatorModel:
     @cached_property
     def digest(self) -> str:
         """A name for everything a state refers to: equal for a model and its inverse."""
+        forward = self if self.direction == "forward" else self.inverse()
         gears = self.forward_backlash
-        parts: dict[str, object] = {
-            "dx": gears.dx.tolist(), "dy": gears.dy.tolist(), "x0": gears.x0, "y0": gears.y0,
-            "relaxation": dataclasses.asdict(gears.relaxation) if gears.relaxation else None,
-            "delay": self.delay_seconds,
-        }  # fmt: skip
+        parts: list[object] = [dataclasses.asdict(gears.relaxation) if gears.relaxation else None]
+        for stage in forward.stages:
+            if isinstance(stage, ScaleStage):  # inverted twice, a gain may differ in its last digits
+                parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
+            elif isinstance(stage, DelayStage):
+                parts.append(stage.seconds)
+            else:
+                parts.append([stage.dx.tolist(), stage.dy.tolist(), stage.x0, stage.y0])
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
@@ -221,7 +252,7 @@ class ActuatorModel:
         if isinstance(state, ModelState):
             return state
         value = float(self._before_backlash([first_input])[0])
-        operator = self.forward_backlash
+        operator = self._core
         if self.direction == "forward" or state in {"empty", "full"}:
             return ModelState(start_state(operator, value, state))
         start_state(operator, value, state)  # refuses a name that is none
@@ -265,6 +296,8 @@ class ActuatorModel:
         if limits is not None:
             self.require("inverse")
         signal = self._before_backlash(x)
+        if outside == "hold" and self.direction == "forward" and self._core.n < self.backlash.n:
+            signal = np.clip(signal, *self._core.x_range)
         steps = self._steps(time_step, signal.size, state, limits)
         inner = self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)

@@ -22,6 +22,8 @@ from dbo_cli.hysteresis.states import DriveLimits, ModelState
 Floats = NDArray[np.float64]
 Payload = TypeVar("Payload")
 
+JOINING_TURNS = 30
+MOST_SAMPLES = 100_000_000
 _WHOLE = 1e-9  # a time this close, in samples, to that of a sample is that of the sample
 
 
@@ -74,16 +76,24 @@ def condition(
     target = float(min(max(wanted, limits.v_min), limits.v_max))
     low = limits.v_min
     high = min(max(operator.x_range[1], target), limits.v_max)
-    turns = [low, high, low, target]
-    counts = [
-        swing_samples(
-            end - begin, time_step, sweep_seconds * abs(end - begin) / (high - low), limits.max_slew
-        )
-        for begin, end in pairwise(turns)
-    ]
-    voltage = swings(turns, counts)
+    # What lags remembers the sweep, so the voltage that the trajectory begins with depends on the sweep, and
+    # the sweep shall end at that voltage: a fixed point, found in a few turns since the memory is weak.
+    for _ in range(JOINING_TURNS):
+        turns = [low, high, low, target]
+        counts = [
+            swing_samples(
+                end - begin, time_step, sweep_seconds * abs(end - begin) / (high - low), limits.max_slew
+            )
+            for begin, end in pairwise(turns)
+        ]
+        voltage = swings(turns, counts)
+        done = model.simulate(voltage, model.start(low), time_step=time_step)
+        follows = model.compensate([first_desired], done.state, limits=limits, time_step=time_step)
+        begins = float(follows.y[0])
+        if abs(begins - target) <= _WHOLE * (high - low):
+            break
+        target = begins
     time: Floats = -time_step * np.arange(voltage.size, 0, -1, dtype=np.float64)
-    done = model.simulate(voltage, model.start(low), time_step=time_step)
     return Conditioned(time, voltage, done.state)
 
 
@@ -115,6 +125,12 @@ def excitation(
     if not sample_rate / frequency >= 20.0:
         raise UsageError(
             f"--frequency {frequency!r}: fewer than 20 samples a cycle (raise --sample-rate or lower it)"
+        )
+    if duration * sample_rate > MOST_SAMPLES:
+        raise UsageError(
+            f"--duration {duration!r} at --sample-rate {sample_rate!r}: {duration * sample_rate:.3g} "
+            "rows are more "
+            f"than the {MOST_SAMPLES:,} that are written at most"
         )
     cycles = math.floor(duration * frequency + _WHOLE)
     if cycles < 6:

@@ -24,8 +24,7 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
     for log in recordings:
         moving = np.abs(np.diff(log.voltage)) > 0.0
         held = (np.diff(log.displacement) == 0.0) & moving
-        levels = len(np.unique(log.displacement))
-        if moving.any() and held.sum() > HELD_SHARE * moving.sum() and levels > 16:
+        if moving.any() and held.sum() > HELD_SHARE * moving.sum() and not _stepped(log.displacement):
             warnings.append(
                 f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
                 "before while the drive moves: the sensor is slower than the log (sample-and-hold); "
@@ -61,19 +60,35 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
     return warnings
 
 
+def _stepped(displacement: Floats) -> bool:
+    """Whether a sensor repeats itself because its steps are coarse, not because it is slow."""
+    steps = np.abs(np.diff(displacement))
+    steps = steps[steps > 0.0]
+    return len(steps) == 0 or float(np.median(steps)) < 1.5 * float(steps.min())
+
+
 def rated_warnings(prepared: Prepared, rated: tuple[float, float] | None) -> list[str]:
-    """Warn where the logs cover less than the drive's rated range (both in the voltage's unit)."""
+    """Warn where the logs cover less or more than the drive's rated range (both in the voltage's unit)."""
     if rated is None:
         return []
     low, high = rated
+    slack = 0.01 * (high - low)
+    warnings = []
+    if prepared.low < low - slack or prepared.high > high + slack:
+        warnings.append(
+            f"the logs go from {prepared.low:g} to {prepared.high:g}, beyond the rated range {low:g} "
+            f"to {high:g}: "
+            "check the voltage column, or give compensate --v-min and --v-max"
+        )
     covered = 100.0 * (min(prepared.high, high) - max(prepared.low, low)) / (high - low)
-    if covered >= 95.0:
-        return []
-    return [
-        f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range "
-        f"{low:g} to "
-        f"{high:g}: outside, the model goes straight on; record the whole range before using it there"
-    ]
+    if covered < 95.0:
+        warnings.append(
+            f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range "
+            f"{low:g} to {high:g}: outside, the model goes straight on; record the whole range before "
+            "using it "
+            "there"
+        )
+    return warnings
 
 
 def fit_warnings(
@@ -81,7 +96,6 @@ def fit_warnings(
     prepared: Prepared,
     choice: Choice,
     residuals: Sequence[Residual],
-    knots: Floats,
 ) -> list[str]:
     """Warnings about the fitted model and what it leaves over."""
     warnings = []
@@ -109,7 +123,7 @@ def fit_warnings(
             "column); look at "
             "'dbo report --model' before using it"
         )
-    warnings.extend(_shape_warnings(recordings, prepared, knots))
+    warnings.extend(_shape_warnings(recordings, prepared))
     speed = _speed_correlation(recordings, residuals)
     if abs(speed) > SPEED_CORRELATION and 100.0 * rmse / span > 0.5:
         warnings.append(
@@ -120,15 +134,15 @@ def fit_warnings(
     return warnings
 
 
-def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared, knots: Floats) -> list[str]:
+def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
     """Butterfly and saturation, from the mean curve of displacement over voltage."""
     warnings = []
-    for log in recordings:
-        voltage = (log.voltage - prepared.low) / prepared.span
+    for log, ready in zip(recordings, prepared.logs, strict=True):
+        voltage = (log.voltage[ready.used] - prepared.low) / prepared.span
         place = np.clip((voltage * 20).astype(np.int64), 0, 19)
         counts = np.bincount(place, minlength=20)
         full = counts > 0
-        mean = np.bincount(place, log.displacement, minlength=20)[full] / counts[full]
+        mean = np.bincount(place, log.displacement[ready.used], minlength=20)[full] / counts[full]
         climbs = np.diff(mean) * np.sign(prepared.scale)
         if len(climbs) < 8:
             continue

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.recordings import Floats, Integers, Recording, first_wiped_row
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
@@ -50,7 +51,7 @@ def predict(model: ActuatorModel, recording: Recording, start: str = "auto") -> 
 
 def residual_of(model: ActuatorModel, recording: Recording, log: PreparedLog) -> Residual:
     """Residual on a log that took part in the fit: its start state, its rows, its drift terms."""
-    rows = np.flatnonzero(log.fold >= 0)
+    rows = np.flatnonzero(log.used)
     left = (recording.displacement - predict(model, recording, log.start))[rows]
     columns = log.drift[rows]
     terms = np.linalg.lstsq(columns, left, rcond=None)[0]
@@ -65,6 +66,11 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
 
     Rows before ``skip_seconds``, and those before the drive has been at both ends of its range where that
     leaves most of the log, are left out: the history before the first sample is not known.
+
+    Raises
+    ------
+    FitError
+        Nothing is left of the log.
     """
     seconds = recording.seconds()
     keep = np.ones(len(recording.voltage), bool)
@@ -73,13 +79,18 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
     wiped = first_wiped_row(recording.voltage)
     if wiped <= 0.4 * len(keep):
         keep[:wiped] = False
+    if not keep.any():
+        raise FitError(
+            f"{recording.name}: nothing is left of this log to validate on: it is shorter than --skip "
+            f"({skip_seconds:g} s)"
+        )
     left = (recording.displacement - predict(model, recording))[keep]
     return Residual(recording.name, left - left.mean(), np.flatnonzero(keep), 0.0)
 
 
 def straight_line(recording: Recording, log: PreparedLog) -> float:
     """RMSE of the best straight line from voltage to displacement, offset and drift fitted beside it."""
-    rows = log.fold >= 0
+    rows = log.used
     columns = np.column_stack((recording.voltage[rows], log.drift[rows]))
     target = recording.displacement[rows]
     left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]

@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     check_recordings,
     median_cycle_seconds,
+    without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.refinement import Fitted, fit
 from dbo_cli.hysteresis.identification.search import Choice, Orders, choose
@@ -104,6 +105,7 @@ def identify(
         raise UsageError(
             "--delay and --relaxation need a clock: name the time column (--time) or give --sample-rate"
         )
+    recordings, glitches = without_voltage_glitches(recordings)
     prepared = prepare(recordings, options.skip_seconds)
     orders = Orders(
         options.gears,
@@ -124,7 +126,7 @@ def identify(
     warnings = (
         diagnostics.log_warnings(recordings, prepared)
         + diagnostics.rated_warnings(prepared, options.rated)
-        + diagnostics.fit_warnings(recordings, prepared, choice, residuals, fitted.knots)
+        + diagnostics.fit_warnings(recordings, prepared, choice, residuals)
     )
     if not clocked:
         warnings.append(
@@ -142,7 +144,7 @@ def identify(
         warnings.append(message)
     checks = [validation_of(model, log, options.skip_seconds) for log in validation]
     figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle)
-    summary = prepared.notes + _summary(figures, model, prepared, choice, checks)
+    summary = glitches + prepared.notes + _summary(figures, model, prepared, choice, checks)
     figures["warnings"] = list(warnings)
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
 

@@ -41,14 +41,15 @@ class Structure:
 
     ``slopes`` is 'growing', 'falling' or 'free'; ``memories`` the indices of the time constants that take
     part; ``segments`` the segments of the asymmetry (1: none), a divisor of the statistics' own;
-    ``smoothness`` the weight of the slopes' squared second difference, ``bend`` that of the asymmetry's.
+    ``smoothness`` the weight of the slopes' squared second difference, ``knot_smoothness`` that of the
+    asymmetry's.
     """
 
     slopes: str
     memories: tuple[int, ...]
     segments: int
     smoothness: float
-    bend: float = 1e-6
+    knot_smoothness: float = 1e-6
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def penalties(columns: Columns, structure: Structure, weight: float) -> Floats:
         at = gears + columns.memories
         bent = second_differences(columns.segments + 1)[:, 1:-1]
         form[at : at + columns.hats, at : at + columns.hats] = (
-            structure.bend * weight * columns.segments**3 * (bent.T @ bent)
+            structure.knot_smoothness * weight * columns.segments**3 * (bent.T @ bent)
         )
     return form
 

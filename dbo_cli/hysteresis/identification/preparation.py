@@ -67,11 +67,6 @@ class Prepared:
         return self.high - self.low
 
 
-def used_rows(log: PreparedLog) -> Booleans:
-    """Rows of a prepared log that take part in the fit."""
-    return log.fold >= 0
-
-
 def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
     """Rows where the displacement stands at its own extreme while the drive moves on: out of range."""
     stuck = np.zeros(len(displacement), bool)
@@ -106,13 +101,13 @@ def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) 
     """Fold of each row: whole cycles dealt out in turn; -1 where the row is not used.
 
     Rows before the first and after the last whole cycle go with their neighbour. A log with fewer than
-    three cycles is cut into four stretches of equal length instead.
+    three cycles to use is cut into four stretches of equal length instead.
     """
     samples = len(usable)
-    if shape.cycle_count >= 3:
-        cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
-        cycle = np.clip(cycle, 0, shape.cycle_count - 1)
-        present = np.unique(cycle[usable])
+    cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
+    cycle = np.clip(cycle, 0, max(shape.cycle_count - 1, 0))
+    present = np.unique(cycle[usable])
+    if len(present) >= 3:
         number = np.searchsorted(present, cycle)
         fold = number % max(min(wanted, len(present)), 1)
     else:
@@ -177,8 +172,8 @@ def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
         for log, cut in zip(logs, transients, strict=True)
     ]
     flat, outliers = _without_drift_and_spikes(chosen, low, high, notes)
-    bottom = min(float(log.output[used_rows(log)].min()) for log in flat)
-    top = max(float(log.output[used_rows(log)].max()) for log in flat)
+    bottom = min(float(log.output[log.used].min()) for log in flat)
+    top = max(float(log.output[log.used].max()) for log in flat)
     ready = tuple(replace(log, output=(log.output - bottom) / (top - bottom)) for log in flat)
     return Prepared(
         ready,
@@ -251,7 +246,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
         best = 0
     opened = _left_open(log)
     if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
-        lost = int(used_rows(log).sum() - used_rows(opened).sum())
+        lost = int(log.used.sum() - opened.used.sum())
         notes.append(
             f"{log.name}: {lost} rows at new extremes of the drive left out: no known start explains "
             "them, so the history before the log is left open"
@@ -270,7 +265,7 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
     stretch = np.cumsum(turns) - 1
     fold = np.where(inside, log.fold, -1)
     present = np.unique(stretch[fold >= 0])
-    if len(present) > MOST_STRETCHES or (fold >= 0).sum() < max(0.5 * used_rows(log).sum(), FEWEST_ROWS):
+    if len(present) > MOST_STRETCHES or (fold >= 0).sum() < max(0.5 * log.used.sum(), FEWEST_ROWS):
         return None
     own = (stretch[:, None] == present[:-1]).astype(float)  # the last stretch's offset is the model's
     return replace(log, fold=fold, drift=np.hstack((log.drift, own)), stretches=own.shape[1])
@@ -279,7 +274,7 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
 def _probe_error(log: PreparedLog, low: float, high: float) -> float:
     """RMSE of a probing fit, asymmetry and all, to one log, as a share of the log's own range."""
     basis, structure = _probe(low, high)
-    values = log.output[used_rows(log)]
+    values = log.output[log.used]
     scaled = replace(log, output=(log.output - values.min()) / np.ptp(values))
     trial = gather(fewer_rows([scaled]), basis, PROBE_SEGMENTS)
     gram, rows = trial.total()
@@ -306,7 +301,7 @@ def _without_drift_and_spikes(
             begin += log.drift.shape[1]
             fitted = log.drift @ terms
             residual = np.full(len(log.output), np.nan)
-            blocks = DriveRows(basis, log.voltage, log.seconds, log.start, used_rows(log)).blocks()
+            blocks = DriveRows(basis, log.voltage, log.seconds, log.start, log.used).blocks()
             for first, last, drive in blocks:
                 residual[first:last] = log.output[first:last] - drive @ solution.heights - fitted[first:last]
             residuals.append(residual)
@@ -328,7 +323,7 @@ def _leave_out_spikes(
     kept: list[PreparedLog] = []
     found = np.zeros(len(logs), np.int64)
     for place, (log, residual) in enumerate(zip(logs, residuals, strict=True)):
-        used = used_rows(log)
+        used = log.used
         values = residual[used]
         centre = float(np.median(values))
         sigma = 1.4826 * float(np.median(np.abs(values - centre)))

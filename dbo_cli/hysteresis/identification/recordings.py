@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 FEWEST_ROWS = 40
+LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
 REVERSAL_SHARE = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn
 
@@ -131,6 +132,7 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
                 "one whole "
                 f"cycle with {FEWEST_ROWS} rows or more"
             )
+        _check_sizes(log)
         if np.ptp(log.voltage) == 0.0:
             raise FitError(
                 f"{log.name}: the voltage is constant ({log.voltage[0]:g}): record a drive that moves over "
@@ -155,6 +157,44 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
                     f"{log.name}: its {what} is in {mine or 'no unit'}, that of {first.name} in "
                     f"{other or 'no unit'}: bring the logs to one unit"
                 )
+
+
+def _check_sizes(log: Recording) -> None:
+    """Refuse numbers that no instrument measured, naming the first."""
+    for values, what in ((log.voltage, "voltage"), (log.displacement, "displacement")):
+        huge = np.abs(values) > LARGEST
+        if huge.any():
+            row = int(np.argmax(huge))
+            raise FitError(
+                f"{log.name}: the {what} in row {row + 1} is {values[row]:g}, which no instrument "
+                "measured: "
+                "correct it, or cut the log with --rows"
+            )
+
+
+def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
+    """Replace single samples of the voltage that jump away and back by the mean of their neighbours.
+
+    The drive was not there, but one such sample would stretch the gears over a range that was never driven.
+    A jump counts where it is three times the most that the drive, such samples aside, does between samples.
+    """
+    cleaned, notes = [], []
+    for log in recordings:
+        v = log.voltage
+        middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
+        jump = np.abs(v[1:-1] - middle)
+        usual = float(np.abs(np.diff(middle)).max())
+        rows = np.flatnonzero(jump > max(3.0 * usual, REVERSAL_SHARE * float(np.ptp(middle)))) + 1
+        if len(rows) and usual > 0.0:
+            repaired = v.copy()
+            repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
+            notes.append(
+                f"{log.name}: {len(rows)} single voltages that jump away and back replaced by the mean of "
+                f"their neighbours (first at row {rows[0] + 1}: {v[rows[0]]:g})"
+            )
+            log = replace(log, voltage=repaired)
+        cleaned.append(log)
+    return cleaned, notes
 
 
 def first_wiped_row(voltage: Floats) -> int:

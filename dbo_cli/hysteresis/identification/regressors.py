@@ -29,7 +29,7 @@ from dbo_cli.hysteresis.relaxation import Relaxation
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-BLOCK_ROWS = 4096
+BLOCK_ROWS = 256  # a block without a wanted row is passed over, so blocks are short
 BEND_SEGMENTS = 32
 EVEN = 1e-6  # of a step
 

@@ -37,7 +37,7 @@ SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 START_SMOOTHNESS = 1e-8
 BEND_STEP = 0.1
 BEND_TRIALS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
-BEND_GAIN = 0.05  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
+BEND_GAIN = 0.1  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
 TIME_CONSTANT_RATIO = 3.0
 LONGEST_DELAY_SHARE = 0.125  # of a cycle
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # sample periods
@@ -61,14 +61,13 @@ class Orders:
 class Choice:
     """What the search settled on.
 
-    ``score`` is the cross-validated error of the choice; ``delay_interval`` (seconds) holds the delays that
-    explain the data left out no worse; ``clockwise`` how much worse growing slopes do than falling ones.
+    ``score`` is the cross-validated error of the choice; ``delay_interval`` (seconds) holds the delays with
+    which the fit is no worse, fold by fold; ``clockwise`` how much worse growing slopes do than falling ones.
     """
 
     basis: Basis
     structure: Structure
     score: Score
-    segments: int
     delay_interval: tuple[float, float] | None
     clockwise: float
 
@@ -105,7 +104,7 @@ def _moves_slowly(prepared: Prepared, tau: float, cycle: float) -> bool:
     for log in prepared.logs:
         if log.seconds is None:
             continue
-        used = log.fold >= 0
+        used = log.used
         memory = relaxed_drive((log.voltage - prepared.low) / prepared.span, log.seconds, (tau,))[used, 0]
         drift = log.drift[used]
         left = memory - drift @ np.linalg.lstsq(drift, memory, rcond=None)[0]
@@ -117,7 +116,7 @@ def _moves_slowly(prepared: Prepared, tau: float, cycle: float) -> bool:
 
 
 def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
-    """Choose slopes, asymmetry, lag, gears and smoothness in turn; what the user fixed stays fixed.
+    """Choose slopes, bend, asymmetry, lag, smoothness and gears in turn; what the user fixed stays fixed.
 
     Parameters
     ----------
@@ -151,7 +150,7 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
         trial = replace(trial, segments=SEGMENT_CHOICES[simplest_of(scores, ORDER_INDIFFERENCE)])
     basis, trial, interval = _lag(logs, coarse, trial, orders, first, period, cycle)
     basis, trial, score = _gears(logs, basis, trial, orders, fine, prepared.one_amplitude)
-    return Choice(basis, trial, score, fine, interval, clockwise)
+    return Choice(basis, trial, score, interval, clockwise)
 
 
 def _slopes(
@@ -192,7 +191,8 @@ def _bend(
     best = min(found, key=lambda item: item[2].rmse)
     if best[0].bend:
         for bend in (best[0].bend - BEND_STEP / 2.0, best[0].bend + BEND_STEP / 2.0):
-            attempt(bend)
+            if abs(bend) < max(BEND_TRIALS):
+                attempt(bend)
         best = min(found, key=lambda item: item[2].rmse)
     if best[2].rmse > (1.0 - BEND_GAIN) * found[0][2].rmse or no_worse(found[0][2], best[2]):
         best = found[0]
@@ -291,7 +291,7 @@ def _gears(
     structure, score = smoothed[best], scores[best]
     if orders.gears is not None:
         return basis, structure, score
-    usable = sum(int((log.fold >= 0).sum()) for log in logs)
+    usable = sum(int(log.used.sum()) for log in logs)
     candidates = [(basis, score)]
     for count in SLOPE_CHOICES[1:]:
         if count * ROWS_PER_SLOPE <= usable:

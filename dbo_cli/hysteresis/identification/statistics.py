@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.identification.normal_equations import Columns
-from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, hat_functions
+from dbo_cli.hysteresis.identification.regressors import BLOCK_ROWS, Basis, DriveRows, hat_functions
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 SELECTION_ROWS = 60_000  # orders are chosen on at most so many rows; the final fit uses all
 
 Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
@@ -38,6 +39,11 @@ class PreparedLog:
     start: str
     stretches: int = 0
 
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Rows that take part in the fit; shape (samples,)."""
+        return self.fold >= 0
+
 
 @dataclass(frozen=True)
 class Statistics:
@@ -59,19 +65,19 @@ class Statistics:
 
 
 def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
-    """Keep at most ``limit`` rows, whole stretches of every fold, for choosing orders on."""
-    total = sum(int((log.fold >= 0).sum()) for log in logs)
+    """Keep about ``limit`` rows, short stretches spread evenly over all logs, for choosing orders on.
+
+    Which stretches follows from multiples of the golden ratio, which fill the log without gaps or rhythm.
+    """
+    total = sum(int(log.used.sum()) for log in logs)
     if total <= limit:
         return list(logs)
+    length = min(BLOCK_ROWS, max(1, limit // 40))
     kept = []
     for log in logs:
-        fold = log.fold.copy()
-        folds = np.unique(fold[fold >= 0])
-        quota = int(limit * (fold >= 0).sum() / total / len(folds))
-        for k in folds:
-            rows = np.flatnonzero(fold == k)
-            fold[rows[quota:]] = -1
-        kept.append(replace(log, fold=fold))
+        stretch = np.arange(len(log.fold)) // length
+        chosen = (stretch * GOLDEN_RATIO) % 1.0 < limit / total
+        kept.append(replace(log, fold=np.where(chosen, log.fold, -1)))
     return kept
 
 
@@ -100,9 +106,9 @@ def gather(
     begin = shared
     for log in logs:
         end = begin + log.drift.shape[1]
-        alone = len(np.unique(log.fold[log.fold >= 0])) < 2
+        alone = len(np.unique(log.fold[log.used])) < 2
         picked = np.r_[0:shared, begin:end, size - 1]
-        rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.fold >= 0)
+        rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used)
         for first, last, drive in rows_made.blocks():
             fold = log.fold[first:last]
             known, target = rows_of(drive, log.output[first:last])
