@@ -323,3 +323,14 @@ def test_excite_refuses_too_few_cycles(dbo: Any) -> None:
     assert (done.code, done.out) == (2, "")
     assert done.err == "dbo: error: --duration 2.0: 2 cycles of 1.0 Hz, at least 6 are needed\n"
     assert folder_content(Path()) == set()
+
+
+def test_an_inverse_model_looks_ahead_as_compensate_does(dbo: Any) -> None:
+    delayed = json.loads(json.dumps(SMALL_MODEL))
+    delayed["stages"].append({"type": "delay", "seconds": 0.2})
+    write("delayed.json", json.dumps(delayed))
+    rows = "".join(f"{k / 10},{1.0 + 0.3 * k - 0.01 * k * k}\n" for k in range(15))
+    write("wanted.csv", "time_s,displacement_um\n" + rows)
+    assert dbo("invert", "delayed.json", "-o", "inverse.json").code == 0
+    drive = dbo("compensate", "delayed.json", "wanted.csv", "--state", "empty").out
+    assert dbo("simulate", "inverse.json", "wanted.csv", "--state", "empty").out == drive

@@ -300,3 +300,50 @@ def test_cascades_that_are_refused(direction: Any, stages: Any, message: str) ->
 
 def test_digest_is_of_the_gears_not_of_the_direction() -> None:
     assert build(1).digest == build(1).inverse().digest != build(2).digest
+
+
+def test_gears_beyond_what_the_model_covers_do_not_move_its_starts() -> None:
+    """More gears at the end than the input range needs: full, settled and hold stay inside the range."""
+    widths, slopes = np.full(40, 0.25), np.linspace(0.5, 1.5, 40)
+    covered = ActuatorModel(
+        "forward", Quantity("voltage", "V", 0.0, 10.0), Quantity("displacement", "um", 0.0, 10.0),
+        (BacklashStage(widths, widths * slopes),),
+    )  # fmt: skip
+    more = ActuatorModel(
+        "forward", covered.input, covered.output,
+        (BacklashStage(np.full(45, 0.25), 0.25 * np.append(slopes, np.full(5, 1.5))),),
+    )  # fmt: skip
+    for model, twin in ((more, covered), (more.inverse(), covered.inverse())):
+        for state in ("auto", "settled", "full", "empty"):
+            for first in (0.0, 3.3, 7.7, 9.9):
+                assert model.start(first, state).backlash.bits == twin.start(first, state).backlash.bits  # type: ignore[arg-type]
+    beyond = [2.0, 9.0, 12.0, 15.0, 9.0]
+    held = more.simulate(beyond, more.start(2.0), outside="hold")
+    assert held.y.tolist() == covered.simulate(beyond, covered.start(2.0), outside="hold").y.tolist()
+    assert (held.outside_count, held.first_outside) == (2, 2)
+    assert more.simulate([10.5, 10.0], more.start(0.0, "empty")).y[1] > 10.0  # it turns there as inside
+
+
+def test_an_inverse_read_without_its_axis_starts_like_the_one_made() -> None:
+    forward = build(3)
+    made = forward.inverse()
+    gears = made.backlash
+    read = ActuatorModel(
+        "inverse", made.input, made.output,
+        (*made.stages[:-1], BacklashStage(gears.dx, gears.dy, gears.x0, gears.y0)),
+    )  # fmt: skip
+    middle = 0.5 * (made.input.minimum + made.input.maximum)
+    for state in ("auto", "settled", "full", "empty"):
+        assert read.start(middle, state) == made.start(middle, state)  # type: ignore[arg-type]
+
+
+def test_digest_tells_models_of_another_gain_or_curve_apart() -> None:
+    model = build(2)
+    louder = ActuatorModel(
+        "forward", model.input, model.output, (*model.stages[:-1], ScaleStage(14.0, 0.7))
+    )
+    straight = ActuatorModel(
+        "forward", model.input, model.output, (model.stages[0], model.stages[2])
+    )
+    assert len({model.digest, louder.digest, straight.digest}) == 3
+    assert model.inverse().digest == model.digest

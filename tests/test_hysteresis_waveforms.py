@@ -49,6 +49,16 @@ def test_conditioning_leads_to_the_state_compensation_goes_on_from(relaxation: b
         assert error.max() <= 1e-11 * model.output.span
 
 
+def test_conditioning_joins_the_trajectory_where_the_memory_has_brought_it() -> None:
+    for seed in range(6):
+        model = build(seed, relaxation=True)
+        desired = wanted(model, seed, share=0.3)
+        limits = limits_of(model)
+        sweep = condition(model, desired[0], limits, 0.001)
+        drive = model.compensate(desired[:1], sweep.state, limits=limits, time_step=0.001)
+        assert drive.y[0] == pytest.approx(sweep.voltage[-1], abs=1e-8 * model.input.span)
+
+
 def test_excitation_covers_the_range_within_its_limits() -> None:
     time, drive = excitation(-30.0, 120.0, 5000.0, 20.0, 1.0, max_slew=480.0)
     assert time.size == drive.size == 100_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, OutputError
 from dbo_cli.records.columns import ColumnWish
 from dbo_cli.records.hdf5_writer import shuffled_deflated
 from dbo_cli.records.logs import SignalLog, open_log
+from dbo_cli.records.writers import OutColumn, signal_writer
 
 V = [0.0, 1.5, -2.5, 4.0]
 D = [10.25, 11.0, 9.125, 8.0]
@@ -277,3 +279,29 @@ def test_chunks_put_together_by_hand_are_what_hdf5_undoes(seed: int, rows: int) 
         )
         data.id.write_direct_chunk((0,), shuffled_deflated(values))
         assert data[()].tobytes() == values.tobytes()
+
+
+def test_a_group_is_added_to_a_file_and_nothing_else_in_it_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "bench.h5"
+    with h5py.File(path, "w") as file:
+        file["run/A"] = np.arange(5.0)
+        file["new/old"] = np.arange(3.0)
+    for value in (1.0, 2.0):  # the second replaces the group, whole
+        with signal_writer(f"{path}::/new", [OutColumn("time", "s")]) as writer:
+            writer.write(np.full(4, value))
+    with h5py.File(path) as file:
+        assert file["run/A"][:].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+        assert list(file["new"]) == ["time_s"]
+        assert file["new/time_s"][:].tolist() == [2.0] * 4
+    before = path.read_bytes()
+    with pytest.raises(RuntimeError), signal_writer(f"{path}::/new", [OutColumn("time", "s")]) as writer:
+        writer.write(np.zeros(9))
+        raise RuntimeError
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["bench.h5"]
+    (tmp_path / "text.h5").write_text("no HDF5")
+    with (
+        pytest.raises(OutputError, match=r"text\.h5: this is no HDF5 file, so no group can be added to it"),
+        signal_writer(f"{tmp_path / 'text.h5'}::/new", [OutColumn("time", "s")]),
+    ):
+        pass

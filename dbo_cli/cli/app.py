@@ -52,7 +52,7 @@ def run() -> None:
     gc.set_threshold(100_000, 50, 50)
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # closed by whoever started the program
-            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
+            setattr(sys, name, open(os.devnull, mode))
     code = main()
     try:
         sys.stdout.flush()

@@ -52,7 +52,7 @@ th, td { text-align: right; padding: .35rem .5rem; white-space: nowrap;
 th { font-weight: 600; color: var(--muted); font-size: .85rem; vertical-align: bottom;
   white-space: normal; }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
-td:first-child { white-space: normal; overflow-wrap: anywhere; }
+td:first-child { white-space: normal; overflow-wrap: anywhere; min-width: 9rem; }
 .chief { font-weight: 700; }
 .figures { display: grid; gap: 1.6rem;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)); }

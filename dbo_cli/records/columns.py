@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.records.blocks import ColumnInfo
 
-TIME_GUESSES = ("time", "t")
+TIME_GUESSES = ("time", "t", "x_value", "zeit")  # x_value: what LabVIEW writes
 
 _PREFIXED = ("V", "A", "m", "N", "Hz", "s", "rad", "Pa", "T", "g", "C", "W", "ohm")
 _PREFIXES = ("", "p", "n", "u", "m", "k", "M", "G")

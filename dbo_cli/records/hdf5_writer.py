@@ -34,7 +34,7 @@ class Hdf5Writer:
     Parameters
     ----------
     path
-        The file to make.
+        The file to make, or a copy of one to which the group is added.
     group
         The group in it, ``/`` for none.
     columns
@@ -48,7 +48,9 @@ class Hdf5Writer:
     ) -> None:
         import h5py
 
-        self._file = h5py.File(path, "w")
+        self._file = h5py.File(path, "a")
+        if group.strip("/") and group in self._file:
+            del self._file[group]  # the file may be a copy of one that has other groups to keep
         self._group = self._file.require_group(group)
         for name, value in attributes.items():
             self._group.attrs[name] = value

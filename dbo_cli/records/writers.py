@@ -11,7 +11,7 @@ from typing import IO, Any, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.records.addresses import Address, parse_address
 from dbo_cli.records.blocks import FloatArray
 from dbo_cli.records.columns import is_known_unit, split_header
@@ -168,6 +168,8 @@ def _hdf5(
     if target.is_stream:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
     with replacing(target.path, devices=False) as path:
+        if target.group not in (None, "", "/") and os.path.exists(target.path):
+            _copy_for_group(target.path, path)
         writer = Hdf5Writer(path, target.group or "/", columns, attributes)
         try:
             yield writer
@@ -175,6 +177,23 @@ def _hdf5(
         except BaseException:
             writer.abandon()
             raise
+
+
+def _copy_for_group(existing: str, path: str) -> None:
+    """Copy the HDF5 file that a group is written into: everything else in it stays as it is.
+
+    Raises
+    ------
+    OutputError
+        What stands there is no HDF5 file.
+    """
+    import shutil
+
+    import h5py
+
+    if not h5py.is_hdf5(existing):
+        raise OutputError(f"{existing}: this is no HDF5 file, so no group can be added to it: name another file")
+    shutil.copyfile(existing, path)
 
 
 def _delimiter(target: Address, format: str | None) -> str:
