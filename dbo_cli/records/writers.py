@@ -192,7 +192,9 @@ def _copy_for_group(existing: str, path: str) -> None:
     import h5py
 
     if not h5py.is_hdf5(existing):
-        raise OutputError(f"{existing}: this is no HDF5 file, so no group can be added to it: name another file")
+        raise OutputError(
+            f"{existing}: this is no HDF5 file, so no group can be added to it: name another file"
+        )
     shutil.copyfile(existing, path)
 
 
