@@ -140,7 +140,8 @@ Slopes = Annotated[str, _option("--slopes", "auto|growing|falling|free", "How th
 Force = Annotated[bool, _option("--force", None, "Keep a model that is no better than a straight line.")]
 
 RatedMin = Annotated[
-    str | None, _option("--v-min", "VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.")
+    str | None,
+    _option("--v-min", "VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."),
 ]
 RatedMax = Annotated[str | None, _option("--v-max", "VOLT", "The rating's upper end, with --v-min.")]
 
