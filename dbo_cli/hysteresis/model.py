@@ -9,10 +9,8 @@ model and inverse compose to the identity, to rounding.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -22,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.operators import (
-    BacklashState,
     Counts,
     DiscreteBacklashOperator,
     DiscretePointOperator,
@@ -35,8 +32,11 @@ from dbo_cli.hysteresis.stages import (
     MemoryFree,
     ScaleStage,
     Stage,
+    digest_of,
+    gears_up_to,
     least_slope,
     memory_free,
+    slow_output_range,
     through,
 )
 from dbo_cli.hysteresis.starts import StartName, start_drive, start_state
@@ -171,13 +171,7 @@ class ActuatorModel:
         drive = self.input if self.direction == "forward" else self.output
         bent = self._head if self.direction == "forward" else [s.inverse() for s in reversed(self._tail)]
         top = float(through(bent, np.array([drive.minimum, drive.maximum])).max())
-        reach = gears.x0 + np.cumsum(gears.dx)
-        count = int(np.searchsorted(reach, top - 0.5 * gears.dx[-1])) + 1
-        if count >= gears.n:
-            return gears
-        return DiscreteBacklashOperator(
-            gears.dx[:count], gears.dy[:count], gears.x0, gears.y0, gears.relaxation, gears.memory_on
-        )
+        return gears_up_to(gears, top)
 
     @cached_property
     def _head(self) -> MemoryFree:
@@ -206,17 +200,7 @@ class ActuatorModel:
     @cached_property
     def digest(self) -> str:
         """A name for everything a state refers to: equal for a model and its inverse."""
-        forward = self if self.direction == "forward" else self.inverse()
-        gears = self.forward_backlash
-        parts: list[object] = [dataclasses.asdict(gears.relaxation) if gears.relaxation else None]
-        for stage in forward.stages:
-            if isinstance(stage, ScaleStage):  # inverted twice, a gain may differ in its last digits
-                parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
-            elif isinstance(stage, DelayStage):
-                parts.append(stage.seconds)
-            else:
-                parts.append([stage.dx.tolist(), stage.dy.tolist(), stage.x0, stage.y0])
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+        return digest_of(self.stages if self.direction == "forward" else self.inverse().stages)
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
         """Return what reaches the backlash stage of this model."""
@@ -444,19 +428,3 @@ def _output_limits(limits: DriveLimits | None, steps: float | Floats | None) -> 
         return None
     step = None if limits.max_slew is None or steps is None else limits.max_slew * steps
     return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))
-
-
-def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tuple[float, float]:
-    """Return the least and the greatest output of a forward cascade at rest at the ends of its input.
-
-    Slowly: relaxation has come to rest at either end, and a delay does not matter. The voltage goes from
-    empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
-    """
-    place, operator = next((k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator))
-    head, tail = memory_free(stages[:place]), memory_free(stages[place:])
-    state, ends = operator.empty(), []
-    for voltage in (v_max, v_min):
-        y, after, _ = operator.run(through(head, np.array([voltage])), state)
-        state = BacklashState(after.bits)
-        ends.append(float(through(tail, y)[0]))
-    return min(ends), max(ends)

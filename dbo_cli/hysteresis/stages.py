@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 
 Floats = NDArray[np.float64]
 
@@ -165,3 +168,45 @@ def least_slope(stage: DiscretePointOperator | ScaleStage) -> float:
     if isinstance(stage, ScaleStage):
         return abs(stage.gain)
     return float(np.min(stage.dy / stage.dx))
+
+
+def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tuple[float, float]:
+    """Return the least and the greatest output of a forward cascade at rest at the ends of its input.
+
+    Slowly: relaxation has come to rest at either end, and a delay does not matter. The voltage goes from
+    empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
+    """
+    place, operator = next((k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator))
+    head, tail = memory_free(stages[:place]), memory_free(stages[place:])
+    state, ends = operator.empty(), []
+    for voltage in (v_max, v_min):
+        y, after, _ = operator.run(through(head, np.array([voltage])), state)
+        state = BacklashState(after.bits)
+        ends.append(float(through(tail, y)[0]))
+    return min(ends), max(ends)
+
+
+def gears_up_to(gears: DiscreteBacklashOperator, top: float) -> DiscreteBacklashOperator:
+    """Return an operator without its last gears, those that begin at ``top`` or above."""
+    reach = gears.x0 + np.cumsum(gears.dx)
+    count = int(np.searchsorted(reach, top - 0.5 * gears.dx[-1])) + 1
+    if count >= gears.n:
+        return gears
+    return DiscreteBacklashOperator(
+        gears.dx[:count], gears.dy[:count], gears.x0, gears.y0, gears.relaxation, gears.memory_on
+    )
+
+
+def digest_of(stages: Sequence[Stage]) -> str:
+    """Return a name for a forward cascade; a gain inverted twice may differ in its last digits."""
+    parts: list[object] = []
+    for stage in stages:
+        if isinstance(stage, ScaleStage):
+            parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
+        elif isinstance(stage, DelayStage):
+            parts.append(stage.seconds)
+        else:
+            parts.append([stage.dx.tolist(), stage.dy.tolist(), stage.x0, stage.y0])
+            if isinstance(stage, DiscreteBacklashOperator) and stage.relaxation:
+                parts.append(dataclasses.asdict(stage.relaxation))
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
