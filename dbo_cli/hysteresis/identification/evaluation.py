@@ -11,6 +11,7 @@ from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.recordings import Floats, Integers, Recording, first_wiped_row
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
+from dbo_cli.hysteresis.starts import StartName
 
 BLOCK_ROWS = 65536
 
@@ -34,11 +35,11 @@ class Residual:
         return float(np.sqrt(np.mean(self.values**2)))
 
 
-def predict(model: ActuatorModel, recording: Recording, start: str = "auto") -> Floats:
+def predict(model: ActuatorModel, recording: Recording, start: StartName = "auto") -> Floats:
     """Displacement that the model predicts for a recording's voltage, from a named start state."""
     seconds = recording.seconds()
     voltage = recording.voltage
-    state = model.start(float(voltage[0]), start)  # type: ignore[arg-type]
+    state = model.start(float(voltage[0]), start)
     steps = None if seconds is None else np.maximum(np.diff(seconds, prepend=seconds[0]), 0.0)
     predicted = np.empty(len(voltage))
     for first in range(0, len(voltage), BLOCK_ROWS):

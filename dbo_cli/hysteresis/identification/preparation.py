@@ -22,6 +22,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift_columns
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
+from dbo_cli.hysteresis.starts import StartName
 
 Booleans = NDArray[np.bool_]
 
@@ -33,7 +34,7 @@ PROBE_SPLIT = 8
 PROBE_SEGMENTS = 4
 HISTORY_GAIN = 0.7  # an open history must lower the error by so much, since rows and offsets are its price
 MOST_STRETCHES = 12
-STARTS = ("settled", "empty", "full")
+STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 
 
 @dataclass(frozen=True)

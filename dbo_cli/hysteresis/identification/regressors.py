@@ -25,6 +25,7 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
 )
 from dbo_cli.hysteresis.relaxation import Relaxation
+from dbo_cli.hysteresis.starts import StartName, start_state
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -74,15 +75,6 @@ class Basis:
         return DiscreteBacklashOperator(
             np.full(count, self.span / count), np.full(count, 1.0 / count), self.low, 0.0
         )
-
-
-def start_state(operator: DiscreteBacklashOperator, voltage: Floats, start: str) -> BacklashState:
-    """State of the gears before the first sample: 'empty', 'full' or 'settled'."""
-    if start == "empty":
-        return operator.empty()
-    if start == "full":
-        return operator.full()
-    return operator.settled(float(voltage[0]))
 
 
 def relaxed_drive(drive: Floats, seconds: Floats | None, time_constants: tuple[float, ...]) -> Floats:
@@ -150,7 +142,7 @@ class DriveRows:
         basis: Basis,
         voltage: Floats,
         seconds: Floats | None,
-        start: str,
+        start: StartName,
         wanted: NDArray[np.bool_] | None = None,
     ) -> None:
         self._basis = basis
@@ -163,7 +155,7 @@ class DriveRows:
     def blocks(self) -> Iterator[tuple[int, int, Floats]]:
         """Yield (first row, row after the last, columns of shape (rows, gears + time constants))."""
         operator = self._basis.operator()
-        state = start_state(operator, self._voltage, self._start)
+        state = start_state(operator, float(self._voltage[0]), self._start)
         samples = len(self._voltage)
         made = 0  # rows that the operator has seen so far
         for first in range(0, samples, BLOCK_ROWS):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.identification.normal_equations import Columns
 from dbo_cli.hysteresis.identification.regressors import BLOCK_ROWS, Basis, DriveRows, hat_functions
+from dbo_cli.hysteresis.starts import StartName
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -36,7 +37,7 @@ class PreparedLog:
     seconds: Floats | None
     fold: Integers
     drift: Floats
-    start: str
+    start: StartName
     stretches: int = 0
 
     @property
