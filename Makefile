@@ -78,7 +78,7 @@ demo/picture.png: demo/uncompensated.csv demo/compensated.csv sample_data/draw_d
 test: $(VENV)/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n auto
 
 # --- the rest ---
 

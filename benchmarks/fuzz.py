@@ -31,10 +31,10 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from dbo_cli.errors import DboError  # noqa: E402
-from dbo_cli.records.columns import ColumnWish  # noqa: E402
-from dbo_cli.records.dialect import DialectOptions  # noqa: E402
-from dbo_cli.records.logs import open_log  # noqa: E402
-from dbo_cli.records.writers import OutColumn, signal_writer  # noqa: E402
+from dbo_cli.logs.columns import ColumnWish  # noqa: E402
+from dbo_cli.logs.signal_log import open_log  # noqa: E402
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer  # noqa: E402
+from dbo_cli.logs.text_dialect import DialectOptions  # noqa: E402
 from tests.shapes.readable import READABLE  # noqa: E402
 from tests.shapes.refusable import REFUSABLE  # noqa: E402
 
@@ -131,7 +131,7 @@ class Fuzzer:
 
     def model(self) -> None:
         """Mutate a model as a tree or as a text, and read it."""
-        from dbo_cli.records.model_file import model_to_bytes, read_model
+        from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 
         tree = json.loads(json.dumps(self.random.choice(self.models)))
         for _ in range(self.random.randrange(1, 4)):
@@ -155,7 +155,7 @@ class Fuzzer:
     def _copied(self, name: str, call: dict[str, Any]) -> str:
         """Copy a log's guessed or numbered columns; give what came of it."""
         number = self.random.choice([None, None, "1", "2", "3", "time_s"])
-        want = {"voltage": ColumnWish(number, ("voltage", "drive", "u", "v"), option="--voltage")}
+        want = {"voltage": ColumnWish(number, ("voltage", "drive", "u", "v"), option="voltage")}
         out = self.folder / ("out" + self.random.choice([".csv", ".tsv.gz", ".h5"]))
         out.write_bytes(b"as it was")
         try:

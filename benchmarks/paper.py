@@ -20,21 +20,21 @@ from pathlib import Path
 import numpy as np
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.hysteresis.accumulators import Floats
 from dbo_cli.hysteresis.identification import Identification, IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.products.drawing import Plot, check_folder, save
-from dbo_cli.products.figures import plots_of_log
-from dbo_cli.products.model_figures import plots_of_model
-from dbo_cli.products.page import to_html
-from dbo_cli.products.pairs import PairBlock, rows_with_lag
-from dbo_cli.products.report import LogReport, Report, ReportOptions, evaluate
-from dbo_cli.products.traces import Traces
-from dbo_cli.records.blocks import Block
-from dbo_cli.records.columns import ColumnWish
-from dbo_cli.records.logs import open_log
-from dbo_cli.records.outputs import write_whole
-from dbo_cli.records.provenance import program_version_string
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.provenance import program_version_string
+from dbo_cli.logs.sample_block import Block
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.reports.drawing import Plot, check_folder, save
+from dbo_cli.reports.figures import plots_of_log
+from dbo_cli.reports.model_figures import plots_of_model
+from dbo_cli.reports.page import to_html
+from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
+from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import PairBlock, rows_with_lag
+from dbo_cli.reports.thinned_curves import Traces
 
 RATE = 200.0
 CYCLE = (3152, 3351)

@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dbo_cli.records.outputs import write_whole
-from dbo_cli.records.writers import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.whole_output import write_whole
 
 READ = """
 import sys
-from dbo_cli.records.columns import ColumnWish
-from dbo_cli.records.logs import open_log
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.signal_log import open_log
 want = {"drive": ColumnWish("voltage"), "desired": ColumnWish("desired"), "measured": ColumnWish("measured")}
 with open_log(sys.argv[1], want) as log:
     for block in log.blocks():

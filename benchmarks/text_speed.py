@@ -42,7 +42,7 @@ POLARS = (
 
 def write_log(path: Path, rows: int) -> None:
     """Write a drive of many amplitudes with full digits, as simulations and converted logs have them."""
-    from dbo_cli.records.writers import OutColumn, signal_writer
+    from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 
     time_s = np.arange(rows) / 2000.0
     drive = 50.0 + 50.0 * np.sin(0.7 * time_s) * np.cos(40.0 * time_s)
@@ -89,8 +89,9 @@ def whole_processes(folder: Path, rows: int) -> bool:
 
 def parsers(rows: int) -> None:
     """Show what each way of reading and writing costs inside a process."""
-    from dbo_cli.records import numbers, parsing
-    from dbo_cli.records.dialect import Dialect
+    from dbo_cli.logs import number_text as numbers
+    from dbo_cli.logs import text_parsing as parsing
+    from dbo_cli.logs.text_dialect import Dialect
 
     values = np.random.default_rng(1).normal(size=(2, rows))
     text = bytes(numbers._fast_rows(list(values), ","))

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from virtual_actuator import read_drive
 
-from dbo_cli.products import figure_style as style
+from dbo_cli.reports import figure_style as style
 
 
 def draw(uncompensated: str, compensated: str, picture: str) -> None:

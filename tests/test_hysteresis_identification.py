@@ -26,7 +26,7 @@ from dbo_cli.hysteresis.model import (
     Relaxation,
     ScaleStage,
 )
-from dbo_cli.records.model_file import model_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes
 
 PERIOD = 0.01
 STATIC = IdentificationOptions(relaxation=(), delay=0.0)
@@ -220,7 +220,7 @@ def test_no_better_than_a_line_is_refused_unless_forced() -> None:
     rng = np.random.default_rng(2)
     voltage = nested()
     line = Recording("line", voltage, 3.0 * voltage + rng.normal(size=len(voltage)), sample_period=PERIOD)
-    with pytest.raises(FitError, match=r"no better than a straight line .* \(--force keeps the model\)$"):
+    with pytest.raises(FitError, match=r"no better than a straight line .* \(`force` keeps the model\)$"):
         identify([line])
     kept = identify([line], IdentificationOptions(force=True))
     assert any("no better than a straight line" in warning for warning in kept.warnings)
@@ -257,13 +257,13 @@ def test_what_a_user_is_warned_of() -> None:
 
 def test_options_that_contradict_the_logs() -> None:
     log = replace(record(actuator(), nested()), sample_period=None)
-    with pytest.raises(UsageError, match=r"^--delay and --relaxation need a clock"):
+    with pytest.raises(UsageError, match=r"^`delay` and `relaxation` need a clock"):
         identify([log], IdentificationOptions(delay=0.01))
-    with pytest.raises(FitError, match=r"^log: --skip needs a clock"):
+    with pytest.raises(FitError, match=r"^log: `skip` needs a clock"):
         identify([log], IdentificationOptions(skip_seconds=1.0))
-    with pytest.raises(UsageError, match=r"^--method paper takes one log"):
+    with pytest.raises(UsageError, match=r"^`method` paper takes one log"):
         identify([log, log], IdentificationOptions(method="paper"))
-    with pytest.raises(UsageError, match=r"^--delay -1: "):
+    with pytest.raises(UsageError, match=r"^`delay` -1: "):
         IdentificationOptions(delay=-1.0)
     with pytest.raises(FitError, match=r"^log: 0 usable rows are too few"):
         identify([record(actuator(), nested())], IdentificationOptions(skip_seconds=99.0))

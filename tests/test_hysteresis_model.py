@@ -263,7 +263,7 @@ def test_needs_time_is_said() -> None:
         assert model.needs_time
         with pytest.raises(ModelError) as problem:
             model.simulate([1.0, 2.0], model.start(1.0))
-        assert str(problem.value) == "this needs the time between samples (a time column, or --sample-rate)"
+        assert str(problem.value) == "this needs the time between samples (a time column, or `sample_rate`)"
     assert not build(1).needs_time
     assert not build(1, delay=0.01).inverse().needs_time
 

@@ -13,7 +13,7 @@ from trials import random_operator, random_trajectory
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.gears import on_binary_grid
+from dbo_cli.hysteresis.gear_table import on_binary_grid
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     Counts,
@@ -259,7 +259,7 @@ def test_relaxation_follows_its_equation() -> None:
 
 def test_relaxation_needs_time() -> None:
     operator = DiscreteBacklashOperator([1.0], [1.0], 0.0, 0.0, Relaxation(0.0, (1.0,), (0.5,)))
-    with pytest.raises(ModelError, match=r"^relaxation needs the time between samples \(--sample-rate\)$"):
+    with pytest.raises(ModelError, match=r"^relaxation needs the time between samples \(`sample_rate`\)$"):
         operator.run([0.1, 0.2], operator.empty())
     assert operator.relaxation is not None
     with pytest.raises(InputError, match=r"^time step 2: -0.1 s; time must not go backwards$"):

@@ -22,7 +22,7 @@ KINDS = ("model.json", "drive.csv", "report.json", "report.csv")
 @pytest.fixture
 def bench(tmp_path: Path) -> Path:
     """A folder with three small logs of different forms and a trajectory."""
-    from dbo_cli.records.writers import OutColumn, signal_writer
+    from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 
     (tmp_path / "logs").mkdir()
     time = np.arange(600) / 100

@@ -113,8 +113,10 @@ def _where_to_look(words: list[str]) -> str:
 
 def _say(text: str) -> None:
     """Print one line on stderr, whatever line breaks the text came with."""
+    from dbo_cli.cli.messages import shell_line
+
     try:
-        print("dbo: " + " ".join(text.split()), file=sys.stderr, flush=True)
+        print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
     except OSError:
         pass  # stderr is gone: the exit code still says it
 

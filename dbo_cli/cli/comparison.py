@@ -13,11 +13,11 @@ from dbo_cli.cli.streams import Clock, ModelStream
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel
-    from dbo_cli.products.pairs import PairBlock
-    from dbo_cli.products.report import LogReport, ReportOptions
-    from dbo_cli.products.traces import Traces
-    from dbo_cli.records.columns import ColumnWish
-    from dbo_cli.records.logs import SignalLog
+    from dbo_cli.logs.columns import ColumnWish
+    from dbo_cli.logs.signal_log import SignalLog
+    from dbo_cli.reports.report import LogReport, ReportOptions
+    from dbo_cli.reports.sample_pairs import PairBlock
+    from dbo_cli.reports.thinned_curves import Traces
 
 
 @dataclass
@@ -43,8 +43,8 @@ class PairReader:
 
     def evaluate(self, address: str) -> LogReport:
         """Compare one log, block by block."""
-        from dbo_cli.products.pairs import rows_with_lag
-        from dbo_cli.products.report import evaluate
+        from dbo_cli.reports.report import evaluate
+        from dbo_cli.reports.sample_pairs import rows_with_lag
 
         reading = self.reading
         if isinstance(self.compared.lag, int):
@@ -59,18 +59,18 @@ class PairReader:
         return merit
 
     def _want(self) -> dict[str, ColumnWish]:
-        from dbo_cli.records.columns import ColumnWish
+        from dbo_cli.logs.columns import ColumnWish
 
-        want = {"measured": ColumnWish(self.measured, signals.DISPLACEMENT, option="--measured")}
+        want = {"measured": ColumnWish(self.measured, signals.DISPLACEMENT, option="measured")}
         if self.model is None:
-            want["desired"] = ColumnWish(self.desired, signals.DESIRED, option="--desired")
+            want["desired"] = ColumnWish(self.desired, signals.DESIRED, option="desired")
         needed = self.model is not None or self.voltage is not None
-        want["voltage"] = ColumnWish(self.voltage, signals.VOLTAGE, required=needed, option="--voltage")
+        want["voltage"] = ColumnWish(self.voltage, signals.VOLTAGE, required=needed, option="voltage")
         return want
 
     def _note_units(self, log: SignalLog) -> None:
         """Keep the units, and refuse a pair (or a log and a model) that speaks two."""
-        from dbo_cli.products.pairs import check_alike
+        from dbo_cli.reports.sample_pairs import check_alike
 
         measured = log.columns["measured"].unit
         if self.model is None:
@@ -82,14 +82,14 @@ class PairReader:
         self.units.append((log.name, measured or other))
 
     def _new_traces(self, log: SignalLog) -> Traces:
-        from dbo_cli.products.traces import Traces
+        from dbo_cli.reports.thinned_curves import Traces
 
         drive = log.columns.get("voltage")
         self.traces.append(Traces(None if drive is None else drive.unit))
         return self.traces[-1]
 
     def _pairs(self, log: SignalLog) -> Iterator[PairBlock]:
-        from dbo_cli.products.pairs import PairBlock
+        from dbo_cli.reports.sample_pairs import PairBlock
 
         counter = RowCounter(self.voice, "compared")
         stream = None if self.model is None else self._predictor(self.model, log)

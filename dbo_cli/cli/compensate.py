@@ -15,8 +15,8 @@ from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
-    from dbo_cli.hysteresis.states import DriveLimits
-    from dbo_cli.records.blocks import Block, FloatArray
+    from dbo_cli.hysteresis.model_state import DriveLimits
+    from dbo_cli.logs.sample_block import Block, FloatArray
 
 ON_LIMIT = ("clip", "error")
 
@@ -53,9 +53,9 @@ def compensate(
         raise UsageError(f"--v-min {v_min} must be below --v-max {v_max}")
     if condition and state != "auto":
         raise UsageError(f"--condition and --state {state} exclude each other: the sweep makes its own state")
-    from dbo_cli.hysteresis.states import DriveLimits
-    from dbo_cli.records.columns import ColumnWish
-    from dbo_cli.records.model_file import read_model
+    from dbo_cli.hysteresis.model_file import read_model
+    from dbo_cli.hysteresis.model_state import DriveLimits
+    from dbo_cli.logs.columns import ColumnWish
 
     destination = Destination(
         output, save_state, [model, trajectory, state], reading.file_format, flush, command_line
@@ -66,7 +66,7 @@ def compensate(
     drive, wanted = operator.input, operator.output
     limits = DriveLimits(drive.minimum if low is None else low, drive.maximum if high is None else high, slew)
     names = (*signals.guesses_for(wanted.quantity), *signals.DESIRED)
-    want = {wanted.quantity: ColumnWish(displacement, names, option="--displacement")}
+    want = {wanted.quantity: ColumnWish(displacement, names, option="displacement")}
     with signals.open_signals(trajectory, want, reading, voice, live=flush) as source:
         signals.check_unit(source, wanted.quantity, wanted, signals.spoken(model))
         clock = Clock(source, reading, _why_time(operator, limits, condition))
@@ -98,8 +98,8 @@ def _condition(
 
     Their displacement is the model's own: nothing else is wanted there, and every cell must hold a number.
     """
-    from dbo_cli.hysteresis.waveforms import condition
-    from dbo_cli.records.times import require_even
+    from dbo_cli.hysteresis.excitation import condition
+    from dbo_cli.logs.clock import require_even
 
     assert block.time is not None
     step = stream.clock.step

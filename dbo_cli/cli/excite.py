@@ -33,8 +33,8 @@ def excite(
     slew = values.optional(values.positive, "--max-slew", max_slew)
     if low >= high:
         raise UsageError(f"--v-min {v_min} must be below --v-max {v_max}")
-    from dbo_cli.hysteresis.waveforms import excitation
-    from dbo_cli.records.writers import OutColumn, signal_writer
+    from dbo_cli.hysteresis.excitation import excitation
+    from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 
     time, voltage = excitation(low, high, rate, seconds, cycles, slew)
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]

@@ -61,7 +61,7 @@ def identify(
         "force": force,
     }
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.records.outputs import check_output
+    from dbo_cli.logs.whole_output import check_output
 
     others = validate or []
     check_output(output, [*logs, *others])
@@ -85,13 +85,13 @@ class RecordingReader:
         displacement: str | None,
         names: Mapping[str, str],
     ) -> None:
-        from dbo_cli.records.columns import ColumnWish
+        from dbo_cli.logs.columns import ColumnWish
 
         self.voice = voice
         self.names = names
         self.want = {
-            "voltage": ColumnWish(voltage, signals.VOLTAGE, option="--voltage"),
-            "displacement": ColumnWish(displacement, signals.DISPLACEMENT, option="--displacement"),
+            "voltage": ColumnWish(voltage, signals.VOLTAGE, option="voltage"),
+            "displacement": ColumnWish(displacement, signals.DISPLACEMENT, option="displacement"),
         }
         self.inputs: list[dict[str, Any]] = []
 
@@ -127,9 +127,9 @@ def _write(
     result: Identification, output: str, inputs: Iterable[dict[str, Any]], arguments: Sequence[str]
 ) -> None:
     """Write the model with its provenance."""
-    from dbo_cli.records.model_file import model_to_bytes
-    from dbo_cli.records.outputs import write_whole
-    from dbo_cli.records.provenance import program_version_string
+    from dbo_cli.hysteresis.model_file import model_to_bytes
+    from dbo_cli.logs.provenance import program_version_string
+    from dbo_cli.logs.whole_output import write_whole
 
     provenance = {
         "program": program_version_string(),

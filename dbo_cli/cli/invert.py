@@ -15,8 +15,8 @@ def invert(model: options.Model, voice: Voice, output: options.Output = "-") -> 
     The inverse of a forward model turns a desired displacement into the drive (dbo simulate runs it;
     dbo compensate does the same from the forward model and keeps the drive within its limits).
     """
-    from dbo_cli.records.model_file import model_to_bytes, read_model
-    from dbo_cli.records.outputs import write_whole
+    from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
+    from dbo_cli.logs.whole_output import write_whole
 
     inverse = read_model(model).inverse()
     write_whole(output, model_to_bytes(inverse), protect=[model])

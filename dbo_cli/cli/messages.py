@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+_PARAMETER = re.compile(r"`([a-z]\w*)`")
+
+
+def shell_line(text: str) -> str:
+    """Return a message of the library as the shell shows it: one line, parameters spelled as options."""
+    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), " ".join(text.split()))
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ class Voice:
             self._line(f"warning: {text}")
 
     def _line(self, text: str) -> None:
-        print("dbo: " + " ".join(text.split()), file=sys.stderr, flush=True)
+        print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
 
 
 class RowCounter:

@@ -12,7 +12,7 @@ from dbo_cli.cli.messages import Voice
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel
-    from dbo_cli.products.report import Report
+    from dbo_cli.reports.report import Report
 
 FORMS = ("text", "json", "csv", "html")
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
@@ -49,9 +49,9 @@ def report(
         "max_abs": values.optional(values.not_negative, "--max-abs", max_abs),
         "max_nrmse_percent": values.optional(values.not_negative, "--max-nrmse-percent", max_nrmse_percent),
     }
-    from dbo_cli.products import report as reports
-    from dbo_cli.products.drawing import check_folder
-    from dbo_cli.records.outputs import check_output, write_whole
+    from dbo_cli.logs.whole_output import check_output, write_whole
+    from dbo_cli.reports import report as reports
+    from dbo_cli.reports.drawing import check_folder
 
     labels = ("desired", "measured") if model is None else ("model", "measured")
     compared = reports.ReportOptions(
@@ -91,7 +91,7 @@ def form_of(named: str | None, output: str) -> str:
 
 
 def _forward(address: str) -> ActuatorModel:
-    from dbo_cli.records.model_file import read_model
+    from dbo_cli.hysteresis.model_file import read_model
 
     model = read_model(address)
     model.require("forward", address)
@@ -99,7 +99,7 @@ def _forward(address: str) -> ActuatorModel:
 
 
 def _rendered(form: str, result: Report, reader: PairReader) -> bytes:
-    from dbo_cli.products import renderers
+    from dbo_cli.reports import renderers
 
     if form == "html":
         return _page(result, reader).encode()
@@ -108,10 +108,10 @@ def _rendered(form: str, result: Report, reader: PairReader) -> bytes:
 
 
 def _page(result: Report, reader: PairReader) -> str:
-    from dbo_cli.products.figures import plots_of_log
-    from dbo_cli.products.model_figures import plots_of_model
-    from dbo_cli.products.page import to_html
-    from dbo_cli.records.provenance import program_version_string
+    from dbo_cli.logs.provenance import program_version_string
+    from dbo_cli.reports.figures import plots_of_log
+    from dbo_cli.reports.model_figures import plots_of_model
+    from dbo_cli.reports.page import to_html
 
     pairs = zip(result.logs, reader.traces, strict=True)
     return to_html(
@@ -123,9 +123,9 @@ def _page(result: Report, reader: PairReader) -> str:
 
 
 def _draw(folder: Path, result: Report, reader: PairReader) -> None:
-    from dbo_cli.products.drawing import file_stems, save
-    from dbo_cli.products.figures import plots_of_log
-    from dbo_cli.products.model_figures import plots_of_model
+    from dbo_cli.reports.drawing import file_stems, save
+    from dbo_cli.reports.figures import plots_of_log
+    from dbo_cli.reports.model_figures import plots_of_model
 
     stems = file_stems([log.name for log in result.logs])
     for stem, log, traces in zip(stems, result.logs, reader.traces, strict=True):

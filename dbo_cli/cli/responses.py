@@ -16,11 +16,11 @@ from dbo_cli.cli.streams import STATES, ModelStream
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from dbo_cli.hysteresis.initial_states import StartName
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
-    from dbo_cli.hysteresis.starts import StartName
-    from dbo_cli.hysteresis.states import ModelState
-    from dbo_cli.records.blocks import Block, FloatArray
-    from dbo_cli.records.writers import OutColumn
+    from dbo_cli.hysteresis.model_state import ModelState
+    from dbo_cli.logs.sample_block import Block, FloatArray
+    from dbo_cli.logs.signal_writer import OutColumn
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Destination:
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
-        from dbo_cli.records.outputs import check_output
+        from dbo_cli.logs.whole_output import check_output
 
         check_output(self.output, self.protect)
         if self.save_state is not None:
@@ -49,7 +49,7 @@ def start_of(state: str, model: ActuatorModel) -> StartName | ModelState:
     """Return the state that ``--state`` asks for: a name as it is, anything else as a file."""
     if state in STATES:
         return state  # type: ignore[return-value]
-    from dbo_cli.records.model_file import read_state
+    from dbo_cli.hysteresis.model_file import read_state
 
     if not os.path.exists(state):
         raise UsageError(f"--state: '{state}' is none of {', '.join(STATES)}, and there is no such file")
@@ -70,8 +70,8 @@ def write_response(
     ``blocks`` are the log's, each with what goes into the model, which may be the log's signal read ahead;
     ``prelude`` are rows to write before them.
     """
-    from dbo_cli.records.outputs import write_whole
-    from dbo_cli.records.writers import signal_writer
+    from dbo_cli.logs.signal_writer import signal_writer
+    from dbo_cli.logs.whole_output import write_whole
 
     counter = RowCounter(voice, "written")
     columns = _columns(stream, result)
@@ -93,7 +93,7 @@ def write_response(
             counter.add(len(arrays[0]))
         counter.clear()
     if destination.save_state is not None and stream.state is not None:
-        from dbo_cli.records.model_file import state_to_bytes
+        from dbo_cli.hysteresis.model_file import state_to_bytes
 
         write_whole(destination.save_state, state_to_bytes(stream.state, stream.model))
     voice.notes(stream.log.notes)
@@ -110,7 +110,7 @@ def _responses(stream: ModelStream, blocks: Iterable[tuple[Block, FloatArray]]) 
 
 def _columns(stream: ModelStream, result: Quantity) -> list[OutColumn]:
     """Return time, the input column under its own name, and the result under the model's."""
-    from dbo_cli.records.writers import OutColumn
+    from dbo_cli.logs.signal_writer import OutColumn
 
     taken = stream.taken
     column = stream.log.columns[taken.quantity]

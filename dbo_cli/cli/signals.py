@@ -12,8 +12,8 @@ from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import Quantity
-    from dbo_cli.records.columns import ColumnWish
-    from dbo_cli.records.logs import SignalLog
+    from dbo_cli.logs.columns import ColumnWish
+    from dbo_cli.logs.signal_log import SignalLog
 
 VOLTAGE = ("voltage", "drive", "command", "u", "v", "volt", "volts")
 DISPLACEMENT = ("displacement", "position", "measured", "sensor", "y", "disp", "pos")
@@ -37,8 +37,8 @@ def open_signals(
     digest: bool = False,
 ) -> SignalLog:
     """Open a log as the reading options say."""
-    from dbo_cli.records.dialect import DialectOptions
-    from dbo_cli.records.logs import open_log
+    from dbo_cli.logs.signal_log import open_log
+    from dbo_cli.logs.text_dialect import DialectOptions
 
     dialect = DialectOptions(
         delimiter=reading.delimiter,
@@ -75,7 +75,7 @@ def short_names(addresses: Sequence[str]) -> dict[str, str]:
 
 def format_for(address: str, named: str | None) -> str | None:
     """Return ``--format`` for an address whose own name does not tell its format, else None."""
-    from dbo_cli.records.addresses import parse_address
+    from dbo_cli.logs.addresses import parse_address
 
     return named if named is not None and parse_address(address).kind is None else None
 

@@ -38,8 +38,8 @@ def simulate(
     model.json - --flush). Written are time (when known), the input column and the result.
     """
     behaviour = cast("Outside", values.choice("--outside", outside, OUTSIDE))
-    from dbo_cli.records.columns import ColumnWish
-    from dbo_cli.records.model_file import read_model
+    from dbo_cli.hysteresis.model_file import read_model
+    from dbo_cli.logs.columns import ColumnWish
 
     destination = Destination(
         output, save_state, [model, log, state], reading.file_format, flush, command_line
@@ -47,7 +47,7 @@ def simulate(
     destination.check()
     operator = read_model(model)
     taken = operator.input
-    want = {taken.quantity: ColumnWish(input_column, signals.guesses_for(taken.quantity), option="--input")}
+    want = {taken.quantity: ColumnWish(input_column, signals.guesses_for(taken.quantity), option="input")}
     with signals.open_signals(log, want, reading, voice, live=flush) as source:
         signals.check_unit(source, taken.quantity, taken, signals.spoken(model))
         look_ahead = operator.delay_seconds if operator.direction == "inverse" else 0.0

@@ -11,12 +11,12 @@ from dbo_cli.cli.messages import Voice
 from dbo_cli.errors import InputError, LimitError
 
 if TYPE_CHECKING:
+    from dbo_cli.hysteresis.initial_states import StartName
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
+    from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
     from dbo_cli.hysteresis.operators import Outside
-    from dbo_cli.hysteresis.starts import StartName
-    from dbo_cli.hysteresis.states import DriveLimits, ModelState, Simulated
-    from dbo_cli.records.blocks import Block, FloatArray
-    from dbo_cli.records.logs import SignalLog
+    from dbo_cli.logs.sample_block import Block, FloatArray
+    from dbo_cli.logs.signal_log import SignalLog
 
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word
 STATES = ("auto", "empty", "full", "settled")
@@ -163,7 +163,7 @@ class ModelStream:
         return self.model.start_compensation(first, self.start, self.limits)
 
     def _run(self, block: Block, x: FloatArray, steps: Any, state: ModelState) -> Simulated:
-        from dbo_cli.hysteresis.states import OutsideError
+        from dbo_cli.hysteresis.model_state import OutsideError
 
         if self.limits is not None:
             return self.model.compensate(x, state, limits=self.limits, time_step=steps)
@@ -183,7 +183,7 @@ def ahead(source: SignalLog, role: str, seconds: float) -> Iterator[tuple[Block,
     """Return each block with its signal as it will be ``seconds`` later: how an inverse undoes a delay."""
     if seconds == 0.0:
         return ((block, block.values[role]) for block in source.blocks())
-    from dbo_cli.hysteresis.waveforms import read_ahead
+    from dbo_cli.hysteresis.excitation import read_ahead
 
     blocks = ((block, block.time, block.values[role]) for block in source.blocks() if block.time is not None)
     return read_ahead(blocks, seconds)

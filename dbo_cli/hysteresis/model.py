@@ -19,15 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.operators import (
-    Counts,
-    DiscreteBacklashOperator,
-    DiscretePointOperator,
-    OutputLimits,
-    Outside,
-)
-from dbo_cli.hysteresis.relaxation import Relaxation
-from dbo_cli.hysteresis.stages import (
+from dbo_cli.hysteresis.cascade import (
     DelayStage,
     MemoryFree,
     ScaleStage,
@@ -39,8 +31,16 @@ from dbo_cli.hysteresis.stages import (
     slow_output_range,
     through,
 )
-from dbo_cli.hysteresis.starts import StartName, start_drive, start_state
-from dbo_cli.hysteresis.states import DriveLimits, ModelState, OutsideError, Quantity, Simulated
+from dbo_cli.hysteresis.initial_states import StartName, start_drive, start_state
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity, Simulated
+from dbo_cli.hysteresis.operators import (
+    Counts,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    OutputLimits,
+    Outside,
+)
+from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
     "ActuatorModel",
@@ -310,7 +310,7 @@ class ActuatorModel:
         """Return the time steps, checked; that of a first sample is set to 0."""
         if time_step is None:
             if self.needs_time or (limits is not None and limits.max_slew is not None):
-                raise ModelError("this needs the time between samples (a time column, or --sample-rate)")
+                raise ModelError("this needs the time between samples (a time column, or `sample_rate`)")
             return None
         if np.ndim(time_step) == 0:
             return float(np.asarray(time_step))

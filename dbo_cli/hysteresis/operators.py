@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.gears import CROSSING_TOLERANCE, checked_pair, gear_table, on_binary_grid
+from dbo_cli.hysteresis.gear_table import CROSSING_TOLERANCE, checked_pair, gear_table, on_binary_grid
 from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
@@ -324,7 +324,7 @@ class DiscreteBacklashOperator:
             if state.memory is None and begin == 0:
                 factors = rest
             elif factors is None:
-                raise ModelError("relaxation needs the time between samples (--sample-rate)")
+                raise ModelError("relaxation needs the time between samples (`sample_rate`)")
             if len(factors) not in (1, end - begin):
                 factors = factors[begin:end]
             own = steps[begin:end] if steps.size > 1 else steps

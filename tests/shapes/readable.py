@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dbo_cli.records.dialect import DialectOptions
+from dbo_cli.logs.text_dialect import DialectOptions
 
 
 @dataclass(frozen=True)

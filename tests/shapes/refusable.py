@@ -9,7 +9,7 @@ import gzip
 from dataclasses import dataclass, field
 from typing import Any
 
-from dbo_cli.records.dialect import DialectOptions
+from dbo_cli.logs.text_dialect import DialectOptions
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Refusal:
 
 HEAD = b"time_s,voltage_V,displacement_um\n"
 GOOD = b"0,0,10.25\n0.001,1.5,11\n0.002,-2.5,9.125\n"
-SKIP = " (--skip-bad drops such rows)"
+SKIP = " (`skip_bad` drops such rows)"
 THERE = "it has 1 time_s, 2 voltage_V, 3 displacement_um"
 
 REFUSABLE = [
@@ -82,25 +82,25 @@ REFUSABLE = [
     Refusal("named column absent", HEAD + GOOD, "{log}: there is no column 'volts': " + THERE, {"voltage": "volts"}),
     Refusal("named column in a log without names", b"1,2\n3,4\n", "{log}: there is no column 'voltage': it has 2 columns without names", {"voltage": "voltage"}),
     Refusal("column number past the end", HEAD + GOOD, "{log}: there is no column 4: it has 3 columns", {"voltage": "4"}),
-    Refusal("column number 0", HEAD + GOOD, "--voltage 0: columns are counted from 1", {"voltage": "0"}, code=2),
-    Refusal("negative column number", HEAD + GOOD, "--voltage -1: columns are counted from 1", {"voltage": "-1"}, code=2),
-    Refusal("a name that occurs twice", b"t,u,u,y\n0,1,2,3\n1,2,3,4\n", "{log}: column 'u' occurs more than once: give its number (--voltage 2 or 3)", {"voltage": "u"}),
-    Refusal("a guess that finds two", b"t,drive,u,y\n0,1,2,3\n1,2,3,4\n", "{log}: which column is the voltage, 'drive' or 'u'? (choose with --voltage NAME or NUMBER)"),
-    Refusal("a guess that finds none", b"t,ch1,ch2\n0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage: it has 1 t, 2 ch1, 3 ch2 (choose with --voltage NAME or NUMBER)"),
-    Refusal("no names to guess from", b"0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage: it has 3 columns without names (choose with --voltage NAME or NUMBER)"),
-    Refusal("two time columns", b"t,time,u,y\n0,0,1,2\n1,1,2,3\n", "{log}: which column is the time, 't' or 'time'? (choose with --time NAME or NUMBER)"),
-    Refusal("clock times as the time column", b"time,u,y\n10:15:00,1,2\n10:15:01,2,3\n", "{log}:2: column 'time' is not a number: '10:15:00' (clock times and dates are not read: --sample-rate HZ gives the time instead)"),
+    Refusal("column number 0", HEAD + GOOD, "`voltage` 0: columns are counted from 1", {"voltage": "0"}, code=2),
+    Refusal("negative column number", HEAD + GOOD, "`voltage` -1: columns are counted from 1", {"voltage": "-1"}, code=2),
+    Refusal("a name that occurs twice", b"t,u,u,y\n0,1,2,3\n1,2,3,4\n", "{log}: column 'u' occurs more than once: give its number (`voltage` 2 or 3)", {"voltage": "u"}),
+    Refusal("a guess that finds two", b"t,drive,u,y\n0,1,2,3\n1,2,3,4\n", "{log}: which column is the voltage, 'drive' or 'u'? (choose with `voltage` NAME or NUMBER)"),
+    Refusal("a guess that finds none", b"t,ch1,ch2\n0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage: it has 1 t, 2 ch1, 3 ch2 (choose with `voltage` NAME or NUMBER)"),
+    Refusal("no names to guess from", b"0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage: it has 3 columns without names (choose with `voltage` NAME or NUMBER)"),
+    Refusal("two time columns", b"t,time,u,y\n0,0,1,2\n1,1,2,3\n", "{log}: which column is the time, 't' or 'time'? (choose with `time` NAME or NUMBER)"),
+    Refusal("clock times as the time column", b"time,u,y\n10:15:00,1,2\n10:15:01,2,3\n", "{log}:2: column 'time' is not a number: '10:15:00' (clock times and dates are not read: `sample_rate` HZ gives the time instead)"),
     Refusal("a time column that is absent", HEAD + GOOD, "{log}: there is no column 'zeit': " + THERE, call={"time": "zeit"}),
-    Refusal("a sample rate beside a time column", HEAD + GOOD, "--time and --sample-rate exclude each other: the log has the one or needs the other", call={"time": "1", "sample_rate": 10.0}, code=2),
-    Refusal("a negative sample rate", HEAD + GOOD, "--sample-rate -1: give a positive number of samples a second", call={"sample_rate": -1.0}, code=2),
-    Refusal("rows beyond the end", HEAD + GOOD, "{log}: --rows 7:9 is beyond the last data row", call={"rows": "7:9"}),
-    Refusal("rows back to front", HEAD + GOOD, "--rows 9:7: rows are counted from 1, and the last is not before the first", call={"rows": "9:7"}, code=2),
-    Refusal("rows that are no range", HEAD + GOOD, "--rows 5: give A:B, data rows counted from 1, both ends included", call={"rows": "5"}, code=2),
+    Refusal("a sample rate beside a time column", HEAD + GOOD, "`time` and `sample_rate` exclude each other: the log has the one or needs the other", call={"time": "1", "sample_rate": 10.0}, code=2),
+    Refusal("a negative sample rate", HEAD + GOOD, "`sample_rate` -1: give a positive number of samples a second", call={"sample_rate": -1.0}, code=2),
+    Refusal("rows beyond the end", HEAD + GOOD, "{log}: `rows` 7:9 is beyond the last data row", call={"rows": "7:9"}),
+    Refusal("rows back to front", HEAD + GOOD, "`rows` 9:7: rows are counted from 1, and the last is not before the first", call={"rows": "9:7"}, code=2),
+    Refusal("rows that are no range", HEAD + GOOD, "`rows` 5: give A:B, data rows counted from 1, both ends included", call={"rows": "5"}, code=2),
     Refusal("nothing left after dropping", HEAD + b"0,x,1\n1,y,2\n", "{log}: no good data row", call={"skip_bad": True}),
-    Refusal("an unknown delimiter", HEAD + GOOD, "--delimiter colons: give a single character or one of comma, semicolon, tab, blanks, space, pipe", call={"dialect": DialectOptions(delimiter="colons")}, code=2),
-    Refusal("an unknown decimal sign", HEAD + GOOD, "--decimal dot: give point or comma", call={"dialect": DialectOptions(decimal="dot")}, code=2),
-    Refusal("an unknown encoding", HEAD + GOOD, "--encoding klingon: there is no such text encoding", call={"dialect": DialectOptions(encoding="klingon")}, code=2),
-    Refusal("an unknown format", HEAD + GOOD, "--format xml: the formats are csv, tsv, txt, dat, h5, hdf5", call={"format": "xml"}, code=2),
+    Refusal("an unknown delimiter", HEAD + GOOD, "`delimiter` colons: give a single character or one of comma, semicolon, tab, blanks, space, pipe", call={"dialect": DialectOptions(delimiter="colons")}, code=2),
+    Refusal("an unknown decimal sign", HEAD + GOOD, "`decimal` dot: give point or comma", call={"dialect": DialectOptions(decimal="dot")}, code=2),
+    Refusal("an unknown encoding", HEAD + GOOD, "`encoding` klingon: there is no such text encoding", call={"dialect": DialectOptions(encoding="klingon")}, code=2),
+    Refusal("an unknown format", HEAD + GOOD, "`format` xml: the formats are csv, tsv, txt, dat, h5, hdf5", call={"format": "xml"}, code=2),
     Refusal("an Excel workbook", b"PK\x03\x04rest", "{log}: this is not a text log but a zip archive or an Excel workbook: export it as CSV"),
     Refusal("an old MATLAB file", b"MATLAB 5.0 MAT-file, Platform", "{log}: this is not a text log but a MATLAB file before version 7.3: save it with -v7.3", ending=".dat"),
     Refusal("a binary file", b"\x00\x01\x02\x03\xff\x00\x10" * 50, "{log}: this is a binary file, not a text log: export it as CSV or HDF5", ending=".dat"),

@@ -38,7 +38,7 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
                 warnings.append(
                     f"{log.name}: time runs backwards {int((steps < 0).sum())} times (first at row "
                     f"{int(np.argmax(steps < 0)) + 2}): lag and delay found from it are not to be trusted; "
-                    "repair the clock or cut the log with --rows"
+                    "repair the clock or cut the log with `rows`"
                 )
             elif (steps == 0.0).any():
                 warnings.append(
@@ -78,7 +78,7 @@ def rated_warnings(prepared: Prepared, rated: tuple[float, float] | None) -> lis
         warnings.append(
             f"the logs go from {prepared.low:g} to {prepared.high:g}, beyond the rated range {low:g} "
             f"to {high:g}: "
-            "check the voltage column, or give compensate --v-min and --v-max"
+            "check the voltage column, or give compensate `v_min` and `v_max`"
         )
     covered = 100.0 * (min(prepared.high, high) - max(prepared.low, low)) / (high - low)
     if covered < 95.0:
@@ -106,14 +106,14 @@ def fit_warnings(
         warnings.append(
             f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} "
             "for each that "
-            "are safe: record longer, or give fewer gears (--gears)"
+            "are safe: record longer, or give fewer gears (`gears`)"
         )
     if choice.clockwise > CLOCKWISE:
         warnings.append(
             "the loop runs clockwise: the displacement leads the voltage. Either the actuator "
             "softens after a turn "
-            "(friction, magnetics), or voltage and displacement are swapped: check --voltage and "
-            "--displacement"
+            "(friction, magnetics), or voltage and displacement are swapped: check `voltage` and "
+            "`displacement`"
         )
     if 100.0 * rmse / span > POOR_PERCENT:
         warnings.append(
@@ -121,7 +121,7 @@ def fit_warnings(
             "something this "
             "class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
             "column); look at "
-            "'dbo report --model' before using it"
+            "'dbo report `model`' before using it"
         )
     warnings.extend(_shape_warnings(recordings, prepared))
     speed = _speed_correlation(recordings, residuals)

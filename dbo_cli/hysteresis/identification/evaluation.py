@@ -10,8 +10,8 @@ import numpy as np
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.recordings import Floats, Integers, Recording, first_wiped_row
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
+from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
-from dbo_cli.hysteresis.starts import StartName
 
 BLOCK_ROWS = 65536
 
@@ -82,7 +82,7 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
         keep[:wiped] = False
     if not keep.any():
         raise FitError(
-            f"{recording.name}: nothing is left of this log to validate on: it is shorter than --skip "
+            f"{recording.name}: nothing is left of this log to validate on: it is shorter than `skip` "
             f"({skip_seconds:g} s)"
         )
     left = (recording.displacement - predict(model, recording))[keep]

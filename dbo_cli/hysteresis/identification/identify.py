@@ -57,13 +57,13 @@ class IdentificationOptions:
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""
         if self.gears is not None and self.gears < 1:
-            raise UsageError(f"--gears {self.gears}: at least one gear is needed")
+            raise UsageError(f"`gears` {self.gears}: at least one gear is needed")
         if self.points is not None and self.points < 0:
-            raise UsageError(f"--points {self.points}: a number of segments is not negative")
+            raise UsageError(f"`points` {self.points}: a number of segments is not negative")
         if self.delay is not None and not 0.0 <= self.delay < np.inf:
-            raise UsageError(f"--delay {self.delay:g}: a delay is a time in seconds, not negative")
+            raise UsageError(f"`delay` {self.delay:g}: a delay is a time in seconds, not negative")
         if self.relaxation is not None and not all(0.0 < tau < np.inf for tau in self.relaxation):
-            raise UsageError("--relaxation: time constants are positive numbers of seconds")
+            raise UsageError("`relaxation`: time constants are positive numbers of seconds")
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def identify(
     clocked = all(log.seconds() is not None for log in recordings)
     if not clocked and (options.delay or options.relaxation):
         raise UsageError(
-            "--delay and --relaxation need a clock: name the time column (--time) or give --sample-rate"
+            "`delay` and `relaxation` need a clock: name the time column (`time`) or give `sample_rate`"
         )
     recordings, glitches = without_voltage_glitches(recordings)
     prepared = prepare(recordings, options.skip_seconds)
@@ -130,8 +130,8 @@ def identify(
     )
     if not clocked:
         warnings.append(
-            "no clock, so neither lag nor delay could be looked for: name the time column (--time) or give "
-            "--sample-rate"
+            "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
+            "`sample_rate`"
         )
     if rmse > NO_BETTER * line:
         message = (
@@ -140,7 +140,7 @@ def identify(
             "that this class of models can follow; check the columns and the sensor"
         )
         if not options.force:
-            raise FitError(f"{message} (--force keeps the model)")
+            raise FitError(f"{message} (`force` keeps the model)")
         warnings.append(message)
     checks = [validation_of(model, log, options.skip_seconds) for log in validation]
     figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle)
@@ -305,11 +305,11 @@ def _paper(
 ) -> Identification:
     """Identify as in the paper's Section V."""
     if len(recordings) > 1:
-        raise UsageError("--method paper takes one log of one cycle (--rows A:B cuts it out)")
-    for value, name in ((options.delay, "--delay"), (options.relaxation, "--relaxation")):
+        raise UsageError("`method` paper takes one log of one cycle (`rows` A:B cuts it out)")
+    for value, name in ((options.delay, "`delay`"), (options.relaxation, "`relaxation`")):
         if value:
             raise UsageError(
-                f"{name} does not go with --method paper: the paper's model has neither lag nor delay"
+                f"{name} does not go with `method` paper: the paper's model has neither lag nor delay"
             )
     log = recordings[0]
     model, cycle = identify_as_in_paper(log, options.gears, options.points, options.zero)

@@ -174,7 +174,7 @@ def _bounded(matrix: Floats, right: Floats, bounded: Floats, loose: Floats) -> F
         positive, _ = nnls(corner, target[count:], maxiter=60 * corner.shape[1])
     except RuntimeError as problem:
         raise FitError(
-            "the least-squares solver did not converge: give fewer gears (--gears) or leave out bad rows"
+            "the least-squares solver did not converge: give fewer gears (`gears`) or leave out bad rows"
         ) from problem
     _check_optimum(corner, target[count:], positive)
     free = solve_triangular(
@@ -195,7 +195,7 @@ def _check_optimum(matrix: Floats, target: Floats, answer: Floats) -> None:
         raise FitError(
             "the least-squares solver stopped away from the optimum (gradient "
             f"{falls_short / size:.1e} of its "
-            "size): give fewer gears (--gears) or leave out bad rows"
+            "size): give fewer gears (`gears`) or leave out bad rows"
         )
 
 

@@ -65,8 +65,8 @@ def identify_as_in_paper(
     voltage, displacement = recording.voltage, recording.displacement
     if float(np.cov(voltage, displacement)[0, 1]) < 0.0:
         raise FitError(
-            f"{recording.name}: the displacement falls as the voltage rises; --method paper knows positive "
-            "gains only: use --method least-squares"
+            f"{recording.name}: the displacement falls as the voltage rises; `method` paper knows positive "
+            "gains only: use `method` least-squares"
         )
     x0, swing = float(voltage.min()), float(np.ptp(voltage))
     gain = float(np.ptp(displacement)) / swing

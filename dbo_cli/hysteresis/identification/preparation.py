@@ -22,7 +22,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift_columns
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
-from dbo_cli.hysteresis.starts import StartName
+from dbo_cli.hysteresis.initial_states import StartName
 
 Booleans = NDArray[np.bool_]
 
@@ -198,7 +198,7 @@ def _usable_rows(log: Recording, skip_seconds: float, notes: list[str]) -> tuple
     if skip_seconds > 0.0:
         if seconds is None:
             raise FitError(
-                f"{log.name}: --skip needs a clock: name the time column (--time) or give --sample-rate"
+                f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
             )
         usable &= seconds >= skip_seconds
     skipped = samples - int(usable.sum())

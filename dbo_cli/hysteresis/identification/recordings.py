@@ -168,7 +168,7 @@ def _check_sizes(log: Recording) -> None:
             raise FitError(
                 f"{log.name}: the {what} in row {row + 1} is {values[row]:g}, which no instrument "
                 "measured: "
-                "correct it, or cut the log with --rows"
+                "correct it, or cut the log with `rows`"
             )
 
 

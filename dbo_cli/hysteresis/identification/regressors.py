@@ -19,13 +19,13 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from dbo_cli.hysteresis.initial_states import StartName, start_state
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     DiscreteBacklashOperator,
     DiscretePointOperator,
 )
 from dbo_cli.hysteresis.relaxation import Relaxation
-from dbo_cli.hysteresis.starts import StartName, start_state
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

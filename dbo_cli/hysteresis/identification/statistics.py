@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.identification.normal_equations import Columns
 from dbo_cli.hysteresis.identification.regressors import BLOCK_ROWS, Basis, DriveRows, hat_functions
-from dbo_cli.hysteresis.starts import StartName
+from dbo_cli.hysteresis.initial_states import StartName
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -1,0 +1,382 @@
+"""Model files and state files: UTF-8 JSON with stable key order, checked to the last key on reading.
+
+The same values give the same bytes, floats are written so that reading them back gives the same float64, and
+there is no time of day and no host name in them. A file that contradicts itself is refused with the key that
+is wrong, spelled as a path: ``stages[0].dx[3]``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.hysteresis.cascade import DelayHistory
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    PointStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    Stage,
+)
+from dbo_cli.hysteresis.model_state import ModelState
+from dbo_cli.hysteresis.operators import BacklashState
+
+MODEL_FORMAT = "dbo-model"
+STATE_FORMAT = "dbo-state"
+VERSION = 1
+_NOTE_DEPTH = 20
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Node:
+    """One JSON object with the path that leads to it; reads keys and names them where they are wrong."""
+
+    file: str
+    path: str
+    values: Json
+
+    def at(self, key: str) -> str:
+        """Return the path of a key."""
+        return f"{self.path}{'' if key.startswith('[') else '.'}{key}" if self.path else key
+
+    def refuse(self, key: str, what: str) -> ModelError:
+        """Return the error for a key; an empty key is the object itself."""
+        return ModelError(f"{self.file}: {self.at(key) if key else self.path or 'the file'}: {what}")
+
+    def only(self, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
+        """Refuse missing and unknown keys."""
+        for key in required:
+            if key not in self.values:
+                raise self.refuse(key, "is missing")
+        for key in self.values:
+            if key not in required and key not in optional:
+                raise self.refuse(key, "is not a known key")
+
+    def number(self, key: str) -> float:
+        """Return a finite number."""
+        return self._finite(key, self.values[key])
+
+    def numbers(self, key: str) -> list[float]:
+        """Return a list of finite numbers."""
+        given = self.values[key]
+        if not isinstance(given, list):
+            raise self.refuse(key, "is not a list of numbers")
+        return [self._finite(f"{key}[{i}]", value) for i, value in enumerate(given)]
+
+    def _finite(self, key: str, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.refuse(key, f"{json.dumps(value)} is not a number")
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise self.refuse(key, f"{number!r} is not a finite number")
+        return number
+
+    def text(self, key: str) -> str:
+        """Return a string."""
+        value = self.values[key]
+        if not isinstance(value, str):
+            raise self.refuse(key, f"{json.dumps(value)} is not a text")
+        return value
+
+    def node(self, key: str) -> _Node:
+        """Return the object under a key."""
+        return self.below(key, self.values[key])
+
+    def below(self, key: str, value: object) -> _Node:
+        """Return an object that stands below this one under the name ``key``."""
+        if not isinstance(value, dict):
+            raise self.refuse(key, "is not an object")
+        return _Node(self.file, self.at(key), value)
+
+    def check_notes(self, depth: int) -> None:
+        """Refuse, in what is only carried along, what could not be written again."""
+        for key, value in self.values.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise self.refuse(key, f"{value!r} is not a finite number")
+            if isinstance(value, dict | list):
+                if depth == 0:
+                    raise self.refuse(key, "is nested too deeply")
+                entries = value if isinstance(value, dict) else {f"[{i}]": x for i, x in enumerate(value)}
+                _Node(self.file, self.at(key), entries).check_notes(depth - 1)
+
+    def build(self, make: Callable[[], Any]) -> Any:
+        """Return what ``make`` builds; put file and path before the key it complains about."""
+        try:
+            return make()
+        except ModelError as problem:
+            raise ModelError(f"{self.file}: {self.at(str(problem))}") from None
+
+
+def read_model(path: str) -> ActuatorModel:
+    """Read a model file; ``-`` is standard input.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is not a model, of a newer version, or contradicts itself; the message names file and key.
+    """
+    root = _load(path, MODEL_FORMAT, "model")
+    root.only(("format", "version", "direction", "input", "output", "stages"), ("fit", "provenance"))
+    direction = root.text("direction")
+    if direction not in {"forward", "inverse"}:
+        raise root.refuse("direction", f"{direction!r} is neither 'forward' nor 'inverse'")
+    stages = root.values["stages"]
+    if not isinstance(stages, list):
+        raise root.refuse("stages", "is not a list")
+    cascade = tuple(_stage(root.below(f"stages[{i}]", stage)) for i, stage in enumerate(stages))
+    notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
+    for note in notes.values():
+        note.check_notes(_NOTE_DEPTH)
+    source, result = _quantity(root.node("input")), _quantity(root.node("output"))
+    carried = {key: note.values for key, note in notes.items()}
+    model: ActuatorModel = root.build(
+        lambda: ActuatorModel(direction, source, result, cascade, **carried)  # type: ignore[arg-type]
+    )
+    return model
+
+
+def _load(path: str, wanted: str, noun: str) -> _Node:
+    """Return the top of a JSON file, its format and version checked."""
+    name = "standard input" if path == "-" else path
+    try:
+        text = (sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()).decode("utf-8-sig")
+    except OSError as problem:
+        raise InputError(f"{name}: cannot be read: {problem.strerror or problem}") from None
+    except UnicodeDecodeError as problem:
+        raise ModelError(f"{name}: byte {problem.start + 1} is not UTF-8; this is no {noun} file") from None
+    if not text.strip():
+        raise ModelError(f"{name}: is empty; this is no {noun} file")
+    try:
+        values = json.loads(text, object_pairs_hook=_distinct)
+        json.dumps(values, ensure_ascii=False).encode()  # half a surrogate pair could not be written again
+    except json.JSONDecodeError as problem:
+        raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}") from None
+    except (_RepeatedKeyError, ValueError, RecursionError) as problem:
+        reason = str(problem) if isinstance(problem, _RepeatedKeyError) else "is not readable JSON"
+        raise ModelError(f"{name}: {reason}") from None
+    if not isinstance(values, dict) or values.get("format") != wanted:
+        raise ModelError(f'{name}: is not a {noun} file ("format" must be "{wanted}")')
+    root = _Node(name, "", values)
+    if "version" not in values:
+        raise root.refuse("version", "is missing")
+    version = values["version"]
+    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
+        raise root.refuse("version", f"{json.dumps(version)} is not a version")
+    if version > VERSION:
+        raise root.refuse(
+            "version", f"{version} is newer than this program reads, {VERSION}; upgrade dbo-cli"
+        )
+    return root
+
+
+class _RepeatedKeyError(Exception):
+    """An object holds one key twice."""
+
+
+def _distinct(pairs: list[tuple[str, Any]]) -> Json:
+    """Return an object, refusing keys that occur twice: which of them counts would be a guess."""
+    values: Json = {}
+    for key, value in pairs:
+        if key in values:
+            raise _RepeatedKeyError(f"{key}: occurs twice in one object")
+        values[key] = value
+    return values
+
+
+def _quantity(node: _Node) -> Quantity:
+    node.only(("quantity", "unit", "min", "max"))
+    unit = None if node.values["unit"] is None else node.text("unit")
+    name, low, high = node.text("quantity"), node.number("min"), node.number("max")
+    quantity: Quantity = node.build(lambda: Quantity(name, unit, low, high))
+    return quantity
+
+
+def _stage(node: _Node) -> Stage:
+    """Return one stage of the cascade by its type."""
+    if "type" not in node.values:
+        raise node.refuse("type", "is missing")
+    kind = node.text("type")
+    readers = {"backlash": _backlash, "point": _point, "scale": _scale, "delay": _delay}
+    if kind not in readers:
+        raise node.refuse("type", f"{kind!r} is not a known stage; there are: {', '.join(readers)}")
+    return readers[kind](node)
+
+
+def _backlash(node: _Node) -> Stage:
+    node.only(("type", "x0", "y0", "dx", "dy"), ("relaxation",))
+    relaxation, axis = None, "input"
+    if "relaxation" in node.values:
+        terms = node.node("relaxation")
+        terms.only(("on", "reference", "tau", "gain"))
+        axis = terms.text("on")
+        if axis not in {"input", "output"}:
+            raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
+        reference, tau, gain = terms.number("reference"), terms.numbers("tau"), terms.numbers("gain")
+        relaxation = node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain)))
+    dx, dy, x0, y0 = node.numbers("dx"), node.numbers("dy"), node.number("x0"), node.number("y0")
+    stage: Stage = node.build(lambda: BacklashStage(dx, dy, x0, y0, relaxation, axis))  # type: ignore[arg-type]
+    return stage
+
+
+def _point(node: _Node) -> Stage:
+    node.only(("type", "x0", "y0", "dx", "dy"))
+    dx, dy, x0, y0 = node.numbers("dx"), node.numbers("dy"), node.number("x0"), node.number("y0")
+    stage: Stage = node.build(lambda: PointStage(dx, dy, x0, y0))
+    return stage
+
+
+def _scale(node: _Node) -> Stage:
+    node.only(("type", "gain", "offset"))
+    gain, offset = node.number("gain"), node.number("offset")
+    stage: Stage = node.build(lambda: ScaleStage(gain, offset))
+    return stage
+
+
+def _delay(node: _Node) -> Stage:
+    node.only(("type", "seconds"))
+    seconds = node.number("seconds")
+    stage: Stage = node.build(lambda: DelayStage(seconds))
+    return stage
+
+
+def model_to_bytes(model: ActuatorModel) -> bytes:
+    """Return the model file of a model: the same model gives the same bytes."""
+    values: Json = {
+        "format": MODEL_FORMAT,
+        "version": VERSION,
+        "direction": model.direction,
+        "input": _quantity_values(model.input),
+        "output": _quantity_values(model.output),
+        "stages": [_stage_values(stage) for stage in model.stages],
+    }
+    for key, notes in (("fit", model.fit), ("provenance", model.provenance)):
+        if notes:
+            values[key] = dict(notes)
+    return _to_bytes(values)
+
+
+def _quantity_values(quantity: Quantity) -> Json:
+    return {
+        "quantity": quantity.quantity,
+        "unit": quantity.unit,
+        "min": quantity.minimum,
+        "max": quantity.maximum,
+    }
+
+
+def _stage_values(stage: Stage) -> Json:
+    if isinstance(stage, ScaleStage):
+        return {"type": "scale", "gain": stage.gain, "offset": stage.offset}
+    if isinstance(stage, DelayStage):
+        return {"type": "delay", "seconds": stage.seconds}
+    values: Json = {
+        "type": "backlash" if isinstance(stage, BacklashStage) else "point",
+        "x0": stage.x0,
+        "y0": stage.y0,
+        "dx": stage.dx.tolist(),
+        "dy": stage.dy.tolist(),
+    }
+    if isinstance(stage, BacklashStage) and stage.relaxation is not None:
+        terms = stage.relaxation
+        values["relaxation"] = {
+            "on": stage.memory_on,
+            "reference": terms.reference,
+            "tau": list(terms.tau),
+            "gain": list(terms.gain),
+        }
+    return values
+
+
+def _to_bytes(values: Mapping[str, Any]) -> bytes:
+    """Return JSON with one line for a short object and one for every long list, for people and for diff."""
+    return (_layout(values, "") + "\n").encode()
+
+
+def _layout(value: Any, indent: str) -> str:
+    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    if not isinstance(value, dict | list) or not value or len(indent) + len(flat) <= 100:
+        return flat
+    if isinstance(value, list) and not any(isinstance(item, dict | list) for item in value):
+        return flat
+    inner = indent + "  "
+    if isinstance(value, dict):
+        parts = [
+            f"{json.dumps(key, ensure_ascii=False)}: {_layout(item, inner)}" for key, item in value.items()
+        ]
+    else:
+        parts = [_layout(item, inner) for item in value]
+    opening, closing = ("{", "}") if isinstance(value, dict) else ("[", "]")
+    return opening + "\n" + ",\n".join(inner + part for part in parts) + "\n" + indent + closing
+
+
+def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
+    """Return the state file of a state; it names the gears it belongs to by a digest."""
+    values: Json = {
+        "format": STATE_FORMAT,
+        "version": VERSION,
+        "model": model.digest,
+        "backlash": {"gears": model.backlash.n, **state.backlash.to_json_dict()},
+        "drive": state.drive,
+        "delay": None if state.history is None else state.history.to_json_dict(),
+    }
+    return _to_bytes(values)
+
+
+def read_state(path: str, model: ActuatorModel) -> ModelState:
+    """Read a state file for a model or its inverse.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is not a state, contradicts itself, or belongs to another model.
+    """
+    root = _load(path, STATE_FORMAT, "state")
+    root.only(("format", "version", "model", "backlash", "drive", "delay"))
+    if root.text("model") != model.digest:
+        raise root.refuse("model", "the state belongs to another model (save it again with this one)")
+    node = root.node("backlash")
+    node.only(("gears", "bits", "memory"))
+    if node.values["gears"] != model.backlash.n:
+        raise node.refuse("gears", f"is not {model.backlash.n}, the number of gears of the model")
+    digits = node.text("bits")
+    if not digits or set(digits) - set("0123456789abcdef") or int(digits, 16) >> model.backlash.n:
+        raise node.refuse("bits", f"is not a hexadecimal number of {model.backlash.n} bits")
+    memory = None if node.values["memory"] is None else tuple(node.numbers("memory"))
+    terms = len(model.backlash.relaxation.tau) if model.backlash.relaxation else 0
+    if memory is not None and len(memory) != terms:
+        raise node.refuse("memory", f"has {len(memory)} entries where the model has {terms} relaxation terms")
+    drive = None if root.values["drive"] is None else root.number("drive")
+    return ModelState(BacklashState(int(digits, 16), memory), drive, _history(root))
+
+
+def _history(root: _Node) -> DelayHistory | None:
+    """Return what a delay held back."""
+    if root.values["delay"] is None:
+        return None
+    node = root.node("delay")
+    node.only(("times", "values"))
+    times, values = tuple(node.numbers("times")), tuple(node.numbers("values"))
+    if len(times) != len(values) or not times:
+        raise node.refuse("values", f"has {len(values)} entries where times has {len(times)}")
+    if any(later < earlier for earlier, later in pairwise(times)):
+        raise node.refuse("times", "goes backwards")
+    return DelayHistory(times, values)

@@ -1,0 +1,124 @@
+"""Values that go into and come out of a model: quantities, limits, states and blocks of output."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.hysteresis.cascade import DelayHistory
+from dbo_cli.hysteresis.initial_states import DriveStart
+from dbo_cli.hysteresis.operators import BacklashState
+
+Floats = NDArray[np.float64]
+
+
+class OutsideError(InputError):
+    """A sample lies outside the model's range, and that was to be refused.
+
+    Attributes
+    ----------
+    index : int
+        Position of the first such sample in the block.
+    value, low, high : float
+        Its value, and the range of the backlash stage it lies outside of, in that stage's input.
+    """
+
+    def __init__(self, index: int, value: float, low: float, high: float) -> None:
+        super().__init__(
+            f"sample {index + 1}: {value!r} is outside the range of the model, {low!r} to {high!r}"
+            " (`outside` extend or hold)"
+        )
+        self.index, self.value, self.low, self.high = index, value, low, high
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a signal is: its name, its unit (None: not known), and the range the model covers.
+
+    Raises
+    ------
+    ModelError
+        The range is not finite, or its ends are not in order; the message begins with the key.
+    """
+
+    quantity: str
+    unit: str | None
+    minimum: float
+    maximum: float
+
+    def __post_init__(self) -> None:
+        """Check the range."""
+        for key, value in (("min", self.minimum), ("max", self.maximum)):
+            if not math.isfinite(value):
+                raise ModelError(f"{key}: {value!r} is not a finite number")
+        if not self.minimum < self.maximum:
+            raise ModelError(f"max: {self.maximum!r} is not greater than min, {self.minimum!r}")
+
+    @property
+    def span(self) -> float:
+        """The length of the range."""
+        return self.maximum - self.minimum
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """Limits on the drive voltage of a compensation: its range and, per second, its change."""
+
+    v_min: float
+    v_max: float
+    max_slew: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range and a slew that forbids every move."""
+        if not self.v_min < self.v_max:
+            raise ModelError(
+                f"the lower voltage limit, {self.v_min!r}, is not below the upper, {self.v_max!r}"
+            )
+        if self.max_slew is not None and not self.max_slew > 0.0:
+            raise ModelError(f"the largest slew, {self.max_slew!r}, is not greater than 0")
+
+
+@dataclass(frozen=True)
+class ModelState:
+    """Everything that one sample leaves behind for the next; the same for a model and its inverse.
+
+    Attributes
+    ----------
+    backlash : BacklashState
+        Bits and relaxation memory; memory None: at rest at the sample to come.
+    drive : float, or None
+        The last voltage, for the slew limit.
+    history : DelayHistory, or None
+        What a delay still holds back.
+    first : DriveStart, or None
+        Of an inverse about to start: its first voltage, and the output of the backlash stage it reaches.
+    """
+
+    backlash: BacklashState
+    drive: float | None = None
+    history: DelayHistory | None = None
+    first: DriveStart | None = None
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """One block of output, the state after it, and what was unusual; indices count from 0 in the block.
+
+    Attributes
+    ----------
+    first_missed : float
+        How far the first sample of a compensation is from the first value wanted, in the unit wanted,
+        because the settled curve steps over it (0 where it does not).
+    """
+
+    y: Floats
+    state: ModelState
+    outside_count: int = 0
+    first_outside: int = 0
+    clipped_count: int = 0
+    first_clipped: int = 0
+    first_missed: float = 0.0

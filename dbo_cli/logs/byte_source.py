@@ -1,0 +1,278 @@
+"""Bytes in, lines out: files, gzip and standard input as blocks of whole lines, in constant memory."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import os
+import sys
+import zlib
+from collections.abc import Iterator
+from typing import IO, Any, cast
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.addresses import Address
+
+HEAD_BYTES = 1 << 18
+LONGEST_LINE = 1 << 24
+_PIPE_BYTES = 1 << 18
+_GZIP_MAGIC = b"\x1f\x8b"
+_UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+_FOREIGN = {
+    b"\x89HDF\r\n\x1a\n": "HDF5: give it a name ending in .h5",
+    b"PK\x03\x04": "a zip archive or an Excel workbook: export it as CSV",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook: export it as CSV",
+    b"MATLAB 5.0 MAT-file": "a MATLAB file before version 7.3: save it with -v7.3",
+    b"\x93NUMPY": "a NumPy array: export it as CSV or HDF5",
+    b"PAR1": "a Parquet file: export it as CSV or HDF5",
+    b"TDSm": "a TDMS file: export it as CSV or HDF5",
+    b"CDF\x01": "a NetCDF file before version 4: export it as CSV or HDF5",
+    b"BZh": "compressed with bzip2: unpack it, or compress it with gzip",
+    b"\xfd7zXZ": "compressed with xz: unpack it, or compress it with gzip",
+    b"(\xb5/\xfd": "compressed with zstd: unpack it, or compress it with gzip",
+    b"7z\xbc\xaf": "a 7z archive: unpack it, or compress it with gzip",
+    b"%PDF": "a PDF document: give the measured data as CSV",
+}
+
+
+class _Hashing(io.RawIOBase):
+    """A raw stream that hashes what passes through it."""
+
+    def __init__(self, inner: IO[bytes], digest: Any) -> None:
+        self._inner = inner
+        self._digest = digest
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        data = (
+            self._inner.read1(len(buffer)) if hasattr(self._inner, "read1") else self._inner.read(len(buffer))
+        )
+        buffer[: len(data)] = data
+        self._digest.update(data)
+        return len(data)
+
+
+class ByteSource:
+    """The bytes of one text log, decompressed and in UTF-8 (or a superset of ASCII) with plain line ends.
+
+    Parameters
+    ----------
+    address
+        Where to read from.
+    live
+        Hand on what has arrived instead of waiting for a full block.
+    digest
+        Hash the bytes as they are read (for a stream, which cannot be read again).
+    encoding
+        A codec that the user forced; otherwise a byte-order mark decides, and UTF-8 is the default.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is a folder, cannot be read, or is plainly no text.
+    """
+
+    def __init__(
+        self, address: Address, *, live: bool = False, digest: bool = False, encoding: str | None = None
+    ) -> None:
+        self.name = address.name
+        self.is_regular = not address.is_stream and os.path.isfile(address.path)
+        self._live = live
+        self._hash = _new_digest() if digest else None
+        self._owned: list[IO[bytes]] = []
+        try:
+            self._stream = self._open(address)
+            self._decode = self._decoder(encoding)
+        except BaseException:
+            self.close()
+            raise
+        self._classic_mac = False
+        self._at_start = True
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of everything read so far, when it was asked for."""
+        return self._hash.hexdigest() if self._hash else None
+
+    def read(self, size: int) -> bytes:
+        """Read up to ``size`` bytes (what has arrived, when live); empty at the end."""
+        while data := self._arrived(size):
+            if self._decode is not None:
+                data = self._decoded(data)
+            if self._at_start and data:
+                data = data.removeprefix(codecs.BOM_UTF8)
+                self._classic_mac = b"\n" not in data and b"\r" in data[:-1]
+                self._at_start = False
+            if self._classic_mac:
+                data = data.replace(b"\r", b"\n")
+            if data:
+                return data
+        return b""
+
+    def _decoded(self, data: bytes) -> bytes:
+        try:
+            return cast(bytes, self._decode(data))
+        except UnicodeError as problem:
+            raise InputError(f"{self.name}: the text does not fit its encoding: {problem}") from None
+
+    def _arrived(self, size: int) -> bytes:
+        """Read bytes as they are stored."""
+        try:
+            if self._live:
+                return self._stream.read1(size)  # type: ignore[attr-defined, no-any-return]
+            return self._stream.read(size) if self.is_regular else self._patiently(size)
+        except (EOFError, zlib.error):
+            raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
+        except OSError as problem:
+            if problem.errno is None:  # gzip's own complaint
+                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
+            raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
+
+    def _patiently(self, size: int) -> bytes:
+        """Read a full block from a pipe in pieces: Python hears an interrupt only between them."""
+        pieces = []
+        while size > 0:
+            piece = self._stream.read1(min(size, _PIPE_BYTES))  # type: ignore[attr-defined]
+            if not piece:
+                break
+            pieces.append(piece)
+            size -= len(piece)
+        return b"".join(pieces)
+
+    def close(self) -> None:
+        """Close what was opened here (never standard input)."""
+        for stream in reversed(self._owned):
+            stream.close()
+        self._owned.clear()
+
+    def _open(self, address: Address) -> IO[bytes]:
+        stream: IO[bytes] = sys.stdin.buffer if address.is_stream else _open_file(address)
+        if not address.is_stream:
+            self._owned.append(stream)
+        if self._hash is not None:
+            stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
+        try:
+            start = stream.peek(64)[:64]  # type: ignore[attr-defined]
+        except OSError as problem:
+            raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
+        if start.startswith(_GZIP_MAGIC):
+            import gzip
+
+            unpacked = gzip.GzipFile(fileobj=stream, mode="rb")
+            self._owned.append(cast(IO[bytes], unpacked))
+            stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
+            try:
+                start = stream.peek(64)[:64]  # type: ignore[attr-defined]
+            except (EOFError, zlib.error, OSError):
+                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
+        self._refuse_foreign(start)
+        self._start = start
+        return stream
+
+    def _refuse_foreign(self, start: bytes) -> None:
+        for magic, remedy in _FOREIGN.items():
+            if start.startswith(magic):
+                raise InputError(f"{self.name}: this is not a text log but {remedy}")
+
+    def _decoder(self, encoding: str | None) -> Any:
+        start = self._start
+        if encoding is None:
+            encoding = next((name for mark, name in _UTF16.items() if start.startswith(mark)), None)
+        if encoding is None and b"\0" in start:
+            if len(start) >= 4 and not any(start[1:40:2]):
+                encoding = "utf-16-le"
+            elif len(start) >= 4 and not any(start[0:40:2]):
+                encoding = "utf-16-be"
+            else:
+                raise InputError(
+                    f"{self.name}: this is a binary file, not a text log: export it as CSV or HDF5"
+                )
+        if encoding is None:
+            return None
+        try:
+            "".encode(encoding)  # refuses codecs that are no text encodings, too
+            decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
+        except LookupError:
+            raise UsageError(f"`encoding` {encoding}: there is no such text encoding") from None
+        return lambda data: decoder.decode(data).encode("utf-8")
+
+
+def _new_digest() -> Any:
+    import hashlib
+
+    return hashlib.sha256()
+
+
+def _open_file(address: Address) -> IO[bytes]:
+    try:
+        if os.path.isdir(address.path):
+            raise InputError(f"{address.path}: this is a folder, not a log")
+        return open(address.path, "rb", buffering=1 << 20)
+    except FileNotFoundError:
+        raise InputError(f"{address.path}: no such file") from None
+    except (OSError, ValueError) as problem:
+        reason = getattr(problem, "strerror", None) or problem
+        raise InputError(f"{address.path}: cannot be read: {reason}") from None
+
+
+class LineBlocks:
+    """Blocks of whole lines of a source; the first one can be looked at before it is taken."""
+
+    def __init__(self, source: ByteSource, block_bytes: int) -> None:
+        self.block_bytes = block_bytes
+        self._source = source
+        self._pending = b""
+        self._ended = False
+
+    def head(self, enough: Any) -> bytes:
+        """Read ahead up to HEAD_BYTES, or less once ``enough(text)`` holds (asked after every arrival)."""
+        while len(self._pending) < HEAD_BYTES and not self._ended:
+            self._fill(HEAD_BYTES - len(self._pending))
+            if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
+                break
+        return self._pending
+
+    @property
+    def whole_in_head(self) -> bool:
+        """Whether the source ended inside what has been read."""
+        return self._ended
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield blocks of whole lines; only the very last one may lack its line end."""
+        yield from self._cut()  # what was read ahead goes on its way at once
+        while not self._ended:
+            self._fill(self.block_bytes)
+            yield from self._cut()
+        if self._pending:
+            last, self._pending = self._pending, b""
+            yield last
+
+    def _cut(self) -> Iterator[bytes]:
+        """Take the whole lines off what is pending, in blocks of about ``block_bytes``."""
+        text, start = self._pending, 0
+        last = text.rfind(b"\n") + 1
+        self._pending = text[last:]
+        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
+            if last:
+                yield text[:last]
+            return
+        while start < last:
+            limit = min(last, start + self.block_bytes)
+            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
+            yield text[start:end]
+            start = end
+
+    def _fill(self, size: int) -> None:
+        data = self._source.read(size)
+        if not data:
+            self._ended = True
+        elif self._pending:
+            self._pending += data
+        else:
+            self._pending = data
+        if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
+            raise InputError(
+                f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
+            )

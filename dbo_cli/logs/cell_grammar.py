@@ -1,0 +1,92 @@
+"""The grammar of one line: cells, and which of them are numbers.
+
+The fast parsers accept a subset of this grammar; whatever they refuse is decided here, so both always agree.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
+_POINT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d+)?")
+NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})
+
+
+def decode_line(line: bytes) -> str:
+    """Turn a line into text: UTF-8, or else the Western code page that old instruments write."""
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("cp1252", errors="replace")
+
+
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Split a line into stripped cells; quotes are honoured, and blanks count as one delimiter."""
+    if delimiter == BLANKS:
+        return _split_blanks(line)
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    return [
+        quoted.replace('""', '"').strip() if quoted is not None else plain.strip()
+        for quoted, plain in _quoted_cells(line, delimiter)
+    ]
+
+
+def _quoted_cells(line: str, delimiter: str) -> Iterator[tuple[str | None, str]]:
+    """Take a line with quotes apart: what is quoted, or else the plain text, of each cell."""
+    mark = re.escape(delimiter)
+    cell = re.compile(rf'\s*"((?:[^"]|"")*)"\s*(?={mark}|$)|([^{mark}]*)')
+    place = 0
+    while True:
+        found = cell.match(line, place)
+        assert found is not None  # the second way matches anything, also nothing
+        yield found[1], found[2] or ""
+        place = found.end() + 1
+        if place > len(line):
+            return
+
+
+def _split_blanks(line: str) -> list[str]:
+    if '"' not in line:
+        return line.split()
+    return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)]
+
+
+def to_number(cell: str, decimal: str) -> float | None:
+    """Read a cell as a finite number, or give None."""
+    pattern = _POINT if decimal == "." else _COMMA
+    if not cell.isascii() or pattern.fullmatch(cell) is None:
+        return None
+    value = float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
+    return value if abs(value) != float("inf") else None
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Tell whether a cell is written as a number (NaN and inf count: they are numbers that went wrong)."""
+    pattern = _POINT if decimal == "." else _COMMA
+    if pattern.fullmatch(cell) is not None:
+        return cell.isascii()
+    return cell.lstrip("+-").lower() in NOT_FINITE
+
+
+SKIP_REMEDY = "(`skip_bad` drops such rows)"
+_CLOCK = re.compile(r"\d{1,2}:\d\d|\d{4}-\d\d-\d\d|\d{1,2}[./]\d{1,2}[./]\d{2,4}")
+
+
+def remedy(cell: str) -> str:
+    """Say what to do about a cell that holds no finite number."""
+    if _CLOCK.match(cell):
+        return "(clock times and dates are not read: `sample_rate` HZ gives the time instead)"
+    return SKIP_REMEDY
+
+
+def complain(cell: str, decimal: str) -> str:
+    """Say what is wrong with a cell that holds no finite number."""
+    if not cell:
+        return "is empty"
+    shown = repr(cell if len(cell) <= 40 else cell[:37] + "...")
+    if is_number(cell, decimal):
+        return f"is not finite: {shown}"
+    return f"is not a number: {shown}"

@@ -1,0 +1,276 @@
+"""The clock of a log: what is odd about its time stamps, and even sampling only where it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.columns import SECONDS_PER_UNIT
+from dbo_cli.logs.sample_block import Block, FloatArray, Places
+
+_LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
+GAP_STEPS = 1.5
+JITTER = 0.05
+
+
+def to_seconds(time: FloatArray, unit: str | None) -> FloatArray:
+    """Convert time stamps to seconds; without a unit (or one that is no time) seconds are assumed."""
+    scale = SECONDS_PER_UNIT.get(unit or "s", 1.0)
+    if scale == 1.0:
+        return time
+    return time * scale if scale > 1.0 else time / round(1.0 / scale)  # dividing keeps 5 ms at exactly 0.005
+
+
+@dataclass
+class _Finding:
+    """How often something odd happened, and where first."""
+
+    count: int = 0
+    line: int = 0
+    before: float = 0.0
+    after: float = 0.0
+
+    def add(
+        self, lines: Places | None, rows: Places, at: NDArray[np.intp], before: FloatArray, after: FloatArray
+    ) -> None:
+        if len(at) and not self.count:
+            index = int(at[0])
+            places = rows if lines is None else lines
+            self.line, self.before, self.after = int(places[index]), float(before[index]), float(after[index])
+        self.count += len(at)
+
+
+@dataclass
+class TimeCheck:
+    """Watches time stamps go by and says what is odd about them, in constant memory.
+
+    The usual step is the median of the first thousand, so that the verdict does not depend on the block size.
+    Feed every block, then ask for ``notes()``.
+    """
+
+    place: str
+    has_lines: bool = True
+    step: float = 0.0
+    backward: _Finding = field(default_factory=_Finding)
+    restart: _Finding = field(default_factory=_Finding)
+    repeat: _Finding = field(default_factory=_Finding)
+    gap: _Finding = field(default_factory=_Finding)
+    narrowest: float = np.inf
+    widest: float = 0.0
+    _kept: list[tuple[FloatArray, Places, Places | None]] = field(default_factory=list)
+    _count: int = 0
+    _last: float | None = None
+    _first: float = 0.0
+
+    def feed(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
+        """Look at one block of time stamps (s)."""
+        if not len(time):
+            return
+        if self.step == 0.0:
+            self._kept.append((time, rows, lines))
+            self._count += len(time)
+            if self._count < _LEARNING:
+                return
+            self._learn()
+        else:
+            self._judge(time, rows, lines)
+
+    def notes(self) -> list[str]:
+        """Say what was found, one line a finding, with the first place of each."""
+        self._learn()
+        where = "line" if self.has_lines else "row"
+        told = []
+        for finding, text in (
+            (self.restart, "the clock starts again at {where} {line} (from {before:.6g} s to {after:.6g} s)"),
+            (self.backward, "time goes backwards at {where} {line} (from {before:.6g} s to {after:.6g} s)"),
+            (self.repeat, "the time stamp {after:.6g} s repeats at {where} {line}"),
+            (
+                self.gap,
+                "a gap at {where} {line} (from {before:.6g} s to {after:.6g} s, usual step {step:.4g} s)",
+            ),
+        ):
+            if finding.count:
+                text = text.format(
+                    where=where, line=finding.line, before=finding.before, after=finding.after, step=self.step
+                )
+                again = f", and {finding.count - 1} more" if finding.count > 1 else ""
+                told.append(f"{self.place}: {text}{again}")
+        if self.widest - self.narrowest > JITTER * self.step > 0.0 and self.widest > 0.0:
+            told.append(
+                f"{self.place}: time steps vary from {self.narrowest:.4g} s to {self.widest:.4g} s "
+                f"(usual step {self.step:.4g} s)"
+            )
+        return told
+
+    def _learn(self) -> None:
+        if not self._kept:
+            return
+        kept, self._kept = self._kept, []
+        steps = np.diff(np.concatenate([time for time, _, _ in kept])[:_LEARNING])
+        forward = steps[steps > 0.0]
+        self.step = float(np.median(forward)) if len(forward) else np.inf
+        for time, rows, lines in kept:
+            self._judge(time, rows, lines)
+
+    def _judge(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
+        if self._last is None:
+            self._first = self._last = float(time[0])
+            time, rows, lines = time[1:], rows[1:], None if lines is None else lines[1:]
+            if not len(time):
+                return
+        before = np.concatenate([[self._last], time[:-1]])
+        self._last = float(time[-1])
+        steps = time - before
+        if steps.min() > 0.0 and steps.max() <= GAP_STEPS * self.step:
+            usual = steps
+        else:
+            anew = (
+                (steps < 0.0) & (np.abs(time - self._first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
+            )
+            for finding, which in (
+                (self.restart, anew),
+                (self.backward, (steps < 0.0) & ~anew),
+                (self.repeat, steps == 0.0),
+                (self.gap, steps > GAP_STEPS * self.step),
+            ):
+                finding.add(lines, rows, np.flatnonzero(which), before, time)
+            usual = steps[(steps > 0.0) & (steps <= GAP_STEPS * self.step)]
+        if len(usual):
+            self.narrowest = min(self.narrowest, float(usual.min()))
+            self.widest = max(self.widest, float(usual.max()))
+
+
+def even_step(time: FloatArray) -> float | None:
+    """Give the common step (s) of evenly sampled time stamps, or None where they are not even.
+
+    Stamps count as even when none is further than 5 % of a step from the straight line through the first and
+    the last, or, where the log has too few digits for that, when rounding to those digits explains the
+    distance.
+    """
+    if len(time) < 2:
+        return None
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    if not step > 0.0:
+        return None
+    away = float(np.abs(time - (time[0] + step * np.arange(len(time)))).max())
+    if away <= JITTER * step:
+        return step
+    for digits in range(0, 10):
+        if np.abs(time - np.round(time, digits)).max() <= 1e-9 * max(1.0, float(np.abs(time).max())):
+            return step if away <= 1.01 * 10.0**-digits and 10.0**-digits <= step / 2.0 else None
+    return None
+
+
+def require_even(place: str, time: FloatArray, why: str) -> float:
+    """Give the common step (s), or refuse with the remedy.
+
+    Raises
+    ------
+    InputError
+        The stamps are not evenly spaced.
+    """
+    step = even_step(time)
+    if step is None:
+        raise InputError(
+            f"{place}: the samples are not evenly spaced in time, and {why} (`resample` HZ interpolates)"
+        )
+    return step
+
+
+def resampled(place: str, blocks: Iterator[Block], rate: float) -> Iterator[Block]:
+    """Interpolate blocks linearly to ``rate`` (Hz), from the first time stamp to the last.
+
+    The samples stand at first + k/rate and are computed from the two neighbours alone, so that the result
+    does not depend on the block size.  ``rows`` of the new blocks count the new samples; their ``lines`` are
+    None.
+
+    Raises
+    ------
+    InputError
+        There is no time, or it stands still or goes backwards, at the line named.
+    """
+    start: float | None = None
+    carried: Block | None = None
+    done = 0
+    for block in blocks:
+        if not len(block):
+            continue
+        if block.time is None:
+            raise InputError(
+                f"{place}: there is no time to resample along (`time` COLUMN or `sample_rate` HZ)"
+            )
+        if start is None:
+            start = float(block.time[0])
+        piece = block if carried is None else _behind(carried, block)
+        _require_rising(place, piece)
+        carried = _last_sample(piece)
+        assert piece.time is not None
+        reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
+        if reached > done:
+            yield _interpolated(piece, start, rate, done, reached)
+            done = reached
+
+
+def _behind(carried: Block, block: Block) -> Block:
+    assert carried.time is not None and block.time is not None
+    return Block(
+        np.concatenate([np.asarray(carried.rows), np.asarray(block.rows)]),
+        None if block.lines is None else np.concatenate([np.asarray(carried.lines), np.asarray(block.lines)]),
+        np.concatenate([carried.time, block.time]),
+        {role: np.concatenate([carried.values[role], block.values[role]]) for role in block.values},
+    )
+
+
+def _last_sample(block: Block) -> Block:
+    assert block.time is not None
+    return Block(
+        np.asarray(block.rows)[-1:],
+        None if block.lines is None else np.asarray(block.lines)[-1:],
+        block.time[-1:],
+        {role: values[-1:] for role, values in block.values.items()},
+    )
+
+
+def _require_rising(place: str, block: Block) -> None:
+    assert block.time is not None
+    stuck = np.flatnonzero(np.diff(block.time) <= 0.0)
+    if len(stuck):
+        index = int(stuck[0]) + 1
+        where = f"row {block.rows[index]}" if block.lines is None else f"line {block.lines[index]}"
+        raise InputError(
+            f"{place}: time does not advance at {where} (from {block.time[index - 1]:.6g} s to "
+            f"{block.time[index]:.6g} s), so it cannot be resampled (cut the log with `rows` A:B)"
+        )
+
+
+def _interpolated(block: Block, start: float, rate: float, first: int, last: int) -> Block:
+    assert block.time is not None
+    time = start + np.arange(first, last) / rate
+    values = {role: np.interp(time, block.time, values) for role, values in block.values.items()}
+    return Block(range(first + 1, last + 1), None, time, values)
+
+
+def parse_rows(rows: str | None) -> tuple[int, int | None]:
+    """Read ``A:B``: data rows counted from 1, both ends included, either may be left out.
+
+    Raises
+    ------
+    UsageError
+        It is not of that form, or B is before A.
+    """
+    from dbo_cli.errors import UsageError
+
+    if rows is None:
+        return 1, None
+    first, separator, last = rows.strip().partition(":")
+    numbers: Sequence[str] = [text for text in (first, last) if text]
+    if not separator or not all(text.isdecimal() and text.isascii() for text in numbers):
+        raise UsageError(f"`rows` {rows}: give A:B, data rows counted from 1, both ends included")
+    low, high = int(first or 1), int(last) if last else None
+    if low < 1 or (high is not None and high < low):
+        raise UsageError(f"`rows` {rows}: rows are counted from 1, and the last is not before the first")
+    return low, high

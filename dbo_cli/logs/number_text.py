@@ -1,0 +1,55 @@
+"""Numbers as text: the shortest decimal that reads back as the same float64."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.sample_block import FloatArray
+
+PLAIN_CELLS = (
+    1 << 16
+)  # fewer cells than this are written before polars is imported (benchmarks/text_speed.py)
+
+
+def shortest(value: float) -> str:
+    """Write one number with the fewest digits that read back exactly, spelled as polars spells it."""
+    text = repr(value)
+    if "e" not in text:
+        return text if text != "nan" else "NaN"
+    digits, exponent = text.split("e")
+    if exponent == "-05":  # polars writes exponents only below 1e-5
+        sign = "-" if digits[0] == "-" else ""
+        return f"{sign}0.0000{digits.lstrip('-').replace('.', '')}"
+    return f"{digits}e{'+' if exponent[0] == '+' else '-'}{exponent[1:].lstrip('0')}"
+
+
+def rows_as_text(arrays: Sequence[FloatArray], delimiter: str) -> bytes | memoryview:
+    """Write columns as lines of delimited text; the bytes do not depend on which way is taken."""
+    if "polars" in sys.modules or len(arrays) * len(arrays[0]) >= PLAIN_CELLS:
+        return _fast_rows(arrays, delimiter)
+    return _plain_rows(arrays, delimiter)
+
+
+def _plain_rows(arrays: Sequence[FloatArray], delimiter: str) -> bytes:
+    columns = [[shortest(value) for value in array.tolist()] for array in arrays]
+    lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
+    return ("\n".join(lines) + "\n").encode() if lines else b""
+
+
+def _fast_rows(arrays: Sequence[FloatArray], delimiter: str) -> memoryview:
+    import io
+
+    import polars
+
+    keep_interrupts()
+
+    buffer = io.BytesIO()
+    table = polars.DataFrame(
+        {str(number): np.ascontiguousarray(array) for number, array in enumerate(arrays)}
+    )
+    table.write_csv(buffer, include_header=False, separator=delimiter)
+    return buffer.getbuffer()

@@ -1,0 +1,50 @@
+"""Where results come from: the program's version and what was read, without time of day or host name."""
+
+from __future__ import annotations
+
+import os
+from typing import TypedDict
+
+import dbo_cli
+from dbo_cli.errors import InputError
+from dbo_cli.logs.addresses import parse_address
+
+
+class InputRecord(TypedDict):
+    """What a model says about one of its inputs."""
+
+    name: str
+    sha256: str
+    rows: int
+
+
+def program_version_string() -> str:
+    """Name the program and its version: ``dbo 0.1.0``."""
+    return f"dbo {dbo_cli.__version__}"
+
+
+def file_sha256(path: str) -> str:
+    """Hash a file's bytes (hexadecimal SHA-256).
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    import hashlib
+
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+
+
+def input_record(address: str, rows: int, sha256: str | None = None) -> InputRecord:
+    """Record an input: its name without folders (they differ between machines), its digest and the rows used.
+
+    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``).
+    """
+    parsed = parse_address(address)
+    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
+    return InputRecord(name=name, sha256=sha256 or file_sha256(parsed.path), rows=rows)

@@ -1,0 +1,220 @@
+"""Signals written row by row: delimited text (also gzipped) or HDF5, to a file or to standard output."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import IO, Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.background_io import OneBehind
+from dbo_cli.logs.columns import is_known_unit, split_header
+from dbo_cli.logs.number_text import rows_as_text
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import check_output, replacing, standard_output
+
+_WORTH_A_THREAD = 1 << 14  # rows
+
+
+@dataclass(frozen=True)
+class OutColumn:
+    """A column to be written: name, unit, and what it measures (told by HDF5 alone; the name by default)."""
+
+    name: str
+    unit: str | None = None
+    quantity: str | None = None
+
+    @property
+    def header(self) -> str:
+        """The header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
+        if not self.unit or split_header(self.name)[1] == self.unit:
+            return self.name
+        return f"{self.name}_{self.unit}" if is_known_unit(self.unit) else f"{self.name} ({self.unit})"
+
+
+class SignalWriter(Protocol):
+    """Takes rows as one array a column."""
+
+    def write(self, *arrays: ArrayLike) -> None:
+        """Append rows."""
+
+
+class TextWriter:
+    """Appends rows of delimited text to a binary stream.
+
+    With ``behind``, formatting and writing go on in a thread while the caller works on the next rows; the
+    arrays must not change after they were handed in.
+    """
+
+    def __init__(
+        self, stream: IO[bytes], columns: Sequence[OutColumn], delimiter: str, flush: bool, behind: bool
+    ) -> None:
+        self._stream = stream
+        self._delimiter = delimiter
+        self._flush = flush
+        self._may_lag = behind
+        self._behind: OneBehind | None = None
+        stream.write((delimiter.join(_cell(column.header, delimiter) for column in columns) + "\n").encode())
+        if flush:
+            stream.flush()
+
+    def write(self, *arrays: ArrayLike) -> None:
+        """Append rows, one float64 array a column; flushed at once where that was asked for."""
+        columns = [np.asarray(array, dtype=np.float64) for array in arrays]
+        if self._may_lag and columns[0].size >= _WORTH_A_THREAD:
+            self._behind = self._behind or OneBehind()
+            self._behind.run(self._append, columns)
+            return
+        if self._behind is not None:
+            self._behind.wait()
+        self._append(columns)
+        if self._flush:
+            self._stream.flush()
+
+    def finish(self) -> None:
+        """Wait until everything is handed to the stream.
+
+        Raises
+        ------
+        OSError
+            The last rows could not be written.
+        """
+        if self._behind is not None:
+            self._behind.wait()
+
+    def close(self) -> None:
+        """End the thread; called whether or not the writing succeeded."""
+        if self._behind is not None:
+            self._behind.close()
+
+    def _append(self, columns: list[FloatArray]) -> None:
+        if len(columns[0]):
+            self._stream.write(rows_as_text(columns, self._delimiter))
+
+
+def _cell(text: str, delimiter: str) -> str:
+    if delimiter in text or '"' in text or "\n" in text or text[:1] in ("#", "%"):
+        return '"' + text.replace('"', '""').replace("\n", " ") + '"'
+    return text
+
+
+@contextlib.contextmanager
+def signal_writer(
+    address: str,
+    columns: Sequence[OutColumn],
+    *,
+    format: str | None = None,
+    attributes: Mapping[str, str | float] | None = None,
+    flush: bool = False,
+    protect: Sequence[str] = (),
+) -> Iterator[SignalWriter]:
+    """Open an output for signals; it appears when the block is left without an error, and not otherwise.
+
+    Parameters
+    ----------
+    address
+        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard output.
+    columns
+        What the columns are called.
+    format
+        ``csv``, ``tsv`` or ``hdf5``, where the name does not tell.
+    attributes
+        What an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``); text
+        has no place for it.
+    flush
+        Hand every write on at once.
+    protect
+        The command's inputs, which must not be overwritten.
+
+    Raises
+    ------
+    UsageError
+        The output is an input, or HDF5 is to go down a pipe.
+    OutputError
+        It cannot be written.
+    """
+    target = parse_address(address, format)
+    check_output(target, protect)
+    if target.kind == "hdf5":
+        with _hdf5(target, columns, attributes or {}) as hdf5:
+            yield hdf5
+        return
+    with _text_stream(target) as stream:
+        behind = (
+            not flush
+            and not target.is_stream
+            and (os.path.isfile(target.path) or not os.path.exists(target.path))
+        )
+        writer = TextWriter(stream, columns, _delimiter(target, format), flush, behind)
+        try:
+            yield writer
+            writer.finish()
+        finally:
+            writer.close()
+
+
+@contextlib.contextmanager
+def _hdf5(
+    target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
+) -> Iterator[SignalWriter]:
+    from dbo_cli.logs.hdf5_writer import Hdf5Writer
+
+    if target.is_stream:
+        raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
+    with replacing(target.path, devices=False) as path:
+        if target.group not in (None, "", "/") and os.path.exists(target.path):
+            _copy_for_group(target.path, path)
+        writer = Hdf5Writer(path, target.group or "/", columns, attributes)
+        try:
+            yield writer
+            writer.finish()
+        except BaseException:
+            writer.abandon()
+            raise
+
+
+def _copy_for_group(existing: str, path: str) -> None:
+    """Copy the HDF5 file that a group is written into: everything else in it stays as it is.
+
+    Raises
+    ------
+    OutputError
+        What stands there is no HDF5 file.
+    """
+    import shutil
+
+    import h5py
+
+    if not h5py.is_hdf5(existing):
+        raise OutputError(
+            f"{existing}: this is no HDF5 file, so no group can be added to it: name another file"
+        )
+    shutil.copyfile(existing, path)
+
+
+def _delimiter(target: Address, format: str | None) -> str:
+    tabs = format == "tsv" or (format is None and target.path.lower().removesuffix(".gz").endswith(".tsv"))
+    return "\t" if tabs else ","
+
+
+@contextlib.contextmanager
+def _text_stream(target: Address) -> Iterator[IO[bytes]]:
+    if target.is_stream:
+        with standard_output() as stream:
+            yield stream
+        return
+    with replacing(target.path) as path, open(path, "wb", buffering=1 << 20) as file:
+        if not target.compressed:
+            yield file
+            return
+        import gzip
+
+        # no name and no time in the gzip header: the same signal gives the same bytes
+        with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
+            yield cast(IO[bytes], cast(Any, packed))

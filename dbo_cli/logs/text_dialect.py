@@ -1,0 +1,370 @@
+"""How a text log is written: delimiter, decimal sign, header, units line and where the data begin.
+
+Detected from the first lines; every part can be forced.  The bottom of the sample, where junk lines are rare,
+decides delimiter, decimal sign and the number of columns; then the first data row is looked for from the top,
+and the header above it.  In doubt a line counts as data, so that it is refused aloud instead of dropped in
+silence.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from dataclasses import dataclass
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
+from dbo_cli.logs.columns import is_known_unit
+
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
+_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
+DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
+COMMENTS = "#%"
+_SAMPLE_LINES = 40
+
+
+@dataclass(frozen=True)
+class DialectOptions:
+    """What the user forces about a text log; None means: detect.
+
+    ``delimiter`` is one of DELIMITERS or a single character; ``decimal`` ``point`` or ``comma``; ``comment``
+    the characters that start a comment line; ``skip_lines`` the count of junk lines before the header;
+    ``header_lines`` 0 (no header), 1 (names) or 2 (names, then units); ``encoding`` a codec name.
+    """
+
+    delimiter: str | None = None
+    decimal: str | None = None
+    comment: str | None = None
+    skip_lines: int | None = None
+    header_lines: int | None = None
+    encoding: str | None = None
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text log is written.
+
+    ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
+    where the log has none, else ``width`` cells long.
+    """
+
+    delimiter: str
+    decimal: str
+    comments: str
+    width: int
+    first_line: int
+    headers: tuple[str, ...]
+    units: tuple[str, ...]
+
+    def describe(self) -> str:
+        """Tell in one line what was detected, for ``verbose``."""
+        head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
+        sign = "decimal comma" if self.decimal == "," else "decimal point"
+        plural = "s" if self.width != 1 else ""
+        mark = _NAMES.get(self.delimiter, repr(self.delimiter))
+        return (
+            f"{self.width} column{plural} separated by {mark}, {sign}, "
+            f"{head}, data from line {self.first_line}"
+        )
+
+
+def is_comment(line: str, comments: str) -> bool:
+    """Tell whether a line is empty or a comment."""
+    stripped = line.strip()
+    return not stripped or stripped[0] in comments
+
+
+def chosen_delimiter(options: DialectOptions) -> str | None:
+    """Resolve the delimiter that the user forced.
+
+    Raises
+    ------
+    UsageError
+        It is neither a known name nor a single character.
+    """
+    if options.delimiter is None:
+        return None
+    found = DELIMITERS.get(options.delimiter.lower(), options.delimiter.replace("\\t", "\t"))
+    if len(found) != 1 or found.isalnum() or found in '."\n\r':
+        names = ", ".join(DELIMITERS)
+        raise UsageError(f"`delimiter` {options.delimiter}: give a single character or one of {names}")
+    return found
+
+
+def chosen_decimal(options: DialectOptions) -> str | None:
+    """Resolve the decimal sign that the user forced.
+
+    Raises
+    ------
+    UsageError
+        It is neither ``point`` nor ``comma``.
+    """
+    if options.decimal is None:
+        return None
+    found = DECIMALS.get(options.decimal.lower())
+    if found is None:
+        raise UsageError(f"`decimal` {options.decimal}: give point or comma")
+    return found
+
+
+def detect(place: str, head: bytes, options: DialectOptions) -> Dialect:
+    """Find out how a log is written from its first lines.
+
+    Raises
+    ------
+    InputError
+        There is no line of numbers.
+    UsageError
+        A forced option is senseless.
+    """
+    lines = [decode_line(line.removesuffix(b"\r")) for line in head.split(b"\n")]
+    if lines and not lines[-1]:
+        lines.pop()
+    if lines and lines[0].startswith("\ufeff"):
+        lines[0] = lines[0][1:]
+    comments = COMMENTS if options.comment is None else options.comment
+    skip = options.skip_lines or 0
+    candidates = [number for number in range(skip, len(lines)) if not is_comment(lines[number], comments)]
+    if not any(line.strip() for line in lines):
+        raise InputError(f"{place}: the file is empty")
+    shapes = _shapes(lines, candidates, options)
+    if not shapes:
+        raise InputError(f"{place}: no data rows: no line holds numbers")
+    best = max(shape.score for shape in shapes)
+    tied = [shape for shape in shapes if shape.score >= best - 1e-12]
+    layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
+    chosen = max(range(len(tied)), key=lambda number: (layouts[number].fits, -number))
+    shape, layout = tied[chosen], layouts[chosen]
+    decimal = shape.decimal
+    if options.decimal is None and shape.delimiter != "," and decimal == "." and shape.whole_numbers:
+        decimal = _late_decimal(lines[layout.first :], comments)
+    row = split_cells(lines[layout.first], shape.delimiter) if layout.first < len(lines) else []
+    headers, units = _aligned(place, layout, shape.width, row)
+    return Dialect(shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """One reading of the sample: ``numeric`` are the columns that hold numbers in most of its rows."""
+
+    delimiter: str
+    decimal: str
+    width: int
+    numeric: frozenset[int]
+    score: float
+    whole_numbers: bool
+
+
+def _shapes(lines: list[str], candidates: list[int], options: DialectOptions) -> list[_Shape]:
+    delimiter, decimal = chosen_delimiter(options), chosen_decimal(options)
+    sample = [lines[number] for number in candidates[-_SAMPLE_LINES:]]
+    delimiters = [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]
+    shapes = []
+    for sign in [decimal] if decimal else [".", ","]:
+        for mark in delimiters:
+            if mark == sign or (
+                mark not in (BLANKS,) and delimiter is None and not any(mark in x for x in sample)
+            ):
+                if not (mark == "," and sign == "."):  # one column without any delimiter
+                    continue
+            shape = _shape(sample, mark, sign)
+            if shape is not None:
+                shapes.append(shape)
+    return shapes
+
+
+def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
+    rows = [split_cells(line, delimiter) for line in sample]
+    verdicts = [[is_number(cell, decimal) for cell in row] for row in rows]
+    numbered = [number for number, verdict in enumerate(verdicts) if any(verdict)]
+    if not numbered:
+        return None
+    shares = {number: sum(verdicts[number]) / sum(1 for cell in rows[number] if cell) for number in numbered}
+    votes: dict[int, float] = defaultdict(float)
+    for number in numbered:  # a key beside its value counts half of a full row of numbers
+        votes[len(rows[number])] += shares[number]
+    width = max(votes, key=lambda one: (votes[one], one))
+    usual = [number for number in numbered if len(rows[number]) == width]
+    numeric = frozenset(
+        column
+        for column in range(width)
+        if 2 * sum(verdicts[number][column] for number in usual) >= len(usual)
+    )
+    if not numeric:
+        return None
+    quality = sum(shares[number] for number in usual) / len(sample)
+    whole = all(cell.lstrip("+-").isdigit() for number in usual for cell in rows[number] if cell)
+    return _Shape(delimiter, decimal, width, numeric, quality, whole)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the data begin (index of the line) and the header rows above; ``fits`` ranks equal readings."""
+
+    first: int
+    names: list[str]
+    units: list[str]
+    fits: int
+
+
+def _layout(
+    lines: list[str], candidates: list[int], shape: _Shape, comments: str, options: DialectOptions
+) -> _Layout:
+    if options.header_lines is not None or options.skip_lines is not None:
+        return _forced_layout(lines, candidates, shape, options)
+    rows = {}
+    good = None
+    for number in candidates:
+        cells = split_cells(lines[number], shape.delimiter)
+        rows[number] = cells
+        if len(cells) == shape.width and all(_numeric(cells, column, shape) for column in shape.numeric):
+            good = number
+            break
+    if good is None:  # rows are there, but every one of them has a bad cell
+        good = next(n for n in candidates if _some_numbers(split_cells(lines[n], shape.delimiter), shape))
+    above = [number for number in candidates if number < good]
+    header = [number for number in above if _header_like(rows[number], shape)]
+    first = good
+    if header:
+        data = [number for number in above if number > header[-1] and _some_numbers(rows[number], shape)]
+        first = data[0] if data else good
+        names, units = _names_and_units(rows, above, header, shape)
+        return _Layout(first, names, units, 2 if len(_trimmed(names, shape.width)) == shape.width else 1)
+    data = _unbroken(
+        [n for n in above if len(rows[n]) == shape.width and _some_numbers(rows[n], shape)], lines, good
+    )
+    first = data[0] if data else good
+    names, units = _other_header(lines, first, shape, comments)
+    return _Layout(first, names, units, 2 if names else 0)
+
+
+def _numeric(cells: list[str], column: int, shape: _Shape) -> bool:
+    return is_number(cells[column], shape.decimal)
+
+
+def _some_numbers(cells: list[str], shape: _Shape) -> bool:
+    return any(column < len(cells) and _numeric(cells, column, shape) for column in shape.numeric)
+
+
+def _header_like(cells: list[str], shape: _Shape) -> bool:
+    """No numbers where the data have them, and about as many cells (a trailing delimiter aside)."""
+    if _some_numbers(cells, shape) or not any(cells):
+        return False
+    return (
+        len(cells) in (shape.width, shape.width + 1, shape.width - 1)
+        and len(cells) >= (1 if shape.width <= 2 else 2)
+        and (shape.width != 2 or len(cells) >= 2)
+    )
+
+
+def _unbroken(data: list[int], lines: list[str], good: int) -> list[int]:
+    """Leave out what a blank line separates from the data: key-value lines of an instrument."""
+    blank = max((number for number in range(good) if not lines[number].strip()), default=-1)
+    return [number for number in data if number > blank]
+
+
+def _names_and_units(
+    rows: dict[int, list[str]], above: list[int], header: list[int], shape: _Shape
+) -> tuple[list[str], list[str]]:
+    """Tell the line of names from a line of units below it (and one of remarks below that)."""
+    joined = [header[-1]]
+    for number in reversed(above[: above.index(header[-1])]):
+        if number in header and len(joined) < 3 and number == joined[0] - 1:
+            joined.insert(0, number)
+    for number in reversed(joined):
+        place = above.index(number)
+        if _all_units(rows[number]):
+            over = rows[above[place - 1]] if place else []
+            fits = bool(over) and abs(len(over) - len(rows[number])) <= 1 and not _all_units(over)
+            return (over, rows[number]) if fits else (rows[number], [])
+    return rows[header[-1]], []
+
+
+def _all_units(cells: list[str]) -> bool:
+    filled = [cell.strip("[](){}<> ") for cell in cells if cell.strip("[](){}<> -")]
+    return bool(filled) and all(is_known_unit(cell) for cell in filled)
+
+
+def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) -> tuple[list[str], list[str]]:
+    """Look for a header in the comment lines, or the differently separated line, right above the data."""
+    found: list[list[str]] = []
+    for number in range(first - 1, max(-1, first - 4), -1):
+        text = lines[number].strip()
+        body = text.lstrip(comments).strip() if text and text[0] in comments else text
+        if not body:
+            break
+        cells = _fitting_cells(body, shape)
+        if cells is None:
+            break
+        found.append(cells)
+    if not found:
+        return [], []
+    if len(found) > 1 and _all_units(found[0]) and not _all_units(found[1]):
+        return found[1], found[0]
+    return found[0], []
+
+
+def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
+    """Split a header line in the way that gives as many cells as the data have columns."""
+    ways = [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
+    ways.append(split_cells(text, shape.delimiter))
+    ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
+    ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]*[)\]])?", text)])
+    ways.append(text.split())
+    for cells in ways:
+        if (
+            len(cells) == shape.width
+            and all(cells)
+            and not any(is_number(cell, shape.decimal) for cell in cells)
+        ):
+            return cells
+    return None
+
+
+def _forced_layout(
+    lines: list[str], candidates: list[int], shape: _Shape, options: DialectOptions
+) -> _Layout:
+    count = options.header_lines
+    if count is None:
+        rows = [split_cells(lines[number], shape.delimiter) for number in candidates[:2]]
+        count = sum(1 for row in rows if not _some_numbers(row, shape))
+        count = min(count, 2 if len(rows) > 1 and _all_units(rows[1]) else 1)
+    if len(candidates) <= count:
+        return _Layout(len(lines), [], [], 0)
+    rows = [_fitting_cells(lines[number], shape) or split_cells(lines[number], shape.delimiter) for number in
+            candidates[:count]]  # fmt: skip
+    return _Layout(candidates[count], rows[0] if count else [], rows[1] if count > 1 else [], 1)
+
+
+def _trimmed(cells: list[str], width: int) -> list[str]:
+    """Take off what a trailing delimiter adds, and the header of a comment column that the rows leave out."""
+    while len(cells) > width and (not cells[-1] or cells[-1].lower() == "comment"):
+        cells = cells[:-1]
+    return cells
+
+
+def _aligned(
+    place: str, layout: _Layout, width: int, row: list[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Bring the header to the width of the rows, or refuse one that cannot be meant for them."""
+    names = _trimmed(layout.names, width)
+    if names and len(names) == width - 1:
+        if row and not row[-1]:
+            names = [*names, ""]  # the rows end with a delimiter
+        elif row and row[0].isdigit():
+            names = ["", *names]  # numbered rows, their column without a name
+    if names and len(names) != width:
+        raise InputError(
+            f"{place}:{layout.first + 1}: {width} cells where the header names {len(names)} columns "
+            "(check the delimiter, or skip the lines above the data with `skip_lines`)"
+        )
+    units = _trimmed(layout.units, width)
+    units = [*units, *[""] * (width - len(units))][:width] if units else []
+    return tuple(name.strip() for name in names), tuple(units)
+
+
+def _late_decimal(lines: list[str], comments: str) -> str:
+    """Decide the decimal sign where the sample held whole numbers only."""
+    rows = [line for line in lines if not is_comment(line, comments)]
+    commas = any(re.search(r"\d,\d", line) for line in rows)
+    return "," if commas and not any(re.search(r"\d\.\d", line) for line in rows) else "."

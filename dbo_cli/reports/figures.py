@@ -1,0 +1,222 @@
+"""The figures of a log; ``drawing`` turns them into PNG and SVG, nothing is drawn before.
+
+In the numbers of the paper: ``drive`` is Fig. 5, ``tracking`` 6, 8 and 11, ``loop`` 7, ``error`` 9 and 12,
+``output`` 10 and 13.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dbo_cli.reports import figure_style as style
+from dbo_cli.reports.drawing import Plot
+from dbo_cli.reports.renderers import digits
+from dbo_cli.reports.report import LogReport, Report
+from dbo_cli.reports.thinned_curves import Band, Curve, Raster, Traces
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
+
+
+def shown_unit(unit: str | None) -> str:
+    """Return a unit as people write it: ``um`` is spelled with the Greek letter."""
+    return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
+
+
+def axis_label(quantity: str, unit: str | None) -> str:
+    """Return a quantity with its unit in brackets."""
+    return f"{quantity} ({shown_unit(unit)})" if unit else quantity
+
+
+def decade(value: float, _: float = 0.0) -> str:
+    """Return the label of a power of ten: plain from 0.01 to 1000, else 10 with a raised exponent.
+
+    Set as plain letters, which a page can select and which take a tenth of the time of set formulas.
+    """
+    if 0.005 < value < 5000.0:
+        return f"{value:g}"
+    return "10" + f"{math.log10(value):.0f}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def plots_of_log(report: Report, log: LogReport, traces: Traces) -> list[Plot]:
+    """Return the figures of one log, drawn from what ``traces`` gathered while it was evaluated."""
+    view = _LogView(report, log, traces)
+    first, second = report.options.labels
+    wide, tall = style.WIDE, style.TALL
+    both = f"{first.capitalize()} and {second} against time"
+    error = f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE."
+    output = f"{second.capitalize()} against {first}"
+    loop = "Hysteresis loop: displacement against drive voltage"
+    share = "Share of all samples against their error."
+    density = "Amplitude density of the error against frequency, both axes logarithmic."
+    plots = [
+        Plot("tracking", both, f"{both}, the first as a solid line, the second dashed.", wide, view.tracking),
+        Plot("error", "Error against time", error, wide, view.error),
+        Plot("output", output, f"{output}, beside the identity.", tall, view.output),
+        Plot("loop", loop, f"{loop}.", tall, view.loop),
+        Plot("histogram", "Distribution of the error", share, wide, view.histogram),
+        Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum),
+        Plot("drive", "Drive against time", "Drive voltage against time.", wide, view.drive),
+    ]
+    missing = set() if traces.has_drive else {"loop", "drive"}
+    if traces.spectrum.density(1.0) is None:
+        missing.add("spectrum")
+    return [plot for plot in plots if plot.key not in missing]
+
+
+class _LogView:
+    """Paint the figures of one log."""
+
+    def __init__(self, report: Report, log: LogReport, traces: Traces) -> None:
+        self._report = report
+        self._figures = log.figures
+        self._traces = traces
+        self._offset = log.figures.offset
+        known = report.unit is None or report.unit in LENGTH_UNITS
+        self._quantity = "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
+
+    def drive(self, axes: Axes) -> None:
+        _against_time(axes, self._traces.against_time("drive"), style.SOLID)
+        axes.set(xlabel=self._time(), ylabel=axis_label("Drive voltage", self._traces.drive_unit))
+
+    def tracking(self, axes: Axes) -> None:
+        first, second = self._report.options.labels
+        _against_time(axes, self._traces.against_time("desired"), style.SOLID, label=first)
+        measured = self._traces.against_time("measured")
+        _against_time(axes, measured, style.DASHED, self._offset, label=second)
+        axes.set(xlabel=self._time(), ylabel=self._length(self._quantity))
+        mark_curves(axes)
+
+    def error(self, axes: Axes) -> None:
+        rmse = self._figures.rmse
+        said = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
+        axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=said)
+        _against_time(axes, self._traces.against_time("error"), style.ALONE, self._offset)
+        axes.set(xlabel=self._time(), ylabel=self._length("Error"))
+        mark_curves(axes)
+
+    def output(self, axes: Axes) -> None:
+        first, second = self._report.options.labels
+        ends = [self._figures.desired_min, self._figures.desired_max]
+        axes.plot(
+            ends, ends, label="identity", zorder=3, color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6))
+        )
+        self._curve(axes, "desired", "measured", style.DASHED | {"linestyle": "-"}, second, self._offset)
+        what = self._quantity.lower()
+        axes.set(xlabel=self._length(f"{first.capitalize()} {what}"))
+        axes.set(ylabel=self._length(f"{second.capitalize()} {what}"))
+        mark_curves(axes)
+
+    def loop(self, axes: Axes) -> None:
+        first, second = self._report.options.labels
+        modelled = first == "model"
+        look = style.DASHED if modelled else style.DASHED | {"linestyle": "-"}
+        self._curve(axes, "drive", "measured", look, second, self._offset)
+        if modelled:
+            self._curve(axes, "drive", "desired", style.SOLID | {"linewidth": 0.9}, first, 0.0)
+        axes.set(xlabel=axis_label("Drive voltage", self._traces.drive_unit))
+        axes.set(ylabel=self._length(self._quantity))
+        mark_curves(axes)
+
+    def histogram(self, axes: Axes) -> None:
+        values, counts = self._traces.distribution.values()
+        bins = int(min(max(math.sqrt(self._figures.samples), 12), 60))
+        low, high = float(values[0]) - self._offset, float(values[-1]) - self._offset
+        margin = max(1e-9 * max(abs(low), abs(high)), 1e-290)
+        if high - low < margin:  # one value, or as good as one: no room for bins
+            low, high = low - margin, high + margin
+        share, edges = np.histogram(
+            np.clip(values - self._offset, low, high), bins, range=(low, high), weights=counts
+        )
+        axes.bar(
+            edges[:-1],
+            100.0 * share / self._figures.samples,
+            width=np.diff(edges),
+            align="edge",
+            color=style.FILL,
+            edgecolor=style.INK,
+            linewidth=0.4,
+        )
+        if self._figures.max_abs > 3.0 * self._figures.p95_abs > 0.0:
+            axes.set_yscale("log")  # or a spike of one sample in a million is not to be seen
+            axes.yaxis.set_major_formatter(decade)
+        axes.set(xlabel=self._length("Error"), ylabel="Share of samples (%)")
+
+    def spectrum(self, axes: Axes) -> None:
+        period = self._figures.sample_period
+        curve = self._traces.spectrum.density(period or 1.0)
+        if curve is None:
+            return
+        floor = curve.y.max() * 1e-9 if curve.y.max() > 0.0 else 1e-30
+        axes.loglog(curve.x, np.maximum(curve.y, floor), **style.ALONE)
+        axes.xaxis.set_major_formatter(decade)
+        axes.yaxis.set_major_formatter(decade)
+        unit = shown_unit(self._report.unit)
+        axes.set_xlabel("Frequency (Hz)" if period else "Frequency (cycles a sample)")
+        density = f"{unit}/√Hz" if period else unit
+        axes.set_ylabel(f"Error density ({density})" if unit else "Error density")
+
+    def _curve(self, axes: Axes, x: str, y: str, look: dict[str, Any], label: str, shift: float) -> None:
+        shape = self._traces.against(x, y)
+        if isinstance(shape, Curve):
+            axes.plot(shape.x, shape.y - shift, label=label, **look)
+        else:
+            _paint_raster(axes, shape, look["color"], shift)
+            axes.plot([], [], label=label, **(look | {"linestyle": "-"}))
+
+    def _time(self) -> str:
+        return "Time (s)" if self._traces.has_time else "Row"
+
+    def _length(self, quantity: str) -> str:
+        return axis_label(quantity, self._report.unit)
+
+
+def _against_time(
+    axes: Axes, shape: Curve | Band, look: dict[str, Any], shift: float = 0.0, label: str | None = None
+) -> None:
+    """Paint a curve, or of many samples the band between least and greatest, its edges as lines."""
+    if isinstance(shape, Curve):
+        axes.plot(shape.x, shape.y - shift, label=label, **look)
+        return
+    thin = look | {"linewidth": 0.8}
+    axes.fill_between(
+        shape.x, shape.low - shift, shape.high - shift, color=look["color"], alpha=0.3, linewidth=0.0
+    )
+    axes.plot(shape.x, shape.high - shift, label=label, **thin)
+    axes.plot(shape.x, shape.low - shift, **thin)
+
+
+def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
+    """Paint the passed pixels, cut to those in use and as thick as a line, in one colour on nothing."""
+    from matplotlib.colors import to_rgb
+
+    rows, columns = (np.flatnonzero(raster.passed.any(axis=axis)) for axis in (1, 0))
+    inner = raster.passed[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    passed = np.pad(inner, 1)
+    for axis in (0, 1):
+        passed = passed | np.roll(passed, 1, axis) | np.roll(passed, -1, axis)
+    left, right, bottom, top = raster.extent
+    across, up = (right - left) / raster.passed.shape[1], (top - bottom) / raster.passed.shape[0]
+    image = np.zeros((*passed.shape, 4))
+    image[..., :3] = to_rgb(color)
+    image[..., 3] = passed
+    extent = (
+        left + across * (columns[0] - 1),
+        left + across * (columns[-1] + 2),
+        bottom + up * (rows[0] - 1) - shift,
+        bottom + up * (rows[-1] + 2) - shift,
+    )
+    axes.use_sticky_edges = False
+    axes.imshow(image, extent=extent, origin="lower", aspect="auto", interpolation="nearest", zorder=2)
+    axes.autoscale(enable=True)
+
+
+def mark_curves(axes: Axes) -> None:
+    """Set the legend in one line above the axes, where it hides nothing."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, columnspacing=1.6)

@@ -1,0 +1,180 @@
+"""How well one signal follows another: the figures of merit of a log of any length, in constant memory.
+
+The error is *measured - desired* throughout. The result does not depend on how the stream was cut into
+blocks, to the last bit: see ``accumulators``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dbo_cli.reports.running_statistics import (
+    Batches,
+    CompensatedSum,
+    ErrorDistribution,
+    Floats,
+    LoopWidth,
+    PhaseLag,
+    usable,
+)
+
+
+@dataclass(frozen=True)
+class TrackingFigures:
+    """How well the measured signal follows the desired one; lengths in the signals' own unit.
+
+    ``offset`` is what was subtracted from the error (0.0 unless it was asked for). Where a figure is not
+    defined it is None: ``nrmse_percent`` for a desired signal that never changes, ``loop_width`` where no
+    value was passed both upward and downward, the lag where nothing moves.
+    """
+
+    samples: int
+    not_finite: int
+    desired_min: float
+    desired_max: float
+    rmse: float
+    nrmse_percent: float | None
+    mean: float
+    max_abs: float
+    max_abs_row: int
+    max_abs_time: float | None
+    p95_abs: float
+    loop_width: float | None
+    loop_width_percent: float | None
+    lag_left: float | None
+    phase_left: float | None
+    offset: float
+    sample_period: float | None
+
+
+class TrackingMetrics:
+    """All figures of merit of one log or one segment, from blocks of any length.
+
+    Parameters
+    ----------
+    remove_offset : bool
+        Take the mean error off before anything else is said about it (a sensor's arbitrary zero).
+
+    Attributes
+    ----------
+    distribution : ErrorDistribution
+        Of the error before the offset is taken off.
+    missing : list of two int
+        Samples that are not numbers, desired and measured.
+    """
+
+    def __init__(self, *, remove_offset: bool = False) -> None:
+        self._remove_offset = remove_offset
+        self._batches = Batches(4)
+        self.distribution = ErrorDistribution()
+        self._loop = LoopWidth()
+        self._phase = PhaseLag()
+        self._sums = (CompensatedSum(), CompensatedSum())
+        self._extremes: dict[str, tuple[float, float, float]] = {}
+        self._range = (math.inf, -math.inf)
+        self._carry: tuple[Floats, Floats] | None = None
+        self._not_finite = 0
+        self.missing = [0, 0]
+        self._times: tuple[float, float] | None = None
+        self._seen = 0
+
+    def add(
+        self, desired: Floats, measured: Floats, *, row: Floats | None = None, time: Floats | None = None
+    ) -> None:
+        """Take one block of equally long arrays; ``row`` counts from 1, ``time`` is in seconds."""
+        length = len(desired)
+        if row is None:
+            row = np.arange(self._seen + 1.0, self._seen + length + 1.0)
+        if time is None:
+            time = np.full(length, np.nan)
+        self._seen += length
+        for batch in self._batches.add(desired, measured, row, time):
+            self._take(*batch)
+
+    def result(self) -> TrackingFigures | None:
+        """Return the figures of everything taken so far; None where no sample was a number.
+
+        The accumulator is spent by this call.
+        """
+        self._take(*self._batches.rest())
+        n = self.distribution.count
+        if n == 0:
+            return None
+        shift = self.distribution.centre
+        mean_shifted, square = self._sums[0].value / n, self._sums[1].value / n
+        mean = shift + mean_shifted
+        offset = mean if self._remove_offset else 0.0
+        variance = max(square - mean_shifted * mean_shifted, 0.0)
+        rmse = math.sqrt(variance + (mean - offset) ** 2)
+        largest = max(self._extremes.values(), key=lambda extreme: abs(extreme[0] - offset))
+        low, high = self._range
+        span = high - low
+        loop, lag = self._loop.width(), self._phase.lag()
+        return TrackingFigures(
+            samples=n,
+            not_finite=self._not_finite,
+            desired_min=low,
+            desired_max=high,
+            rmse=rmse,
+            nrmse_percent=100.0 * rmse / span if span > 0.0 else None,
+            mean=mean - offset,
+            max_abs=abs(largest[0] - offset),
+            max_abs_row=int(largest[1]),
+            max_abs_time=None if math.isnan(largest[2]) else largest[2],
+            p95_abs=self.distribution.quantile_abs(0.95, offset),
+            loop_width=loop,
+            loop_width_percent=100.0 * loop / span if loop is not None and span > 0.0 else None,
+            lag_left=lag[0] if lag else None,
+            phase_left=lag[1] if lag else None,
+            offset=offset,
+            sample_period=self._sample_period(),
+        )
+
+    def _sample_period(self) -> float | None:
+        samples = self.distribution.count + self._not_finite
+        if self._times is None or samples < 2:
+            return None
+        period = (self._times[1] - self._times[0]) / (samples - 1)
+        return period if math.isfinite(period) and period > 0.0 else None
+
+    def _take(self, desired: Floats, measured: Floats, row: Floats, time: Floats) -> None:
+        if len(desired) == 0:
+            return
+        first = self._times[0] if self._times else float(time[0])
+        self._times = (first, float(time[-1]))
+        finite = usable(desired, measured)
+        if not finite.all():
+            self._not_finite += int(len(finite) - np.count_nonzero(finite))
+            for which, column in enumerate((desired, measured)):
+                self.missing[which] += int(len(column) - np.count_nonzero(usable(column, column)))
+            desired, measured, row, time = (array[finite] for array in (desired, measured, row, time))
+        if len(desired) == 0:
+            return
+        error = measured - desired
+        self._range = (min(self._range[0], float(desired.min())), max(self._range[1], float(desired.max())))
+        self.distribution.add(error)
+        shifted = error - self.distribution.centre
+        self._sums[0].add(float(np.add.reduce(shifted)))
+        self._sums[1].add(float(np.add.reduce(shifted * shifted)))
+        for side, place in (("low", int(error.argmin())), ("high", int(error.argmax()))):
+            value = float(error[place])
+            held = self._extremes.get(side)
+            if held is None or (value < held[0] if side == "low" else value > held[0]):
+                self._extremes[side] = (value, float(row[place]), float(time[place]))
+        self._take_motion(desired, measured)
+
+    def _take_motion(self, desired: Floats, measured: Floats) -> None:
+        """Feed what needs a slope: the inner samples, the two at the seam with the batch before included."""
+        if self._carry is not None:
+            desired = np.concatenate([self._carry[0], desired])
+            measured = np.concatenate([self._carry[1], measured])
+        self._carry = (desired[-2:].copy(), measured[-2:].copy())
+        if len(desired) < 3:
+            return
+        slope = 0.5 * (desired[2:] - desired[:-2])
+        inner, answer = desired[1:-1], measured[1:-1]
+        self._phase.add(desired, measured)
+        self._loop.add(inner, answer - inner, slope)

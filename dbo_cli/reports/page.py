@@ -1,0 +1,171 @@
+"""The report as one HTML file: no script, no network, the figures inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from dbo_cli.reports.drawing import Plot, draw
+from dbo_cli.reports.figures import shown_unit
+from dbo_cli.reports.page_style import style_sheet
+from dbo_cli.reports.renderers import digits, settings_line
+from dbo_cli.reports.report import LogReport, Report
+
+MEANINGS = (
+    ("RMSE", "Root of the mean square of the error."),
+    ("% of range", "The same in percent of the range that {first} covers (NRMSE)."),
+    ("95 %", "95 % of all samples have an error no larger than this."),
+    ("Largest", "The largest error, and the data row of the log where it is."),
+    ("Mean", "Mean of the error; where it was taken off beforehand, the offset that was taken off."),
+    (
+        "Loop left",
+        "The hysteresis that is left: for equal values of {first}, the error on the way down less the"
+        " error on the way up, averaged over the log, where it differs most. Negative: compensated too much.",
+    ),
+    (
+        "Lag left",
+        "The delay by which {second} still follows {first}, from a fit of {first} and its slope;"
+        " hysteresis shows in it too.",
+    ),
+    ("Ratio", "RMSE as a ratio to that of the first log."),
+)
+
+
+def to_html(
+    report: Report,
+    plots: Sequence[Sequence[Plot]],
+    *,
+    model_plots: Sequence[Plot] = (),
+    title: str = "Tracking report",
+    program: str = "",
+) -> str:
+    """Return the whole page.
+
+    Parameters
+    ----------
+    report : Report
+        The values.
+    plots : sequence of sequences of Plot
+        For every log of the report, in its order, the figures to show (``figures.plots_of_log``).
+    model_plots : sequence of Plot
+        The figures of the model, where one was compared (``model_figures.plots_of_model``).
+    title, program : str
+        Heading of the page, and who made it (program and version), for the footer.
+    """
+    several = len(report.logs) > 1
+    parts = [f"<h1>{escape(title)}</h1>", f"<p>{escape(_settings(report))}.</p>", _summary(report, several)]
+    if report.notes:
+        parts.append(
+            '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
+        )
+    for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
+        parts.append(f"<section><h2>{escape(log.name)}</h2>{_figures(figures, number)}")
+        parts.append(_segments(report, log) + "</section>")
+    if model_plots:
+        parts.append(f"<section><h2>The model</h2>{_figures(model_plots, len(report.logs))}</section>")
+    parts.append(_meanings(report, several))
+    if program:
+        parts.append(f"<footer>{escape(program)}</footer>")
+    return _PAGE.format(title=escape(title), style=style_sheet(), body="\n".join(parts))
+
+
+def _settings(report: Report) -> str:
+    line = settings_line(report)
+    return line.replace(f" in {report.unit}", f" in {shown_unit(report.unit)}", 1).replace(" - ", " − ", 1)
+
+
+def _summary(report: Report, several: bool) -> str:
+    unit = shown_unit(report.unit)
+    in_unit = f" ({unit})" if unit else ""
+    removed = report.options.remove_offset
+    head = ["Log", "Samples", f"RMSE{in_unit}", "% of range", f"95 %{in_unit}", f"Largest{in_unit}", "at row"]
+    head += [f"{'Offset' if removed else 'Mean'}{in_unit}", f"Loop left{in_unit}"]
+    head += ["Lag left (samples)", "Lag left (ms)", "Phase left"]
+    head += ["Ratio"] if several else []
+    rows = []
+    for log in report.logs:
+        figures, record = log.figures, log.record()
+        row = [
+            log.name,
+            str(figures.samples),
+            digits(figures.rmse),
+            digits(figures.nrmse_percent),
+            digits(figures.p95_abs),
+            digits(figures.max_abs),
+            str(figures.max_abs_row),
+            digits(figures.offset if removed else figures.mean),
+            digits(figures.loop_width),
+            digits(figures.lag_left, 3),
+            digits(None if record["lag_left_s"] is None else 1000.0 * record["lag_left_s"], 3),
+            "-" if figures.phase_left is None else f"{digits(figures.phase_left, 3)}°",
+        ]
+        rows.append(row + ([digits(log.ratio_to_first)] if several else []))
+    return _table(head, rows, chief=2)
+
+
+def _segments(report: Report, log: LogReport) -> str:
+    if not log.segments:
+        return ""
+    removed = report.options.remove_offset
+    what = "cycle" if report.options.segment == "cycles" else f"{report.options.segment:g} s"
+    head = ["Part", "Rows", "RMSE", "% of range", "95 %", "Largest", "Offset" if removed else "Mean"]
+    head += ["Loop left", "Lag left"]
+    rows = []
+    for part in log.segments:
+        figures = part.figures
+        numbers = [figures.rmse, figures.nrmse_percent, figures.p95_abs, figures.max_abs]
+        numbers += [figures.offset if removed else figures.mean, figures.loop_width, figures.lag_left]
+        place = f"{part.first_row}–{part.last_row}"
+        rows.append([f"{part.number}", place, *(digits(number, 3) for number in numbers)])
+    return f"<h3>By {escape(what)}</h3>{_table(head, rows, chief=2, name='segments')}"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int, name: str = "summary") -> str:
+    """Return a table whose cells know their heading, so that a narrow screen can show a row as a card."""
+    cells = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    lines = []
+    for row in rows:
+        line = ""
+        for number, (title, cell) in enumerate(zip(head, row, strict=True)):
+            mark = ' class="chief"' if number == chief else ""
+            line += f'<td{mark} data-label="{escape(title)}">{escape(cell)}</td>'
+        lines.append(f"<tr>{line}</tr>")
+    body = "\n".join(lines)
+    return f'<table class="{name}"><thead><tr>{cells}</tr></thead><tbody>\n{body}\n</tbody></table>'
+
+
+def _figures(plots: Sequence[Plot], number: int) -> str:
+    drawn = []
+    for plot in plots:
+        image = draw(plot, "inline", scope=f"l{number}").decode()
+        drawn.append(f"<figure><figcaption>{escape(plot.title)}</figcaption>{image}</figure>")
+    return '<div class="figures">' + "\n".join(drawn) + "</div>" if drawn else ""
+
+
+def _meanings(report: Report, several: bool) -> str:
+    first, second = report.options.labels
+    chosen = MEANINGS if several else MEANINGS[:-1]
+    items = "".join(
+        f"<dt>{escape(term)}</dt><dd>{escape(text.format(first=first, second=second))}</dd>"
+        for term, text in chosen
+    )
+    return f"<section><h2>What the figures mean</h2><dl>{items}</dl></section>"
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<link rel="icon" href="data:,">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+<main>
+{body}
+</main>
+</body>
+</html>
+"""

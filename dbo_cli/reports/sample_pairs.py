@@ -1,0 +1,254 @@
+"""Pairs of desired and measured samples: checked, and lagged against each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.sample_block import Places, join_places
+from dbo_cli.reports.running_statistics import BATCH, Floats, usable
+
+LAG_WINDOW = 1 << 18
+
+
+@dataclass(frozen=True)
+class PairBlock:
+    """One block of a log, in the order of its rows.
+
+    Attributes
+    ----------
+    rows : range or int64 array
+        Data row of every desired sample, counted from 1.
+    desired, measured : float64 arrays of equal length
+        What the measurement is compared with (a wish, or a model's prediction), and the measurement.
+    time : float64 array or None
+        Seconds, of the desired samples.
+    drive : float64 array or None
+        Drive voltage beside the desired samples; only figures use it.
+    """
+
+    rows: Places
+    desired: Floats
+    measured: Floats
+    time: Floats | None = None
+    drive: Floats | None = None
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.desired)
+
+    def row_numbers(self) -> Floats:
+        """Return the data row of every sample."""
+        if isinstance(self.rows, range):  # numpy would walk through it one integer at a time
+            return np.arange(self.rows.start, self.rows.stop, self.rows.step, dtype=np.float64)
+        return self.rows.astype(np.float64)
+
+    def part(self, start: int, stop: int) -> PairBlock:
+        """Return the samples ``start`` to ``stop`` (not included) as a block of their own."""
+        return PairBlock(
+            self.rows[start:stop],
+            self.desired[start:stop],
+            self.measured[start:stop],
+            None if self.time is None else self.time[start:stop],
+            None if self.drive is None else self.drive[start:stop],
+        )
+
+
+def check_alike(
+    name: str,
+    labels: tuple[str, str],
+    units: tuple[str | None, str | None],
+    lengths: tuple[int, int] | None = None,
+    rates: tuple[float | None, float | None] = (None, None),
+) -> None:
+    """Refuse a pair whose units, lengths or sample rates differ (InputError).
+
+    None is *not known*, which differs from nothing. ``labels`` name the two signals,
+    e.g. ``("desired", "measured")``.
+    """
+    if None not in units and units[0] != units[1]:
+        raise InputError(
+            f"{name}: {labels[0]} is in {units[0]}, {labels[1]} in {units[1]} (give both in one unit)"
+        )
+    if lengths is not None and lengths[0] != lengths[1]:
+        raise InputError(
+            f"{name}: {labels[0]} has {lengths[0]} samples, {labels[1]} {lengths[1]}"
+            " (both must be recorded together, one for one)"
+        )
+    first, second = rates
+    if first is not None and second is not None and not math.isclose(first, second, rel_tol=1e-9):
+        raise InputError(
+            f"{name}: {labels[0]} has {first:g} samples a second, {labels[1]} {second:g}"
+            " (resample one of them first)"
+        )
+
+
+def rows_with_lag(rows: str | None, lag: int) -> str | None:
+    """Return the rows to read so that every desired row of ``A:B`` finds its measured row ``lag`` rows on.
+
+    ``rows`` counts desired rows; the log must be read ``lag`` rows further (or, for a negative lag,
+    from ``-lag`` rows earlier). Text that is not ``A:B`` is returned as it is: the reader says what is wrong.
+    """
+    if rows is None or lag == 0 or rows.count(":") != 1:
+        return rows
+    first, last = rows.split(":")
+    try:
+        if lag > 0 and last.strip():
+            last = str(int(last) + lag)
+        if lag < 0 and first.strip():
+            first = str(max(1, int(first) + lag))
+    except ValueError:
+        return rows
+    return f"{first}:{last}"
+
+
+def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlock]:
+    """Pair every desired sample with the one measured ``lag`` samples later (earlier where negative).
+
+    ``|lag|`` samples are held back, no more. Raises InputError where nothing is left to compare.
+    """
+    held: PairBlock | None = None
+    paired = total = 0
+    for block in blocks:
+        if len(block.desired) != len(block.measured):
+            lengths = (len(block.desired), len(block.measured))
+            check_alike(name, ("desired", "measured"), (None, None), lengths)
+        total += len(block)
+        if lag == 0:
+            ready, held = block, None
+        else:
+            whole = block if held is None else _merged([held, block])
+            count = max(len(whole) - abs(lag), 0)
+            ready, held = _shifted(whole, lag, count), whole.part(count, len(whole))
+        if len(ready):
+            paired += len(ready)
+            yield ready
+    if total == 0:
+        raise InputError(f"{name}: no data rows to compare (look at `rows`)")
+    if paired == 0:
+        raise InputError(
+            f"{name}: a lag of {lag} samples leaves nothing of {total} rows"
+            " (`lag` must be shorter than the log)"
+        )
+
+
+def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[PairBlock]]:
+    """Return the lag in samples at which measured follows desired best, and all blocks once more.
+
+    The lag with the least offset-free RMSE over the first ``LAG_WINDOW`` samples, which are held in memory
+    meanwhile; searched up to the first zero of the desired signal's autocorrelation (a quarter of a period
+    of a sine), so that a periodic signal is not matched with its next period.
+    """
+    source = iter(blocks)
+    window: list[PairBlock] = []
+    samples = 0
+    for block in source:
+        window.append(block)
+        samples += len(block)
+        if samples >= LAG_WINDOW:
+            break
+    if not samples:
+        return 0, iter(window)
+    desired = np.concatenate([block.desired for block in window])[:LAG_WINDOW]
+    measured = np.concatenate([block.measured for block in window])[:LAG_WINDOW]
+    finite = usable(desired, measured)
+    if not finite.any():
+        raise InputError(f"{name}: no sample is a number, so no lag can be found")
+    desired = np.where(finite, desired, 0.0) - np.where(finite, desired[finite].mean(), 0.0)
+    measured = np.where(finite, measured, 0.0) - np.where(finite, measured[finite].mean(), 0.0)
+    scale = max(float(np.abs(desired).max()), float(np.abs(measured).max()), 1e-290)
+
+    def again() -> Iterator[PairBlock]:
+        yield from window
+        window.clear()
+        yield from source
+
+    return _best_lag(desired / scale, measured / scale), again()
+
+
+def batched(blocks: Iterable[PairBlock], size: int = BATCH) -> Iterator[PairBlock]:
+    """Yield the same samples in blocks of one fixed length, the last one shorter.
+
+    Whatever works on these gives the same result for any block length of the reader.
+    """
+    held: list[PairBlock] = []
+    count = 0
+    for block in blocks:
+        held.append(block)
+        count += len(block)
+        while count >= size:
+            yield _merged(list(released(held, size)))
+            count -= size
+    if count:
+        yield _merged(held)
+
+
+def released(held: list[PairBlock], count: int) -> Iterator[PairBlock]:
+    """Take the first ``count`` samples out of ``held``."""
+    while count > 0 and held:
+        block = held.pop(0)
+        if len(block) > count:
+            held.insert(0, block.part(count, len(block)))
+            block = block.part(0, count)
+        count -= len(block)
+        yield block
+
+
+def _merged(blocks: list[PairBlock]) -> PairBlock:
+    """Return the blocks as one."""
+    if len(blocks) == 1:
+        return blocks[0]
+
+    def column(name: str) -> Floats | None:
+        parts = [getattr(block, name) for block in blocks]
+        return None if any(part is None for part in parts) else np.concatenate(parts)
+
+    return PairBlock(
+        join_places([block.rows for block in blocks]),
+        np.concatenate([block.desired for block in blocks]),
+        np.concatenate([block.measured for block in blocks]),
+        column("time"),
+        column("drive"),
+    )
+
+
+def _shifted(block: PairBlock, lag: int, count: int) -> PairBlock:
+    """Return the first ``count`` pairs of a block whose measured column is taken ``lag`` samples later."""
+    late = max(lag, 0)
+    early = max(-lag, 0)
+    return replace(block.part(early, early + count), measured=block.measured[late : late + count])
+
+
+def _best_lag(desired: Floats, measured: Floats) -> int:
+    """Return the lag of least offset-free mean square error, by Fourier transform."""
+    n = len(desired)
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(desired, size)
+    auto = np.fft.irfft(np.abs(spectrum) ** 2, size)[:n]
+    if auto[0] <= 0.0:
+        return 0
+    falling = np.flatnonzero(auto <= 0.0)
+    reach = min(int(falling[0]) if len(falling) else n, max(n // 2, 1)) - 1
+    if reach < 1:
+        return 0
+    cross = np.fft.irfft(np.conj(spectrum) * np.fft.rfft(measured, size), size)
+    lags = np.arange(-reach, reach + 1)
+    overlap = n - np.abs(lags)
+    # sums of either signal over the overlap, from the ends inward
+    head_d, head_m = _heads(desired), _heads(measured)
+    head_dd, head_mm = _heads(desired * desired), _heads(measured * measured)
+    late, early = np.maximum(lags, 0), np.maximum(-lags, 0)
+    error = (
+        (head_mm[n - early] - head_mm[late]) + (head_dd[n - late] - head_dd[early]) - 2.0 * cross[lags]
+    ) / overlap - ((head_m[n - early] - head_m[late] - head_d[n - late] + head_d[early]) / overlap) ** 2
+    best = np.flatnonzero(error <= error.min() + 1e-12 * auto[0] / n)
+    return int(lags[best[np.argmin(np.abs(lags[best]))]])
+
+
+def _heads(values: Floats) -> Floats:
+    """Return the sums of the first 0, 1, 2 ... values."""
+    return np.concatenate([[0.0], np.cumsum(values)])

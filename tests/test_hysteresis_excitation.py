@@ -1,0 +1,131 @@
+"""Conditioning, excitation, and reading ahead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_hysteresis_model import build, limits_of, wanted
+
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.excitation import condition, excitation, read_ahead, swing_samples, swings
+from dbo_cli.hysteresis.model import DriveLimits
+
+
+def test_swings_turn_exactly_where_they_say() -> None:
+    drive = swings([0.0, 3.6, 1.2], [10, 5])
+    assert drive.size == 16
+    assert (drive[0], drive[10], drive[15]) == (0.0, 3.6, 1.2)
+    assert np.all(np.diff(drive[:11]) > 0.0)
+    assert np.all(np.diff(drive[10:]) < 0.0)
+
+
+def test_swing_samples_keep_the_slew() -> None:
+    count = swing_samples(5.0, 0.001, 0.01, max_slew=100.0)
+    drive = swings([0.0, 5.0], [count])
+    assert 0.99 * 100.0 < np.diff(drive).max() / 0.001 <= 100.0
+    assert swing_samples(5.0, 0.001, 0.01) == 10
+
+
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_conditioning_leads_to_the_state_compensation_goes_on_from(relaxation: bool) -> None:
+    for seed in range(6):
+        model = build(seed, relaxation)
+        desired = wanted(model, seed)
+        limits = limits_of(model, slew=200.0 * model.input.span)
+        sweep = condition(model, desired[0], limits, 0.001)
+        drive = model.compensate(desired, sweep.state, limits=limits, time_step=0.001)
+        both = np.concatenate([sweep.voltage, drive.y])
+        assert sweep.time[-1] == -0.001
+        assert np.all(np.diff(sweep.time) > 0.0)
+        assert np.abs(np.diff(both)).max() <= 0.2 * model.input.span * (1.0 + 1e-9)
+        assert both.min() >= limits.v_min
+        assert both.max() <= limits.v_max
+        back = model.simulate(both, model.start(both[0]), time_step=0.001)
+        assert back.state == drive.state
+        late = slice(100, None)  # the slew limit may hold back the first samples
+        error = np.abs(back.y[-desired.size :] - desired)[late]
+        assert error.max() <= 1e-11 * model.output.span
+
+
+def test_conditioning_joins_the_trajectory_where_the_memory_has_brought_it() -> None:
+    for seed in range(6):
+        model = build(seed, relaxation=True)
+        desired = wanted(model, seed, share=0.3)
+        limits = limits_of(model)
+        sweep = condition(model, desired[0], limits, 0.001)
+        drive = model.compensate(desired[:1], sweep.state, limits=limits, time_step=0.001)
+        assert drive.y[0] == pytest.approx(sweep.voltage[-1], abs=1e-8 * model.input.span)
+
+
+def test_excitation_covers_the_range_within_its_limits() -> None:
+    time, drive = excitation(-30.0, 120.0, 5000.0, 20.0, 1.0, max_slew=480.0)
+    assert time.size == drive.size == 100_000
+    assert (drive.min(), drive.max(), drive[0]) == (-30.0, 120.0, -30.0)
+    assert drive[-1] < -29.9
+    assert np.abs(np.diff(drive)).max() * 5000.0 <= 480.0
+    turns = drive[1:-1][(np.diff(drive)[:-1] > 0.0) != (np.diff(drive)[1:] > 0.0)]
+    assert turns.size >= 38
+    assert np.unique(np.round(turns, 6)).size >= 15
+
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3.0 must be less than `v_max` 3.0"),
+    (
+        {"sample_rate": 19.0},
+        "`frequency` 1.0: fewer than 20 samples a cycle (raise `sample_rate` or lower it)",
+    ),
+    ({"duration": 5.9}, "`duration` 5.9: 5 cycles of 1.0 Hz, at least 6 are needed"),
+    ({"max_slew": 1.0}, "`max_slew` 1.0: the whole range at 1.0 Hz needs 11.3097 V/s (at most 0.0884194 Hz)"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), REFUSED)
+def test_excitation_that_is_refused(change: dict[str, Any], message: str) -> None:
+    arguments = {"v_min": 0.0, "v_max": 3.6, "sample_rate": 200.0, "duration": 10.0, "frequency": 1.0}
+    with pytest.raises(UsageError) as problem:
+        excitation(**{**arguments, **change})
+    assert str(problem.value) == message
+
+
+def test_reading_ahead_does_not_depend_on_blocks() -> None:
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(1e-4, 0.02, 600))
+    values = rng.normal(size=600)
+    for seconds in (0.0, 0.003, 0.1, 100.0):
+        expected = np.interp(time + seconds, time, values)
+        whole = None
+        for size in (600, 1, 7, 64):
+            blocks = [(k, time[k : k + size], values[k : k + size]) for k in range(0, 600, size)]
+            shifted = list(read_ahead(blocks, seconds))
+            assert [payload for payload, _ in shifted] == [payload for payload, _, _ in blocks]
+            found = np.concatenate([part for _, part in shifted])
+            np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
+            assert whole is None or found.tobytes() == whole
+            whole = found.tobytes()
+
+
+def test_reading_ahead_keeps_only_what_it_needs() -> None:
+    given = 0
+
+    def blocks() -> Any:
+        nonlocal given
+        for k in range(100):
+            given = k
+            yield k, np.arange(10.0) + 10.0 * k, np.arange(10.0)
+
+    for payload, _ in read_ahead(blocks(), 25.0):
+        assert given <= min(payload + 3, 99)
+
+
+def test_delay_read_ahead_and_lagged_again_is_the_identity() -> None:
+    model = build(2, delay=0.02)
+    assert model.delay_seconds == 0.02
+    desired = wanted(model, 2)
+    time = 0.005 * np.arange(desired.size)
+    ahead = np.concatenate([part for _, part in read_ahead([(None, time, desired)], model.delay_seconds)])
+    limits = DriveLimits(model.input.minimum, model.input.maximum)
+    drive = model.compensate(ahead, model.start_compensation(ahead[0], "auto", limits), limits=limits)
+    back = model.simulate(drive.y, model.start(drive.y[0]), time_step=0.005)
+    assert np.abs(back.y - desired)[5:].max() <= 1e-12 * model.output.span

@@ -1,0 +1,119 @@
+"""Names, units and guesses; what is said about an input in a model."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.columns import (
+    ColumnWish,
+    choose_columns,
+    column_info,
+    column_label,
+    list_columns,
+    normalise_unit,
+    split_header,
+)
+from dbo_cli.logs.provenance import input_record, program_version_string
+from dbo_cli.logs.signal_log import open_log
+
+
+@pytest.mark.parametrize(
+    ("header", "quantity", "unit"),
+    [
+        ("voltage_V", "voltage", "V"),
+        ("displacement (µm)", "displacement", "um"),
+        ("Position [μm]", "Position", "um"),
+        ("drive voltage, V", "drive voltage", "V"),
+        ("Voltage/V", "Voltage", "V"),
+        ("time in ms", "time", "ms"),
+        ("Time (seconds)", "Time", "s"),
+        ("pos <nm>", "pos", "nm"),
+        ("sensor_y", "sensor_y", None),
+        ("voltage_in", "voltage_in", None),
+        ("Channel A", "Channel A", None),
+        ("ch_A", "ch_A", None),
+        ("voltage ()", "voltage", None),
+        ("(V)", "(V)", None),
+        ("V", "V", None),
+        ("u", "u", None),
+        ("temperature (°C)", "temperature", "degC"),
+        ("load (furlong)", "load", "furlong"),
+    ],
+)
+def test_headers(header: str, quantity: str, unit: str | None) -> None:
+    assert split_header(header) == (quantity, unit)
+
+
+def test_units_are_spelled_plainly() -> None:
+    assert [normalise_unit(text) for text in ("[µm]", "Volts", "microns", "sec", "", "(-)")] == [
+        "um", "V", "um", "s", None, "-",
+    ]  # fmt: skip
+
+
+def test_a_units_line_goes_before_the_name() -> None:
+    assert column_info("drive_mV", 2, "(V)").unit == "V"
+    assert column_info("", 2).name == "2"
+    assert column_label(column_info("", 2)) == "column 2"
+    assert column_label(column_info("u_V", 2)) == "column 'u_V'"
+
+
+def test_guesses() -> None:
+    names = ["time_s", "Drive Voltage (V)", "sensorPosition_um", "index"]
+    columns = [column_info(name, number) for number, name in enumerate(names, start=1)]
+    want = {"voltage": ColumnWish(None, ("voltage", "u")), "displacement": ColumnWish(None, ("position",))}
+    assert {role: one.number for role, one in choose_columns("log", columns, want).items()} == {
+        "voltage": 2,
+        "displacement": 3,
+    }
+    assert choose_columns("log", columns, {"x": ColumnWish(None, ("nothing",), required=False)}) == {}
+    only = choose_columns("log", columns[:2], {"input": ColumnWish(None, ("nothing",))}, taken=columns[:1])
+    assert only["input"].number == 2  # the only column left is what is meant
+
+
+def test_a_column_is_not_guessed_twice() -> None:
+    columns = [column_info(name, number) for number, name in enumerate(("u", "v", "y"), start=1)]
+    want = {"desired": ColumnWish("1"), "voltage": ColumnWish(None, ("u", "v"))}
+    assert choose_columns("log", columns, want)["voltage"].number == 2
+
+
+def test_a_column_by_name_case_or_quantity() -> None:
+    columns = [column_info(name, number) for number, name in enumerate(("Drive (V)", "y"), start=1)]
+    for selector in ("Drive (V)", "drive (v)", "drive", " Drive  (V) ", "1"):
+        assert choose_columns("log", columns, {"u": ColumnWish(selector)})["u"].number == 1
+
+
+def test_long_lists_are_shortened() -> None:
+    columns = [column_info(f"c{number}", number) for number in range(1, 31)]
+    assert list_columns(columns).endswith("20 c20, … (30 in all)")
+
+
+def test_addresses(tmp_path: Path) -> None:
+    assert parse_address("a.h5::/run/1").group == "/run/1"
+    assert parse_address("a.h5::").group == "/"
+    assert parse_address("a.csv.gz").compressed
+    assert parse_address("a.dat").kind == "text"
+    assert parse_address("-").name == "standard input"
+    assert parse_address("-", "hdf5").kind == "hdf5"
+    odd = tmp_path / "a::b.csv"
+    odd.write_text("")
+    assert parse_address(str(odd)).path == str(odd)
+    with pytest.raises(UsageError, match="an empty file name"):
+        parse_address("")
+
+
+def test_provenance(tmp_path: Path) -> None:
+    assert program_version_string().startswith("dbo ")
+    path = tmp_path / "log.csv"
+    path.write_text("voltage\n1\n2\nx\n")
+    with open_log(str(path), {"voltage": ColumnWish("1")}, skip_bad=True) as log:
+        log.read()
+        record = log.record()
+    assert record == {"name": "log.csv", "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "rows": 2}
+    assert input_record(f"{path}", 2) == record
+    with pytest.raises(InputError, match="cannot be read: No such file"):
+        input_record(str(tmp_path / "none.csv"), 1)

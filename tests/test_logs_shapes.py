@@ -1,0 +1,101 @@
+"""Every file shape reads right, whichever of the three parsers and whatever block size takes it."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbo_cli.logs import text_parsing as parsing
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.sample_block import Block
+from dbo_cli.logs.signal_log import SignalLog, open_log
+from tests.shapes.readable import READABLE, Shape
+
+VOLTAGE = ("voltage", "drive", "command", "u", "v")
+DISPLACEMENT = ("displacement", "position", "measured", "sensor", "y")
+
+
+def open_shape(shape: Shape, path: Path, block_rows: int = 1 << 18) -> SignalLog:
+    return open_log(
+        str(path),
+        {
+            "voltage": ColumnWish(shape.ask.get("voltage"), VOLTAGE, option="voltage"),
+            "displacement": ColumnWish(shape.ask.get("displacement"), DISPLACEMENT, option="displacement"),
+        },
+        time=shape.ask.get("time"),
+        sample_rate=shape.sample_rate,
+        dialect=shape.options,
+        block_rows=block_rows,
+    )
+
+
+def check(shape: Shape, log: SignalLog, block: Block) -> None:
+    assert block.values["voltage"].tolist() == list(shape.voltage)
+    assert block.values["displacement"].tolist() == list(shape.displacement)
+    if shape.time is None:
+        assert block.time is None
+    else:
+        assert block.time is not None
+        assert block.time.tolist() == list(shape.time)
+    assert (log.columns["voltage"].unit, log.columns["displacement"].unit) == shape.units
+    assert list(block.rows) == list(range(1, len(shape.voltage) + 1))
+    assert block.lines is not None
+    assert block.lines[0] == shape.first_line
+
+
+@pytest.mark.parametrize("shape", READABLE, ids=lambda shape: shape.name)
+@pytest.mark.parametrize("packed", [False, True], ids=["plain", "gzip"])
+def test_shape_reads_right(shape: Shape, packed: bool, tmp_path: Path) -> None:
+    path = tmp_path / ("log" + shape.ending + (".gz" if packed else ""))
+    path.write_bytes(gzip.compress(shape.content) if packed else shape.content)
+    with open_shape(shape, path) as log:
+        check(shape, log, log.read())
+
+
+@pytest.mark.parametrize("shape", READABLE, ids=lambda shape: shape.name)
+def test_shape_reads_the_same_row_by_row(shape: Shape, tmp_path: Path) -> None:
+    path = tmp_path / ("log" + shape.ending)
+    path.write_bytes(shape.content)
+    with open_shape(shape, path, block_rows=1) as log:
+        parts = list(log.blocks())
+    assert {len(part) for part in parts} == {1}
+    assert [part.values["voltage"][0] for part in parts] == list(shape.voltage)
+
+
+@pytest.mark.parametrize("parser", ["slow", "fast"])
+@pytest.mark.parametrize("shape", READABLE, ids=lambda shape: shape.name)
+def test_shape_reads_the_same_by_every_parser(
+    shape: Shape, parser: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replacement = parsing._parse_fast if parser == "fast" else lambda *_: None
+    monkeypatch.setattr(parsing, "_parse_plain", replacement)
+    path = tmp_path / ("log" + shape.ending)
+    path.write_bytes(shape.content)
+    with open_shape(shape, path) as log:
+        check(shape, log, log.read())
+
+
+def test_there_are_forty_shapes() -> None:
+    assert len({shape.name for shape in READABLE}) == len(READABLE) >= 40
+
+
+def test_numbers_survive_both_ways(tmp_path: Path) -> None:
+    """The longest decimal spellings, subnormals and the extremes read back bit for bit."""
+    values = [
+        5e-324,
+        2.2250738585072014e-308,
+        1.7976931348623157e308,
+        -0.0,
+        0.1,
+        1 / 3,
+        1e22,
+        9007199254740993.0,
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("voltage\n" + "".join(f"{value:.30e}\n" for value in values))
+    with open_log(str(path), {"voltage": ColumnWish(None, VOLTAGE)}) as log:
+        read = log.read().values["voltage"]
+    assert read.view(np.uint64).tolist() == np.array(values).view(np.uint64).tolist()

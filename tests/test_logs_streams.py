@@ -1,0 +1,209 @@
+"""Logs through pipes, row by row as they come, and the same numbers whatever the block size or the parser."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs import text_parsing as parsing
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.number_text import rows_as_text, shortest
+from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.text_dialect import Dialect
+
+WANT = {"voltage": ColumnWish(None, ("voltage",))}
+ECHO = """
+import sys
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+live = sys.argv[1] == "live"
+with open_log("-", {"voltage": ColumnWish(None, ("voltage",))}, live=live, digest=True) as log:
+    with signal_writer("-", [OutColumn("voltage", "V")], flush=live) as writer:
+        for block in log.blocks():
+            writer.write(block.values["voltage"])
+print(log.record(), *log.notes, sep="|", file=sys.stderr)
+"""
+
+
+def echo(data: bytes) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run([sys.executable, "-c", ECHO, "whole"], input=data, capture_output=True, timeout=60)
+
+
+def test_a_live_pipe_gives_each_row_as_it_comes() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", ECHO, "live"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+    process.stdin.write(b"time_s,voltage_V\n")
+    process.stdin.flush()
+    for number in range(5):
+        row = f"{number},{number / 2}\n".encode()
+        for piece in (row[:3], row[3:]):  # half a row is no row yet
+            process.stdin.write(piece)
+            process.stdin.flush()
+        if number == 0:
+            assert process.stdout.readline() == b"voltage_V\n"
+        assert process.stdout.readline() == f"{number / 2}\n".encode()
+    process.stdin.close()
+    assert process.wait(timeout=60) == 0
+    assert b"'rows': 5" in process.stderr.read()
+    process.stdout.close()
+    process.stderr.close()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_pipe_reads_like_a_file(packed: bool) -> None:
+    data = b"time_s,voltage_V\n" + b"".join(f"{k / 8},{k}\n".encode() for k in range(100_000))
+    data = gzip.compress(data, 1) if packed else data
+    done = echo(data)
+    assert done.stdout == b"voltage_V\n" + b"".join(f"{k}.0\n".encode() for k in range(100_000))
+    digest = hashlib.sha256(data).hexdigest()
+    assert done.stderr.decode().strip() == str({"name": "-", "sha256": digest, "rows": 100_000})
+
+
+def test_an_empty_pipe_is_refused() -> None:
+    assert b"InputError: standard input: the file is empty" in echo(b"").stderr
+
+
+def test_the_place_of_a_bad_cell_deep_in_a_large_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = [f"{k},{k / 2}" for k in range(300_000)]
+    rows[250_000] = "250000,OVLD"
+    path.write_text("# bench\ntime_s,voltage_V\n" + "\n".join(rows) + "\n")
+    for block_rows in (1000, 1 << 18):
+        with pytest.raises(InputError) as raised, open_log(str(path), WANT, block_rows=block_rows) as log:
+            for _ in log.blocks():
+                pass
+        assert str(raised.value) == (
+            f"{path}:250003: column 'voltage_V' is not a number: 'OVLD' (`skip_bad` drops such rows)"
+        )
+
+
+CELLS = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False).map(repr),
+    st.integers(-10**20, 10**20).map(str),
+    st.sampled_from(
+        ["1.", ".5", "+1.5", " 2.5", "2.5 ", "1e5", "1E-5", "1d3", "1e400", "nan", "inf", "-inf", "NaN", "",
+         " ", "OVLD", "1_0", "0x10", "1,5", '"1.5"', '"1', "--1", "1 2", "#", "# x", "1#", "%", ";", "µ",
+         "١", "\t3", "3\r", "1e", "."]
+    ),
+)  # fmt: skip
+
+
+def outcome(text: bytes, dialect: Dialect, skip: bool) -> object:
+    """What one block gives: numbers with their places, or the message of its refusal."""
+    picks = [ColumnInfo("one", None, "one", 1), ColumnInfo("three", None, "three", dialect.width)]
+    parser = parsing.BlockParser("log", dialect, picks, skip_bad=skip)
+    try:
+        blocks = list(parser.parse(iter([text]), small=True))
+    except InputError as problem:
+        return str(problem)
+    return [
+        (list(b.rows), list(b.lines or []) if isinstance(b.lines, range) else np.asarray(b.lines).tolist(),
+         [a.view(np.uint64).tolist() for a in b.arrays])
+        for b in blocks
+    ], parser.dropped, parser.first_dropped  # fmt: skip
+
+
+@settings(derandomize=True, deadline=None, max_examples=300)
+@example([["1", "2", "3", "4"], ["5", "6"]], ",", ".", True, True)
+@given(
+    st.lists(st.lists(CELLS, min_size=3, max_size=3), min_size=1, max_size=6),
+    st.sampled_from([",", ";", "\t", " "]),
+    st.sampled_from([".", ","]),
+    st.booleans(),
+    st.booleans(),
+)
+def test_the_three_parsers_always_agree(
+    rows: list[list[str]], delimiter: str, decimal: str, ended: bool, skip: bool
+) -> None:
+    if delimiter == decimal:
+        decimal = "."
+    text = ("\n".join(delimiter.join(row) for row in rows) + ("\n" if ended else "")).encode()
+    dialect = Dialect(delimiter, decimal, "#%", 3, 1, (), ())
+    results = []
+    patch = pytest.MonkeyPatch()
+    for plain in (parsing._parse_plain, parsing._parse_fast, lambda *_: None):
+        with patch.context() as patched:
+            patched.setattr(parsing, "_parse_plain", plain)
+            results.append(outcome(text, dialect, skip))
+    assert results[0] == results[1] == results[2]
+
+
+@settings(derandomize=True, deadline=None, max_examples=300)
+@given(st.lists(st.floats(), min_size=1, max_size=20))
+@example([1e-5, 1.5e-5, 9.999999999999999e-6, -1e-5, 1e16, 1e22, 5e-324, -0.0, 123456789012345680.0])
+def test_both_writers_give_the_same_bytes_and_they_read_back(values: list[float]) -> None:
+    import polars  # the fast writer's library
+
+    array = np.array(values)
+    fast = rows_as_text([array], ",")
+    assert bytes(fast).decode() == "".join(shortest(value) + "\n" for value in values)
+    back = np.array([float(word) for word in bytes(fast).split()])
+    assert np.array_equal(back, array, equal_nan=True)
+    finite = array[np.isfinite(array)]
+    if len(finite):
+        table = polars.read_csv(
+            bytes(rows_as_text([finite], ",")), has_header=False, schema={"column_1": polars.Float64}
+        )
+        assert table["column_1"].to_numpy().tobytes() == finite.tobytes()
+
+
+def test_the_written_bytes_do_not_depend_on_the_cut(tmp_path: Path) -> None:
+    values = np.random.default_rng(4).normal(size=(2, 70_000))
+    contents = set()
+    for step in (70_000, 65_536, 1_000):
+        path = tmp_path / "out.csv"
+        with signal_writer(str(path), [OutColumn("a"), OutColumn("b")]) as writer:
+            for start in range(0, 70_000, step):
+                writer.write(*values[:, start : start + step])
+        contents.add(path.read_bytes())
+    assert len(contents) == 1
+
+
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(st.integers(1, 5000), st.integers(0, 2**32 - 1))
+def test_the_samples_do_not_depend_on_the_block_size(block_rows: int, seed: int) -> None:
+    import tempfile
+
+    random = np.random.default_rng(seed)
+    values = random.normal(size=2000).tolist()
+    lines = [f"{k / 100};{value!r};x" for k, value in enumerate(values)]
+    for place in random.integers(0, 2000, 5):
+        lines.insert(int(place), "# remark")
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "log.csv")
+        with open(path, "w") as file:
+            file.write("t;voltage;remark\n" + "\n".join(lines))
+        with open_log(path, WANT, block_rows=block_rows) as log:
+            block = log.read()
+        with open_log(path, WANT) as log:
+            whole = log.read()
+    assert block.values["voltage"].tolist() == values == whole.values["voltage"].tolist()
+    assert block.lines is not None and whole.lines is not None
+    assert list(block.lines) == list(whole.lines)
+
+
+def test_standard_input_is_read_where_it_was_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command-line tests hand in their input this way."""
+    fake = io.TextIOWrapper(io.BufferedReader(io.BytesIO(b"voltage\n1\n2\n")))
+    monkeypatch.setattr(sys, "stdin", fake)
+    with open_log("-", WANT) as log:
+        assert log.read().values["voltage"].tolist() == [1.0, 2.0]

@@ -1,0 +1,300 @@
+"""What figures are drawn from, and that the same values give the same bytes."""
+
+from __future__ import annotations
+
+import os
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import OutputError
+from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
+from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
+from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
+from dbo_cli.reports.figures import plots_of_log
+from dbo_cli.reports.model_figures import loop_of, plots_of_model
+from dbo_cli.reports.page import to_html
+from dbo_cli.reports.report import Report, ReportOptions, evaluate
+from dbo_cli.reports.running_statistics import BATCH
+from dbo_cli.reports.sample_pairs import PairBlock
+from dbo_cli.reports.thinned_curves import (
+    BUCKETS,
+    PIXELS,
+    WHOLE,
+    Band,
+    Curve,
+    Envelope,
+    Pixels,
+    Raster,
+    Spectrum,
+    Traces,
+)
+
+
+def log_of(samples, chunk=65536, drive=True, spike=None, options=None, unit="um"):
+    """Return report and traces of a sine with a phase lag, noise and, at one sample, a spike."""
+    time = np.arange(samples) / 1000.0
+    desired = 20.0 * np.sin(2.0 * np.pi * time)
+    measured = 20.0 * np.sin(2.0 * np.pi * time - 0.1) + np.random.default_rng(1).normal(0.0, 0.1, samples)
+    if spike is not None:
+        measured[spike] += 50.0
+    traces = Traces("V")
+    parts = (slice(start, start + chunk) for start in range(0, samples, chunk))
+    blocks = (
+        PairBlock(
+            range(samples)[part],
+            desired[part],
+            measured[part],
+            time[part],
+            desired[part] / 20 if drive else None,
+        )
+        for part in parts
+    )
+    options = options or ReportOptions()
+    log = evaluate("run.csv", blocks, options, traces=traces)
+    return Report.of([log], options, unit), traces
+
+
+def model(gears=5, points=3):
+    rng = np.random.default_rng(2)
+    stages = [DiscreteBacklashOperator(rng.uniform(0.2, 1.0, gears), np.sort(rng.uniform(0.2, 1.0, gears)))]
+    if points:
+        stages.append(PointStage(rng.uniform(0.5, 1.0, points), rng.uniform(0.5, 1.0, points)))
+    stages.append(ScaleStage(12.53, -22.97))
+    return ActuatorModel(
+        "forward",
+        Quantity("voltage", "V", 0.0, 3.6),
+        Quantity("displacement", "um", -23.0, 23.0),
+        tuple(stages),
+    )
+
+
+class TestEnvelope:
+    @pytest.mark.parametrize("samples", [1, 9, BUCKETS, BUCKETS + 1, BATCH, 200_001])
+    def test_keeps_the_extremes(self, samples):
+        values = np.cumsum(np.random.default_rng(samples).normal(size=samples))
+        envelope = Envelope()
+        for start in range(0, samples, BATCH):
+            part = slice(start, min(start + BATCH, samples))
+            envelope.add(np.arange(part.start, part.stop, dtype=float), values[part])
+        band = envelope.band()
+        assert len(band.x) <= BUCKETS
+        assert (band.low.min(), band.high.max()) == (values.min(), values.max())
+        assert np.all(band.low <= band.high)
+        assert np.all(np.diff(band.x) >= 0.0)
+
+    def test_stretches_are_even_and_each_keeps_its_own_extremes(self):
+        values = np.random.default_rng(0).normal(size=131072)
+        envelope = Envelope()
+        for part in np.split(values, 131072 // BATCH):
+            envelope.add(np.zeros(BATCH), part)
+        stretches = values.reshape(2048, 64)
+        band = Band(np.zeros(2048), stretches.min(axis=1), stretches.max(axis=1))
+        assert np.array_equal(envelope._done[1], band.low)
+        assert np.array_equal(envelope._done[3], band.high)
+
+    def test_many_cycles_become_their_envelope(self):
+        x = np.arange(2048.0)
+        wave = np.sin(2.0 * np.pi * x / 4.7)
+        band = Band(x, wave - 0.1, wave + 0.1).smooth()
+        assert len(band.x) <= 512
+        assert band.high.min() > 0.8
+        assert Band(x, x - 1.0, x + 1.0).smooth().x is x
+
+
+class TestPixels:
+    @pytest.mark.parametrize("growth", [1.0, 1e3, 1e-3])
+    def test_every_sample_lies_on_a_passed_pixel(self, growth):
+        rng = np.random.default_rng(7)
+        x = rng.normal(size=20000) * np.geomspace(1.0, growth, 20000)
+        y = rng.normal(size=20000) * np.geomspace(1.0, growth, 20000) - 96.0
+        pixels = Pixels()
+        for part in np.split(np.arange(20000), 10):
+            pixels.add(x[part], y[part])
+        raster = pixels.raster()
+        left, right, bottom, top = raster.extent
+        column = ((x - left) / (right - left) * PIXELS).astype(int)
+        row = ((y - bottom) / (top - bottom) * PIXELS).astype(int)
+        assert raster.passed[row, column].all()
+
+    def test_a_spike_is_drawn_all_the_way(self):
+        x = np.linspace(0.0, 1.0, 60000)
+        y = np.zeros(60000)
+        y[30000] = 1.0
+        pixels = Pixels()
+        pixels.add(x, y)
+        assert pixels.raster().passed.any(axis=1).sum() > 500
+
+
+def test_spectrum_of_white_noise_and_of_a_tone():
+    rate = 1000.0
+    noise = np.random.default_rng(3).normal(0.0, 0.5, 400_000)
+    spectrum = Spectrum()
+    for part in np.array_split(
+        noise + 2.0 * np.sin(2.0 * np.pi * 125.0 * np.arange(400_000) / rate) + 7.0, 7
+    ):
+        spectrum.add(part)
+    curve = spectrum.density(1.0 / rate)
+    assert curve is not None
+    assert curve.x[np.argmax(curve.y)] == pytest.approx(125.0, abs=0.25)
+    # white noise of deviation s has the one-sided density s sqrt(2/rate)
+    assert np.median(curve.y) == pytest.approx(0.5 * np.sqrt(2.0 / rate), rel=0.05)
+    assert Spectrum().density(1.0) is None
+
+
+@pytest.mark.parametrize("samples", [500, WHOLE, WHOLE + 1, 200_000])
+def test_traces_do_not_depend_on_the_chunk_size(samples):
+    _, whole = log_of(samples)
+    _, cut = log_of(samples, chunk=997)
+    for name in ("desired", "measured", "error", "drive"):
+        first, second = whole.against_time(name), cut.against_time(name)
+        assert isinstance(first, Curve) == (samples <= WHOLE)
+        assert all(
+            np.array_equal(a, b) for a, b in zip(vars(first).values(), vars(second).values(), strict=True)
+        )
+    for pair in (("desired", "measured"), ("drive", "measured")):
+        first, second = whole.against(*pair), cut.against(*pair)
+        if isinstance(first, Raster):
+            assert first.extent == second.extent
+            assert np.array_equal(first.passed, second.passed)
+
+
+def test_one_spike_in_a_long_log_is_kept():
+    _, traces = log_of(300_000, spike=123_456)
+    band = traces.against_time("error")
+    assert isinstance(band, Band)
+    assert band.high.max() > 45.0
+    assert band.x[np.argmax(band.high)] == pytest.approx(123.456, abs=1.0)
+
+
+def test_figures_of_a_log():
+    report, traces = log_of(3000)
+    keys = [plot.key for plot in plots_of_log(report, report.logs[0], traces)]
+    assert keys == ["tracking", "error", "output", "loop", "histogram", "spectrum", "drive"]
+    report, traces = log_of(3000, drive=False)
+    keys = [plot.key for plot in plots_of_log(report, report.logs[0], traces)]
+    assert keys == ["tracking", "error", "output", "histogram", "spectrum"]
+    report, traces = log_of(1)
+    assert len(plots_of_log(report, report.logs[0], traces)) == 6
+
+
+@pytest.mark.parametrize(("samples", "kind"), [(3000, "svg"), (20_000, "png"), (20_000, "inline")])
+def test_same_values_same_bytes(samples, kind):
+    drawn = []
+    for _ in range(2):
+        report, traces = log_of(samples)
+        drawn.append([draw(plot, kind) for plot in plots_of_log(report, report.logs[0], traces)])
+    assert drawn[0] == drawn[1]
+
+
+def test_axes_carry_quantity_and_unit():
+    report, traces = log_of(3000)
+    texts = {
+        plot.key: re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
+        for plot in plots_of_log(report, report.logs[0], traces)
+    }
+    assert {"Time (s)", "Displacement (µm)", "desired", "measured"} <= set(texts["tracking"])
+    assert {"Time (s)", "Error (µm)"} <= set(texts["error"])
+    assert {"Desired displacement (µm)", "Measured displacement (µm)"} <= set(texts["output"])
+    assert {"Drive voltage (V)", "Displacement (µm)"} <= set(texts["loop"])
+    assert {"Frequency (Hz)", "Error density (µm/√Hz)"} <= set(texts["spectrum"])
+    assert {"Error (µm)", "Share of samples (%)"} <= set(texts["histogram"])
+
+
+def test_a_constant_log_can_be_drawn():
+    traces = Traces()
+    block = PairBlock(range(1, 101), np.full(100, 2.0), np.full(100, 2.0))
+    log = evaluate("flat.csv", [block], ReportOptions(), traces=traces)
+    report = Report.of([log], ReportOptions(), None)
+    for plot in plots_of_log(report, log, traces):
+        assert draw(plot, "svg").startswith(b"<?xml")
+
+
+def test_inline_figures_share_no_id_and_take_the_colours_of_the_page():
+    report, traces = log_of(3000)
+    plots = plots_of_log(report, report.logs[0], traces)
+    page = to_html(
+        Report.of([report.logs[0]] * 2, report.options, "um"),
+        [plots, plots],
+        model_plots=plots_of_model(model()),
+    )
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:url\(#|href="#)([^)"]+)', page)) <= set(ids)
+    figures = page[page.index("<body>") :]
+    assert not re.search(r"(fill|stroke): #(1b1d22|00508f|e0751a|d5d9df)", figures)
+    assert "var(--first)" in figures
+    for figure in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
+        ElementTree.fromstring(figure)
+
+
+def test_page_is_self_contained_and_the_same_each_time():
+    report, traces = log_of(3000)
+    plots = plots_of_log(report, report.logs[0], traces)
+    page = to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
+    assert page == to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
+    assert "<title>A &lt; B &amp; C</title>" in page
+    assert "<script" not in page
+    outside = [
+        link
+        for link in re.findall(r'(?:src|href)="([^"]*)"', page)
+        if link[:1] != "#" and link[:5] != "data:"
+    ]
+    assert outside == []
+    assert "url(http" not in page
+    assert "prefers-color-scheme: dark" in page
+    assert "@media print" in page
+
+
+def test_figures_of_a_model_in_both_directions():
+    assert [plot.key for plot in plots_of_model(model())] == ["gears", "slopes", "points"]
+    assert [plot.key for plot in plots_of_model(model(points=0).inverse())] == ["gears", "slopes"]
+    bent = model()
+    bent = replace(bent, stages=(PointStage([1.0, 2.6], [1.5, 2.1]), *bent.stages))
+    assert [plot.key for plot in plots_of_model(bent)] == ["gears", "slopes", "points-before", "points"]
+    assert [plot.key for plot in plots_of_model(bent.inverse())][2:] == ["points", "points-after"]
+    text = draw(plots_of_model(model())[0], "inline").decode()
+    assert "Voltage (V)" in text
+    for plot in plots_of_model(model().inverse()):
+        assert draw(plot, "png") == draw(plot, "png")
+
+
+def test_loop_of_the_gears_is_what_the_operator_does():
+    operator = model().backlash
+    up_x, up_y, down_x, down_y = loop_of(operator)
+    y, state, _ = operator.run(up_x, operator.empty())
+    assert y == pytest.approx(up_y, abs=1e-12)
+    assert operator.run(down_x, state)[0] == pytest.approx(down_y, abs=1e-12)
+
+
+def test_saved_figures(tmp_path):
+    report, traces = log_of(2000)
+    plots = plots_of_log(report, report.logs[0], traces)
+    folder = check_folder(str(tmp_path / "new" / "figures"))
+    written = save(plots[:2], folder, "run", "run.csv")
+    assert sorted(os.listdir(folder)) == [
+        "run-error.png",
+        "run-error.svg",
+        "run-tracking.png",
+        "run-tracking.svg",
+    ]
+    assert [path.name for path in written][:2] == ["run-tracking.png", "run-tracking.svg"]
+    assert written[0].read_bytes()[:4] == b"\x89PNG"
+
+
+def test_unwritable_figure_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError) as caught:
+        check_folder(str(tmp_path / "file" / "figures"))
+    assert str(caught.value) == (
+        f"{tmp_path}/file/figures: figures cannot be written there: Not a directory"
+        " (`figures` with another folder)"
+    )
+
+
+def test_file_stems_are_different_and_plain():
+    names = ["a/run.csv", "b/run.csv", "run.h5::/trial 1", "-", "µ m.csv", "run.csv.gz"]
+    assert file_stems(names) == ["run", "run-2", "run-3", "stdin", "_m", "run-4"]

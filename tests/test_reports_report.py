@@ -1,0 +1,310 @@
+"""The report's values and its text, JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.reports.renderers import digits, to_csv, to_json, to_text
+from dbo_cli.reports.report import (
+    Report,
+    ReportOptions,
+    check_limits,
+    common_unit,
+    evaluate,
+    parse_lag,
+    parse_segment,
+)
+from dbo_cli.reports.sample_pairs import PairBlock
+
+PAPER = Path(os.environ.get("DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"))
+
+
+def blocks_of(desired, measured, chunk=1000, time=None):
+    for start in range(0, len(desired), chunk):
+        stop = min(start + chunk, len(desired))
+        clock = None if time is None else time[start:stop]
+        yield PairBlock(range(start + 1, stop + 1), desired[start:stop], measured[start:stop], clock)
+
+
+def sine(samples=1000, period=200.0):
+    return 20.0 * np.sin(2.0 * np.pi * np.arange(samples) / period)
+
+
+def report_of(errors, options=None, unit="um", rate=200.0):
+    options = options or ReportOptions()
+    logs = [
+        evaluate(name, blocks_of(sine(), sine() + error), options, sample_rate=rate)
+        for name, error in errors.items()
+    ]
+    return Report.of(logs, options, unit)
+
+
+LOG_KEYS = [
+    "name",
+    "samples",
+    "rmse",
+    "nrmse_percent",
+    "max_abs",
+    "max_abs_row",
+    "max_abs_time_s",
+    "mean",
+    "p95_abs",
+    "loop_width",
+    "loop_width_percent",
+    "lag_left_samples",
+    "lag_left_s",
+    "phase_left_degrees",
+    "desired_min",
+    "desired_max",
+    "lag_samples",
+    "lag_s",
+    "offset_removed",
+    "sample_period_s",
+    "not_finite",
+    "ratio_to_first",
+    "segments",
+]
+
+
+def test_json_keys_are_a_contract():
+    report = report_of({"a.csv": 1.0, "b.csv": 0.25}, ReportOptions(segment="cycles"))
+    content = json.loads(to_json(report))
+    assert list(content) == ["format", "version", "unit", "compared", "offset_removed", "logs", "notes"]
+    assert (content["format"], content["version"], content["unit"]) == ("dbo-report", 1, "um")
+    assert content["compared"] == ["desired", "measured"]
+    assert list(content["logs"][0]) == LOG_KEYS
+    part = content["logs"][0]["segments"][0]
+    assert list(part) == ["number", "first_row", "last_row", *LOG_KEYS[1:16], "offset_removed"]
+    assert content["logs"][0]["rmse"] == 1.0
+    assert [log["ratio_to_first"] for log in content["logs"]] == [1.0, 0.25]
+
+
+def test_json_numbers_read_back_exactly():
+    report = report_of({"a.csv": np.random.default_rng(0).normal(size=1000)})
+    log = json.loads(to_json(report))["logs"][0]
+    assert log["rmse"] == report.logs[0].figures.rmse
+    assert log["lag_left_samples"] == report.logs[0].figures.lag_left
+
+
+def test_json_provenance_stands_last():
+    content = json.loads(to_json(report_of({"a.csv": 1.0}), {"program": "dbo 0.1.0"}))
+    assert list(content)[-1] == "provenance"
+    assert content["provenance"] == {"program": "dbo 0.1.0"}
+
+
+def test_csv_is_one_line_a_log():
+    report = report_of({"a.csv": 1.0, "b, c.csv": 0.5}, rate=None)
+    rows = list(csv.DictReader(io.StringIO(to_csv(report))))
+    assert list(rows[0]) == [*LOG_KEYS[:-1], "unit"]
+    assert [row["name"] for row in rows] == ["a.csv", "b, c.csv"]
+    assert (rows[1]["rmse"], rows[1]["lag_left_s"], rows[1]["unit"]) == ("0.5", "", "um")
+    assert to_csv(report).count("\n") == 3
+
+
+def test_text():
+    report = report_of({"uncompensated.csv": 1.0, "compensated.csv": -0.25})
+    assert to_text(report) == (
+        "Error = measured - desired in um\n"
+        "\n"
+        "log                samples    RMSE  % range    95 %  largest     mean   ratio\n"
+        "uncompensated.csv     1000   1.000    2.500   1.000    1.000    1.000   1.000\n"
+        "compensated.csv       1000  0.2500   0.6250  0.2500   0.2500  -0.2500  0.2500\n"
+        "\n" + to_text(report).split("\n\n")[2]
+    )
+
+
+@pytest.mark.parametrize("segment", [None, "cycles", 1.0])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 12345.678, 1e9])
+def test_text_fits_80_columns(segment, scale):
+    options = ReportOptions(segment=segment, remove_offset=True)
+    name = "recordings/2024-05-02/bench-3/" + "long" * 10 + ".csv"
+    rng = np.random.default_rng(4)
+    logs = [
+        evaluate(
+            name,
+            blocks_of(sine() * scale, (sine() + rng.normal(size=1000)) * scale),
+            options,
+            sample_rate=1e4,
+        )
+        for _ in range(2)
+    ]
+    text = to_text(Report.of(logs, options, "um"))
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_undefined_figures_are_null_and_said():
+    options = ReportOptions()
+    flat = evaluate("flat.csv", blocks_of(np.full(100, 2.0), np.linspace(1.9, 2.1, 100)), options)
+    report = Report.of([flat], options, None)
+    log = json.loads(to_json(report))["logs"][0]
+    assert (log["nrmse_percent"], log["loop_width"], log["lag_left_samples"]) == (None, None, None)
+    assert log["samples"] == 100
+    assert report.notes == ["flat.csv: desired never changes, so NRMSE, loop width and lag are undefined"]
+    assert "Note: flat.csv: desired never changes" in to_text(report)
+    assert "(unit not known)" in to_text(report)
+
+
+def test_ratio_to_a_perfect_first_log_is_undefined():
+    assert [log.ratio_to_first for log in report_of({"a": 0.0, "b": 1.0}).logs] == [None, None]
+
+
+def test_rows_that_are_not_numbers_are_said():
+    measured = sine()
+    measured[5] = np.nan
+    log = evaluate("a.csv", blocks_of(sine(), measured), ReportOptions())
+    assert log.notes == ("a.csv: 1 sample without a number in desired or measured left out",)
+
+
+def test_a_column_without_any_number():
+    nothing = np.full(1000, np.nan)
+    with pytest.raises(InputError) as caught:
+        evaluate("a.csv", blocks_of(sine(), nothing), ReportOptions())
+    assert str(caught.value) == (
+        "a.csv: measured holds no number in 1000 rows (choose another column with `measured`)"
+    )
+    with pytest.raises(InputError) as caught:
+        evaluate("a.csv", blocks_of(nothing, nothing), ReportOptions())
+    assert str(caught.value) == (
+        "a.csv: no row has a number in both desired and measured (choose other columns or `rows`)"
+    )
+
+
+def test_automatic_lag_is_said():
+    desired = sine(3000)
+    log = evaluate("a.csv", blocks_of(desired[10:], desired[7:-3]), ReportOptions(lag="auto"))
+    assert log.lag == 3
+    assert log.notes == ("a.csv: measured follows best at a lag of 3 samples",)
+    assert log.figures.rmse == 0.0
+    assert log.record()["lag_samples"] == 3
+
+
+@pytest.mark.parametrize("segment", [None, "cycles", 0.7])
+@pytest.mark.parametrize("chunk", [1, 77, 100000])
+def test_chunk_size_does_not_matter(segment, chunk):
+    rng = np.random.default_rng(8)
+    measured = sine() + rng.normal(size=1000)
+    options = ReportOptions(lag=2, remove_offset=True, segment=segment)
+    time = np.arange(1000) / 200.0
+    whole = evaluate("a.csv", blocks_of(sine(), measured, 1000, time), options)
+    assert evaluate("a.csv", blocks_of(sine(), measured, chunk, time), options) == whole
+
+
+def test_segments_add_up():
+    rng = np.random.default_rng(9)
+    log = evaluate(
+        "a.csv", blocks_of(sine(), sine() + rng.normal(size=1000)), ReportOptions(segment="cycles")
+    )
+    parts = [part.figures for part in log.segments]
+    assert sum(part.samples for part in parts) == 1000
+    square = sum(part.samples * part.rmse**2 for part in parts) / 1000
+    assert square == pytest.approx(log.figures.rmse**2, rel=1e-12)
+    assert [part.number for part in log.segments] == list(range(1, len(parts) + 1))
+    assert log.segments[0].first_row == 1
+    assert log.segments[-1].last_row == 1000
+
+
+def test_frames():
+    report = report_of({"a.csv": 1.0, "b.csv": 0.5}, ReportOptions(segment="cycles"))
+    frame = report.to_frame()
+    assert frame.loc["b.csv", "rmse"] == 0.5
+    assert list(frame.columns) == LOG_KEYS[1:-1]
+    parts = report.segments_to_frame()
+    assert parts.index.names == ["name", "number"]
+    assert parts.loc[("b.csv", 2), "rmse"] == 0.5
+    assert report_of({"a.csv": 1.0}).segments_to_frame().empty
+
+
+class TestLimits:
+    def test_met(self):
+        check_limits(report_of({"a.csv": 1.0}), max_rmse=1.0, max_abs=1.5, max_nrmse_percent=2.5)
+        check_limits(report_of({"a.csv": 1.0}))
+
+    def test_missed(self):
+        report = report_of({"a.csv": 0.1, "b.csv": 1.0})
+        with pytest.raises(LimitError) as caught:
+            check_limits(report, max_rmse=0.58)
+        assert str(caught.value) == "b.csv: RMSE 1 um is above the limit of 0.58 um by 0.42 (`max_rmse`)"
+        assert caught.value.exit_code == 3
+        with pytest.raises(LimitError) as caught:
+            check_limits(report, max_abs=0.05)
+        assert str(caught.value) == (
+            "a.csv: largest error 0.1 um is above the limit of 0.05 um by 0.05 (`max_abs`); 1 more missed"
+        )
+        with pytest.raises(LimitError) as caught:
+            check_limits(report, max_nrmse_percent=1.0)
+        assert str(caught.value) == (
+            "b.csv: NRMSE 2.5 % of the range is above the limit of 1 % of the range by 1.5"
+            " (`max_nrmse_percent`)"
+        )
+
+    def test_that_cannot_be_judged_is_not_passed(self):
+        options = ReportOptions()
+        flat = evaluate("flat.csv", blocks_of(np.ones(9), np.ones(9)), options)
+        with pytest.raises(LimitError) as caught:
+            check_limits(Report.of([flat], options, "um"), max_nrmse_percent=5.0)
+        assert str(caught.value) == "flat.csv: NRMSE is undefined, so `max_nrmse_percent` 5 is not met"
+
+
+def test_one_report_speaks_one_unit():
+    assert common_unit([("a", "um"), ("b", None), ("c", "um")]) == "um"
+    assert common_unit([("a", None)]) is None
+    with pytest.raises(InputError) as caught:
+        common_unit([("a.csv", "um"), ("b.csv", "nm")])
+    assert str(caught.value) == (
+        "b.csv: is in nm, but a.csv in um (one report speaks one unit: convert one of them)"
+    )
+
+
+def test_option_values():
+    assert [parse_lag(text) for text in ("3", "-2", "auto")] == [3, -2, "auto"]
+    assert [parse_segment(text) for text in (None, "cycles", "2.5")] == [None, "cycles", 2.5]
+    with pytest.raises(UsageError, match=r"^`lag` 1\.5: neither a whole number of samples nor 'auto'$"):
+        parse_lag("1.5")
+    for text in ("0", "-1", "nan", "inf", "x"):
+        with pytest.raises(UsageError, match=rf"^`segment` {text}: neither 'cycles' nor a number of seconds"):
+            parse_segment(text)
+
+
+def test_too_many_segments():
+    desired = np.tile([0.0, 1.0], 10_010)
+    with pytest.raises(
+        UsageError, match=r"^a\.csv: more than 10000 segments \(`segment` with more SECONDS\)$"
+    ):
+        evaluate("a.csv", blocks_of(desired, desired, 30000), ReportOptions(segment="cycles"))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "-"),
+        (0.0, "0"),
+        (1.6790697, "1.679"),
+        (-96.222, "-96.22"),
+        (12345.6, "12346"),
+        (999999.9, "1000000"),
+        (1234.0, "1234"),
+        (0.001234, "0.001234"),
+        (1.5e-7, "1.500e-07"),
+        (2.5e9, "2.500e+09"),
+    ],
+)
+def test_digits(value, text):
+    assert digits(value) == text
+
+
+@pytest.mark.skipif(
+    not (PAPER / "uncompensated.dat").exists(), reason="the authors' recordings are not there"
+)
+def test_published_figure():
+    table = np.loadtxt(PAPER / "uncompensated.dat", usecols=(8, 4))[5051:6052]
+    log = evaluate("uncompensated.dat", blocks_of(*table.T), ReportOptions(lag=1, remove_offset=True))
+    assert log.figures.samples == 1000
+    assert log.figures.rmse == pytest.approx(1.6791, abs=5e-4)

@@ -1,0 +1,187 @@
+"""Lags, batches, cycles and spans: which samples are compared, and where they are cut."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.reports.sample_pairs import PairBlock, batched, check_alike, find_lag, lagged, rows_with_lag
+from dbo_cli.reports.segments import cycles, spans
+
+
+def blocks_of(desired, measured, chunk=7, time=None, first=1):
+    for start in range(0, len(desired), chunk):
+        stop = min(start + chunk, len(desired))
+        rows = range(first + start, first + stop)
+        clock = None if time is None else time[start:stop]
+        yield PairBlock(rows, desired[start:stop], measured[start:stop], clock, -desired[start:stop])
+
+
+def joined(blocks):
+    blocks = list(blocks)
+    return {
+        name: np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("rows", "desired", "measured", "drive")
+    }
+
+
+def lengths_of(parts):
+    lengths, count = [], 0
+    for part in parts:
+        if part is None:
+            lengths.append(count)
+            count = 0
+        else:
+            count += len(part)
+    return [*lengths, count]
+
+
+@given(st.integers(-30, 30), st.integers(1, 40))
+@settings(max_examples=60, derandomize=True, deadline=None)
+def test_lag_pairs_each_desired_sample_with_a_later_measured_one(lag, chunk):
+    desired, measured = np.arange(50.0), np.arange(50.0) + 1000.0
+    pairs = joined(lagged("run.csv", blocks_of(desired, measured, chunk), lag))
+    assert np.array_equal(pairs["measured"] - 1000.0, pairs["desired"] + lag)
+    assert np.array_equal(pairs["rows"], pairs["desired"] + 1.0)
+    assert np.array_equal(pairs["drive"], -pairs["desired"])
+    assert len(pairs["rows"]) == 50 - abs(lag)
+
+
+@pytest.mark.parametrize("lag", [50, -50, 400])
+def test_lag_longer_than_the_log(lag):
+    with pytest.raises(InputError) as caught:
+        list(lagged("run.csv", blocks_of(np.arange(50.0), np.arange(50.0)), lag))
+    assert str(caught.value) == (
+        f"run.csv: a lag of {lag} samples leaves nothing of 50 rows (`lag` must be shorter than the log)"
+    )
+
+
+def test_no_rows():
+    with pytest.raises(InputError, match=r"^run.csv: no data rows to compare \(look at `rows`\)$"):
+        list(lagged("run.csv", iter(()), 0))
+
+
+def test_columns_of_different_length():
+    block = PairBlock(range(1, 6), np.zeros(5), np.zeros(4))
+    with pytest.raises(InputError) as caught:
+        list(lagged("run.h5", [block], 0))
+    assert str(caught.value) == (
+        "run.h5: desired has 5 samples, measured 4 (both must be recorded together, one for one)"
+    )
+
+
+def test_units_and_rates_that_do_not_match():
+    labels = ("desired", "measured")
+    check_alike("run.h5", labels, ("um", None), (5, 5), (200.0, None))
+    check_alike("run.h5", labels, ("um", "um"), None, (200.0, 200.0))
+    with pytest.raises(InputError) as caught:
+        check_alike("run.h5", labels, ("um", "V"))
+    assert str(caught.value) == "run.h5: desired is in um, measured in V (give both in one unit)"
+    with pytest.raises(InputError) as caught:
+        check_alike("run.h5", labels, ("um", "um"), (5, 5), (200.0, 1000.0))
+    assert str(caught.value) == (
+        "run.h5: desired has 200 samples a second, measured 1000 (resample one of them first)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "lag", "read"),
+    [
+        ("5052:6051", 1, "5052:6052"),
+        ("5052:6051", -3, "5049:6051"),
+        ("2:9", -5, "1:9"),
+        ("5:", 4, "5:"),
+        (":9", 4, ":13"),
+        (":9", -4, ":9"),
+        (None, 4, None),
+        ("5:9", 0, "5:9"),
+        ("a:b", 1, "a:b"),
+        ("7", 1, "7"),
+    ],
+)
+def test_rows_count_desired_samples(rows, lag, read):
+    assert rows_with_lag(rows, lag) == read
+
+
+@pytest.mark.parametrize("lag", [-17, -1, 0, 3, 40])
+def test_lag_is_found(lag):
+    rng = np.random.default_rng(1)
+    time = np.arange(3000) / 200.0
+    signal = 20.0 * np.sin(2.0 * np.pi * time) + 5.0 * np.sin(2.0 * np.pi * 3.3 * time)
+    desired = signal[100:2900]
+    measured = 0.95 * signal[100 - lag : 2900 - lag] - 96.0 + rng.normal(0.0, 0.05, 2800)
+    found, again = find_lag("run.csv", blocks_of(desired, measured, 333))
+    assert found == lag
+    assert np.array_equal(joined(again)["measured"], measured)
+
+
+def test_lag_of_a_periodic_signal_is_not_a_period_more():
+    desired = np.sin(2.0 * np.pi * np.arange(4000) / 200.0)
+    assert find_lag("run.csv", blocks_of(desired, np.roll(desired, 12)))[0] == 12
+
+
+def test_lag_of_a_constant_is_zero_and_of_no_number_an_error():
+    assert find_lag("run.csv", blocks_of(np.ones(50), np.arange(50.0)))[0] == 0
+    assert find_lag("run.csv", iter(()))[0] == 0
+    with pytest.raises(InputError, match=r"^run.csv: no sample is a number, so no lag can be found$"):
+        find_lag("run.csv", blocks_of(np.ones(50), np.full(50, np.nan)))
+
+
+@given(st.integers(1, 60), st.integers(1, 60))
+@settings(max_examples=40, derandomize=True, deadline=None)
+def test_batched_keeps_everything(chunk, size):
+    desired = np.arange(150.0)
+    blocks = list(batched(blocks_of(desired, desired + 1.0, chunk, first=11), size))
+    assert [len(block) for block in blocks[:-1]] == [size] * (len(blocks) - 1)
+    assert np.array_equal(joined(blocks)["desired"], desired)
+    assert np.array_equal(joined(blocks)["rows"], np.arange(11, 161))
+
+
+@pytest.mark.parametrize("chunk", [1, 13, 5000])
+def test_cycles_end_at_the_minima(chunk):
+    desired = -np.cos(2.0 * np.pi * np.arange(1000) / 200.0)
+    assert lengths_of(cycles(blocks_of(desired, desired, chunk))) == [200] * 5
+    late = desired[50:]  # begins at mid-range, rising
+    assert lengths_of(cycles(blocks_of(late, late, chunk))) == [150, 200, 200, 200, 200]
+
+
+@pytest.mark.parametrize("chunk", [1, 13, 5000])
+def test_noise_and_rest_end_no_cycle(chunk):
+    rng = np.random.default_rng(2)
+    cycle = 1.0 - np.cos(2.0 * np.pi * np.arange(200) / 200.0)
+    desired = np.concatenate([cycle, cycle, np.zeros(300), cycle])
+    noisy = desired + rng.uniform(-0.02, 0.02, len(desired))
+    lengths = lengths_of(cycles(blocks_of(noisy, noisy, chunk)))[-3:]
+    assert sum(lengths) > 700
+    assert len(lengths_of(cycles(blocks_of(desired, desired, chunk)))) == 3
+
+
+def test_rest_longer_than_the_patience_is_let_go():
+    cycle = 1.0 - np.cos(2.0 * np.pi * np.arange(200) / 200.0)
+    desired = np.concatenate([cycle, np.zeros(5000), cycle])
+    parts = cycles(batched(blocks_of(desired, desired), 64), patience=128)
+    assert lengths_of(parts)[-1] <= 200 + 128
+
+
+def test_spans_of_time():
+    time = np.arange(1000) / 100.0 + 50.0
+    signal = np.arange(1000.0)
+    assert lengths_of(spans(blocks_of(signal, signal, 33, time), 2.5, None)) == [250] * 4
+    assert lengths_of(spans(blocks_of(signal, signal, 33), 3.0, 100.0)) == [300, 300, 300, 100]
+    assert lengths_of(spans(blocks_of(signal, signal, 250, time), 2.5, None)) == [250] * 4
+
+
+def test_a_clock_that_restarts_opens_no_segment_twice():
+    time = np.concatenate([np.arange(300) / 100.0, np.arange(300) / 100.0, 3.0 + np.arange(100) / 100.0])
+    signal = np.arange(700.0)
+    assert lengths_of(spans(blocks_of(signal, signal, 33, time), 1.0, None)) == [100, 100, 400, 100]
+
+
+def test_spans_need_a_time():
+    with pytest.raises(UsageError, match=r"^`segment` in seconds needs a time column or `sample_rate`$"):
+        list(spans(blocks_of(np.arange(5.0), np.arange(5.0)), 1.0, None))
+    with pytest.raises(UsageError, match=r"^`segment` 0: a segment must last longer than 0 seconds$"):
+        list(spans(iter(()), 0.0, None))
