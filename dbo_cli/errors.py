@@ -1,7 +1,7 @@
 """The errors that users meet, each with the exit code of the process that shows it.
 
-Every message is one line that names the place, what is wrong there, and what to do about it. It speaks the
-library's words: a parameter stands in backticks, and the command line, when it shows the message, spells it as
+Every message is one line that names the place, what is wrong there, and what to do about it. It speaks
+the library's words: a parameter stands in backticks, and the command line, when it shows it, spells it as
 its option (``--skip-bad``).
 """
 
