@@ -183,7 +183,7 @@ def ahead(source: SignalLog, role: str, seconds: float) -> Iterator[tuple[Sample
     """Return each block with its signal as it will be ``seconds`` later: how an inverse undoes a delay."""
     if seconds == 0.0:
         return ((block, block.values[role]) for block in source.blocks())
-    from dbo_cli.hysteresis.excitation import read_ahead
+    from dbo_cli.hysteresis.delay import read_ahead
 
     blocks = ((block, block.time, block.values[role]) for block in source.blocks() if block.time is not None)
     return read_ahead(blocks, seconds)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.cascade import DelayHistory
+from dbo_cli.hysteresis.delay import DelayHistory
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.cascade import DelayHistory
+from dbo_cli.hysteresis.delay import DelayHistory
 from dbo_cli.hysteresis.initial_states import DriveStart
 from dbo_cli.hysteresis.operators import BacklashState
 
