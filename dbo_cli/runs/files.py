@@ -50,6 +50,8 @@ class Destination:
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
+        if list(self.protect).count("-") > 1:
+            raise UsageError("standard input can be read once only: give the model or the signal as a file")
         check_output(self.output, self.protect)
         if self.save_state is not None:
             check_output(self.save_state, self.protect)
