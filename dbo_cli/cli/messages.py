@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dbo_cli.errors import UsageError
+
 if TYPE_CHECKING:
     from dbo_cli.runs.remarks import Remarks
 
@@ -62,6 +64,12 @@ class Voice:
 
     def _line(self, text: str) -> None:
         print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
+
+
+def refuse_terminal(output: str) -> None:
+    """Refuse to write a model onto a terminal, where nobody could read or keep it (UsageError)."""
+    if output == "-" and sys.stdout.isatty():
+        raise UsageError("the model would be written onto the terminal: name a file (-o model.json)")
 
 
 class Progress:

@@ -72,6 +72,7 @@ def simulate_log(
 ) -> Remarks:
     """Run a model over its input signal; write time (when known), the input column and the result."""
     destination.check()
+    _check_order(model_file, log_file)
     model = read_model(model_file)
     taken = model.input
     want = {taken.quantity: ColumnWish(column, guesses_for(taken.quantity), option="input")}
@@ -102,6 +103,7 @@ def compensate_trajectory(
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
     check_range(v_min, v_max)
     destination.check()
+    _check_order(model_file, trajectory)
     model = read_model(model_file)
     model.require("forward", _spoken(model_file))
     wanted = model.output
@@ -211,6 +213,23 @@ def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     column = log.columns[taken.quantity]
     name = column.name if column.quantity else taken.quantity
     return OutColumn(name, column.unit or taken.unit, taken.quantity)
+
+
+def _check_order(model_file: str, log_file: str) -> None:
+    """Recognise a model and a log that were given in each other's place (UsageError)."""
+    if not _is_model(model_file) and _is_model(log_file):
+        raise UsageError(
+            f"{log_file} is a model: the model comes first, then the log ({log_file} {model_file})"
+        )
+
+
+def _is_model(path: str) -> bool:
+    """Tell whether a file begins as a model does."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(1) == b"{" and b'"dbo-model"' in file.read(400)
+    except OSError:
+        return False
 
 
 def _spoken(address: str) -> str:
