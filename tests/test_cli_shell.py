@@ -227,5 +227,5 @@ def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     assert any(line.startswith("fit: RMSE 0.0") and "um" in line for line in lines)
     assert any(line.startswith("from identification.csv (5,786 rows), by dbo 0.1.0") for line in lines)
     told = json.loads(dbo("show", old, "--format", "json", "--figures", "curves").out)
-    assert (told["gears"], told["output"]["unit"], told["delay_seconds"]) == (40, "um", 0.002)
+    assert (told["gears"], told["output"]["unit"], told["delay_seconds"]) == (40, "um", pytest.approx(0.001))
     assert {path.suffix for path in Path("curves").iterdir()} == {".png", ".svg"}
