@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.addresses import Address, parse_output
 from dbo_cli.logs.background_io import OneBehind
 from dbo_cli.logs.number_text import rows_as_text
 from dbo_cli.logs.out_column import OutColumn, header_cell, unique_headers
@@ -116,11 +116,11 @@ def signal_writer(
     Raises
     ------
     UsageError
-        The output is an input, or HDF5 is to go down a pipe.
+        The output is an input, HDF5 is to go down a pipe, or the name says another format.
     OutputError
         It cannot be written.
     """
-    target = parse_address(address, format)
+    target = parse_output(address, format)
     check_output(target, protect)
     if target.kind == "hdf5":
         with _hdf5(target, columns, attributes or {}) as hdf5:

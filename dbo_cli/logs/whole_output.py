@@ -261,9 +261,7 @@ def _committed() -> Iterator[OutputSet]:
 
 
 @contextlib.contextmanager
-def replacing(
-    path: str, *, devices: bool = True, prepare: Prepare | None = None
-) -> Iterator[str]:
+def replacing(path: str, *, devices: bool = True, prepare: Prepare | None = None) -> Iterator[str]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` at the end, or remove it.
 
     Inside :func:`all_or_none` the rename waits for the other outputs. A device or named pipe cannot be
