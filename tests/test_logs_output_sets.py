@@ -214,8 +214,12 @@ def test_the_shells_own_redirections_are_seen(tmp_path: Path) -> None:
     script = (
         "import sys\nfrom dbo_cli.logs.whole_output import check_outputs\ncheck_outputs([{}], ['log.csv'])\n"
     )
-    for outputs, said in (("'-'", "standard output: this output is also an input"),
-                          ("'-', '/dev/stdout'", "also an input"), ("'/dev/fd/1'", "also an input")):  # fmt: skip
+    cases = {
+        "'-'": "standard output: this output is also an input",
+        "'-', '/dev/stdout'": "also an input",
+        "'/dev/fd/1'": "also an input",
+    }
+    for outputs, said in cases.items():
         with open(tmp_path / "log.csv", "a") as file:
             done = subprocess.run(
                 [sys.executable, "-c", script.format(outputs)], stdout=file, stderr=subprocess.PIPE,
@@ -315,8 +319,9 @@ def test_a_file_is_what_it_is_called(tmp_path: Path, name: str, format: str | No
 
 
 def test_a_name_that_says_nothing_takes_any_format(tmp_path: Path) -> None:
-    for name, format, start in (("x", "tsv", b"time_s\tu"), ("y.out", "h5", b"\x89HDF"), ("z.txt", "tsv", b"time_s\tu"),
-                                ("a.csv", "csv", b"time_s,u")):  # fmt: skip
+    tabs, commas, hdf5 = b"time_s\tu", b"time_s,u", b"\x89HDF"
+    cases = [("x", "tsv", tabs), ("y.out", "h5", hdf5), ("z.txt", "tsv", tabs), ("a.csv", "csv", commas)]
+    for name, format, start in cases:
         with signal_writer(str(tmp_path / name), [OutColumn("time", "s"), OutColumn("u")], format=format):
             pass
         assert (tmp_path / name).read_bytes().startswith(start)

@@ -119,9 +119,7 @@ class Hdf5Table:
         for start in range(rows[0] - 1, end, block_rows):
             stop = min(end, start + block_rows)
             try:
-                arrays = {
-                    role: source.read(start, stop) for role, source in zip(picks, sources, strict=True)
-                }
+                arrays = {role: source.read(start, stop) for role, source in zip(picks, sources, strict=True)}
             except (OSError, RuntimeError, TypeError, ValueError) as problem:
                 raise InputError(f"{self.place}: damaged HDF5: {_brief(problem)}") from None
             good = np.logical_and.reduce([np.isfinite(array) for array in arrays.values()])
