@@ -242,23 +242,51 @@ def _open_file(address: Address) -> IO[bytes]:
 class LineBlocks:
     """Blocks of whole lines of a source; the first one can be looked at before it is taken.
 
-    ``above`` is the end of the text given out so far, for a look back from the last line.
+    ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
+    counts those that were left out at the start.
     """
 
     def __init__(self, source: ByteSource, block_bytes: int) -> None:
         self.block_bytes = block_bytes
         self._source = source
         self.above = b""
+        self.empty_lines = 0
         self._pending = b""
         self._ended = False
 
     def head(self, enough: Any) -> bytes:
-        """Read ahead up to HEAD_BYTES, or less once ``enough(text)`` holds (asked after every arrival)."""
-        while len(self._pending) < HEAD_BYTES and not self._ended:
-            self._fill(HEAD_BYTES - len(self._pending))
+        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
+
+        ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
+        """
+        while not (self._ended or self._has_lines(HEAD_BYTES)):
+            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
+            self._leave_out_empty_lines()
             if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
                 break
         return self._pending
+
+    def longer_head(self) -> bytes | None:
+        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
+        wanted = 2 * len(self._pending)
+        if self._ended or wanted > LONGEST_LINE:
+            return None
+        while len(self._pending) < wanted and not self._ended:
+            self._fill(wanted - len(self._pending))
+        return self._pending
+
+    def _has_lines(self, size: int) -> bool:
+        enough = len(self._pending) >= size
+        return enough and (self._pending.count(b"\n") > 1 or len(self._pending) > LONGEST_LINE)
+
+    def _leave_out_empty_lines(self) -> None:
+        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
+        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
+            text = self._pending.lstrip()
+            above = self._pending[: len(self._pending) - len(text)]
+            end = above.rfind(b"\n") + 1
+            self.empty_lines += above.count(b"\n")
+            self._pending = self._pending[end:]
 
     @property
     def whole_in_head(self) -> bool:
