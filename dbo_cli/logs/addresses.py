@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dbo_cli.errors import UsageError
@@ -118,6 +119,21 @@ def _kind(path: str, format: str | None) -> str | None:
     if lower.endswith(HDF5_ENDINGS):
         return "hdf5"
     return "text" if lower.endswith(TEXT_ENDINGS) else None
+
+
+def check_format(named: str | None, addresses: Sequence[str]) -> None:
+    """Refuse a format that no address can take and that contradicts the name of one.
+
+    Raises
+    ------
+    UsageError
+        Every name tells its own format, and one of them another than ``named``.
+    """
+    if named is None or any(parse_address(one).kind is None for one in addresses):
+        return
+    for one in addresses:
+        if contradicts(one, named):
+            raise UsageError(f"{one}: `format` {named} contradicts this name: leave one of them out")
 
 
 def format_for(address: str, named: str | None) -> str | None:

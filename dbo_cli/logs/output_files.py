@@ -117,7 +117,7 @@ def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) 
     if list(inputs).count("-") > 1:
         raise UsageError("two inputs are standard input, which can be read once: give one of them as a file")
     targets = [parse_address(one) if isinstance(one, str) else one for one in outputs]
-    read = [identity_of(given, reading=True) for given in _readable(inputs)]
+    read = {identity_of(given, reading=True) for given in _readable(inputs)}
     written: dict[FileIdentity, Address] = {}
     for target in targets:
         which = identity_of(target)
@@ -133,14 +133,15 @@ def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) 
 
 
 def _readable(inputs: Sequence[str]) -> list[str]:
-    """Leave out what is no address at all: the name of a state, an empty word."""
+    """Leave out what is no file: the name of a state, an empty word, what does not exist."""
     good = []
     for given in inputs:
         try:
-            parse_address(given)
+            target = parse_address(given)
         except DboError:
             continue
-        good.append(given)
+        if target.is_stream or os.path.exists(target.path):
+            good.append(given)
     return good
 
 

@@ -30,8 +30,8 @@ from dbo_cli.logs.output_files import check_output, check_outputs, descriptor_of
 from dbo_cli.logs.partial_files import open_partial, partial_path, remove_orphans
 
 __all__ = [
-    "OutputSet", "all_or_none", "check_output", "check_outputs", "opened", "reason_of", "replacing",
-    "standard_output", "write_whole",
+    "OutputSet", "all_or_none", "check_output", "check_outputs", "make_folder", "opened", "reason_of",
+    "replacing", "standard_output", "write_whole",
 ]  # fmt: skip
 
 _HDF5_ERRNO = re.compile(r"errno = (\d+)")
@@ -282,6 +282,17 @@ def replacing(path: str, *, devices: bool = True, prepare: Prepare | None = None
     with contextlib.nullcontext(current) if current is not None else _committed() as outputs:
         with outputs.replacing(path, prepare) as temporary:
             yield temporary
+
+
+def make_folder(path: str) -> None:
+    """Make a folder for outputs; inside :func:`all_or_none` it goes again where they are given up.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made.
+    """
+    (_CURRENT.get() or OutputSet()).make_folder(path)
 
 
 @contextlib.contextmanager
