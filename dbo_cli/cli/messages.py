@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
+from dbo_cli.logs.plain_text import cleaned
 
 if TYPE_CHECKING:
     from dbo_cli.runs.remarks import Remarks
@@ -18,8 +19,11 @@ _PARAMETER = re.compile(r"`([a-z]\w*)`")
 
 
 def shell_line(text: str) -> str:
-    """Return a message of the library as the shell shows it: one line, parameters spelled as options."""
-    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), " ".join(text.split()))
+    """Return a message of the library as the shell shows it: one line, parameters spelled as options.
+
+    Names out of files hold no command that a terminal would obey.
+    """
+    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), cleaned(text))
 
 
 @dataclass(frozen=True)
