@@ -67,6 +67,8 @@ class ByteSource:
         Hash the bytes as they are read (for a stream, which cannot be read again).
     encoding
         A codec that the user forced; otherwise a byte-order mark decides, and UTF-8 is the default.
+    content
+        The text itself, where another format has been turned into text (a workbook's sheet).
 
     Raises
     ------
@@ -75,9 +77,16 @@ class ByteSource:
     """
 
     def __init__(
-        self, address: Address, *, live: bool = False, digest: bool = False, encoding: str | None = None
+        self,
+        address: Address,
+        *,
+        live: bool = False,
+        digest: bool = False,
+        encoding: str | None = None,
+        content: bytes | None = None,
     ) -> None:
         self.name = address.name
+        self._content = content
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self._live = live
         self._hash = _new_digest() if digest else None
@@ -148,7 +157,10 @@ class ByteSource:
         self._owned.clear()
 
     def _open(self, address: Address) -> IO[bytes]:
-        stream: IO[bytes] = sys.stdin.buffer if address.is_stream else _open_file(address)
+        if self._content is not None:
+            stream = cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(self._content))))
+        else:
+            stream = sys.stdin.buffer if address.is_stream else _open_file(address)
         if not address.is_stream:
             self._owned.append(stream)
         if self._hash is not None:

@@ -7,23 +7,23 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Protocol
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import HDF5_SIGNATURE, Address, parse_address
+from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.clock import TimeCheck, resampled, to_seconds
 from dbo_cli.logs.columns import TIME_GUESSES, ColumnWish, choose_columns, find_column, guess_columns
+from dbo_cli.logs.file_kinds import open_table
+from dbo_cli.logs.joined_logs import join_files, other_file
 from dbo_cli.logs.provenance import InputRecord, input_record
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
-from dbo_cli.logs.text_logs import TextTable
 
-_TIME = "the clock"  # its place among the roles; no quantity of a model is called so
+CLOCK_ROLE = "the clock"  # its place among the roles; no quantity of a model is called so
 
 
 class Table(Protocol):
@@ -31,8 +31,10 @@ class Table(Protocol):
 
     place: str
     columns: list[ColumnInfo]
-    sample_rate: float | None
     notes: list[str]
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Tell the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
 
     def describe(self) -> str:
         """Tell in one line how the log is written."""
@@ -77,12 +79,14 @@ class SignalLog:
         time: ColumnInfo | None,
         sample_rate: float | None,
         options: ReadingOptions,
+        start_time: float = 0.0,
     ) -> None:
         self.name = table.place
         self._address = address
         self.columns = columns
         self.time = time
         self.sample_rate = sample_rate
+        self._start_time = start_time
         self.notes = table.notes
         self.rows_read = 0
         self._table = table
@@ -163,7 +167,7 @@ class SignalLog:
     def _as_recorded(self) -> Iterator[SampleBlock]:
         picks = dict(self.columns)
         if self.time is not None:
-            picks[_TIME] = self.time
+            picks[CLOCK_ROLE] = self.time
         check: TimeCheck | None = None
         empty = True
         most = self._options.block_rows
@@ -192,9 +196,9 @@ class SignalLog:
         values = dict(raw.values)
         time = None
         if self.time is not None:
-            time = to_seconds(values.pop(_TIME), self.time.unit)
+            time = to_seconds(values.pop(CLOCK_ROLE), self.time.unit)
         elif self.sample_rate is not None:
-            time = (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
+            time = self._start_time + (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
         return SampleBlock(raw.rows, raw.lines, time, values)
 
 
@@ -229,36 +233,28 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    named = [wish.selector for wish in want.values() if wish.selector]
+    named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
     if options.time:
         named.append(options.time)
-    table = _open_table(parse_address(address, options.format), options, live, digest, named)
+    table = open_table(parse_address(address, options.format), options, live, digest, named)
     try:
+        table, want = join_files(
+            table,
+            want,
+            lambda other, column: open_table(parse_address(other), options, False, False, [column]),
+        )
         clock, notes = _find_time(table, options.time, options.sample_rate, want)
         columns = choose_columns(table.place, table.columns, want, [clock] if clock else [])
+        rate, start = options.sample_rate, 0.0
+        if rate is None and clock is None:
+            rate, start = table.even_clock(columns.values())
     except BaseException:
         table.close()
         raise
     table.notes.extend(notes)
     if options.sample_rate is not None:
         clock = None
-    rate = options.sample_rate or (None if clock else table.sample_rate)
-    return SignalLog(address, table, columns, clock, rate, options)
-
-
-def _open_table(
-    address: Address, options: ReadingOptions, live: bool, digest: bool, named: Sequence[str]
-) -> Table:
-    kind = address.kind
-    if not address.is_stream and os.path.isfile(address.path) and os.access(address.path, os.R_OK):
-        with open(address.path, "rb") as file:  # what a file is called matters less than what it is
-            if file.read(8) == HDF5_SIGNATURE:
-                kind = "hdf5"
-    if kind == "hdf5":
-        from dbo_cli.logs.hdf5_logs import Hdf5Table
-
-        return Hdf5Table(address, named)
-    return TextTable(address, options, live=live, digest=digest)
+    return SignalLog(address, table, columns, clock, rate, options, start)
 
 
 def _find_time(

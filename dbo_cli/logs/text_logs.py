@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.background_io import one_ahead
 from dbo_cli.logs.byte_source import ByteSource, LineBlocks
 from dbo_cli.logs.cell_grammar import decode_line, is_number, split_cells
 from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.instrument_headers import read_instrument_header
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock
+from dbo_cli.logs.stated_clock import agreed_rate
 from dbo_cli.logs.text_dialect import COMMENTS, detect, is_comment
 from dbo_cli.logs.text_parsing import PLAIN_BYTES, BlockParser
 
@@ -30,6 +32,8 @@ class TextTable:
         Give each row as it arrives.
     digest
         Hash what is read.
+    content
+        The text itself, where another format has been turned into text (a workbook's sheet).
 
     Raises
     ------
@@ -38,17 +42,26 @@ class TextTable:
     """
 
     def __init__(
-        self, address: Address, options: ReadingOptions, *, live: bool = False, digest: bool = False
+        self,
+        address: Address,
+        options: ReadingOptions,
+        *,
+        live: bool = False,
+        digest: bool = False,
+        content: bytes | None = None,
     ) -> None:
         self.place = address.name
-        self.sample_rate: float | None = None
         self.notes: list[str] = []
-        self.source = ByteSource(address, live=live, digest=digest, encoding=options.encoding)
+        self.source = ByteSource(
+            address, live=live, digest=digest, encoding=options.encoding, content=content
+        )
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and _has_data(text, options))
             complete = head if self._lines.whole_in_head else head[: head.rfind(b"\n") + 1]
-            self.dialect = detect(self.place, complete, options)
+            header = read_instrument_header(self.place, complete, options)
+            self.dialect = header.dialect or detect(self.place, complete, options)
+            self._header = header
         except BaseException:
             self.source.close()
             raise
@@ -61,6 +74,10 @@ class TextTable:
     def describe(self) -> str:
         """Tell in one line how the log is written, for ``verbose``."""
         return f"{self.place}: {self.dialect.describe()}"
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Give the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
+        return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
 
     def blocks(
         self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
@@ -91,8 +108,11 @@ class TextTable:
         return self.source.sha256
 
     def _data(self, parser: BlockParser) -> Iterator[bytes]:
-        """Skip the lines above the data."""
+        """Skip the lines above the data, and the instrument's mark of the end."""
+        self.notes.extend(f"{self.place}: {remark}" for remark in self._header.remarks)
         for block in self._lines:
+            if self._header.end_mark and block.rstrip().endswith(self._header.end_mark):
+                block = block.rstrip().removesuffix(self._header.end_mark)
             rest = block
             while parser.next_line < self.dialect.first_line and rest:
                 rest = rest[rest.find(b"\n") + 1 :] if b"\n" in rest else b""
