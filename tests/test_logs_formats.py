@@ -36,7 +36,6 @@ def opened(case: FormatFile, address: str) -> SignalLog:
     return open_log(address, want, case.options)
 
 
-@pytest.mark.filterwarnings("ignore::tables.NaturalNameWarning" if False else "default")
 @pytest.mark.parametrize("case", FILES, ids=lambda case: case.name)
 def test_format(case: FormatFile, tmp_path: Path) -> None:
     address = written(case, tmp_path)

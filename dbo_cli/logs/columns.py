@@ -67,7 +67,7 @@ def split_header(header: str) -> tuple[str, str | None]:
     """Split a header cell into its quantity and its normalised unit (or None)."""
     text = " ".join(header.split())
     found = _BRACKETED.match(text)
-    if found and found["quantity"]:
+    if found and found["quantity"] and not found["unit"].strip().isdigit():  # data[2] is not in units of "2"
         return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
     for pattern in (_SLASHED, _SUFFIXED):
         found = pattern.match(text)

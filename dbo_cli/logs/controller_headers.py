@@ -23,7 +23,13 @@ _TWINCAT_KEYS = (
 
 
 def read_pi_array(place: str, lines: list[str]) -> HeaderReading | None:
-    """Read a GCS array of PI's data recorder: ``SAMPLE_TIME`` in seconds, ``SEPARATOR`` as a code, ``NAME0`` and on."""
+    """Read a GCS array of PI's data recorder: ``SAMPLE_TIME`` in s, ``SEPARATOR`` as a code, names.
+
+    Raises
+    ------
+    InputError
+        The rows have another number of columns than the header states.
+    """
     end = next((n for n, line in enumerate(lines) if re.match(r"\s*#\s*END_HEADER", line)), None)
     if end is None or end + 1 >= len(lines):
         return None
@@ -67,39 +73,49 @@ def read_twincat(place: str, lines: list[str]) -> HeaderReading | None:
     if delimiter not in ("\t", ",", ";"):
         return None
     rows: dict[str, list[str]] = {}
-    for line in lines[:100]:
+    for number, line in enumerate(lines[:100]):
         cells = split_cells(line, delimiter)
         if cells[0] in _TWINCAT_KEYS:
+            at = number
             rows[cells[0]] = cells  # the first "Name" is the project's; the channels' comes after it
     if "Name" not in rows:
         return None
     names = rows["Name"]
-    keys = [n for n, cell in enumerate(names) if cell == "Name"]
-    paired = len(keys) > 1 or len([cell for cell in names if cell]) == 2
-    channels = [n + 1 for n in keys] if paired else [n for n in range(1, len(names)) if names[n]]
-    steps = {rows["SampleTime[ms]"][n] for n in channels if n < len(rows["SampleTime[ms]"])}
-    if len(steps) > 1:
-        raise InputError(
-            f"{place}: the channels are sampled every {' and '.join(sorted(steps))} ms, and rows of different times "
-            "stand beside each other: export channels of one sample time"
-        )
+    channels = _channels(names)
+    step = _sample_time(place, rows["SampleTime[ms]"], channels)
     decimal = decimal_of(lines, at + 1, delimiter)
     first = number_row(lines, at + 1, delimiter, decimal)
     if first is None:
         return None
     cells = split_cells(lines[first], delimiter)
     labels, units = [""] * len(cells), [""] * len(cells)
-    for n in channels:
-        if n < len(cells):
-            labels[n] = names[n]
-            units[n] = rows["Unit"][n] if "Unit" in rows and n < len(rows["Unit"]) else ""
-    stamp = to_float(cells[0]) if cells[0] else None
-    if stamp is not None and stamp < _FILETIME and 0 not in channels:
+    for n in (n for n in channels if n < len(cells)):
+        labels[n] = names[n]
+        units[n] = rows["Unit"][n] if "Unit" in rows and n < len(rows["Unit"]) else ""
+    stamp = to_float(cells[0])
+    if stamp is not None and stamp < _FILETIME:
         labels[0], units[0] = "time", "ms"
-    step = to_float(steps.pop()) if steps else None
     clock = (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),) if step and step > 0.0 else ()
     dialect = make_dialect(delimiter, decimal, first + 1, labels, units, len(cells))
     return HeaderReading(dialect, clock, remarks=_scales(rows, names, channels), end_mark=b"EOF")
+
+
+def _channels(names: list[str]) -> list[int]:
+    """Tell in which columns the values are: each behind its own stamps, or all behind the first column's."""
+    keys = [n for n, cell in enumerate(names) if cell == "Name"]
+    if len(keys) > 1 or len([cell for cell in names if cell]) == 2:
+        return [n + 1 for n in keys]
+    return [n for n in range(1, len(names)) if names[n]]
+
+
+def _sample_time(place: str, cells: list[str], channels: list[int]) -> float | None:
+    steps = {cells[n] for n in channels if n < len(cells)}
+    if len(steps) > 1:
+        raise InputError(
+            f"{place}: the channels are sampled every {' and '.join(sorted(steps))} ms, and rows of "
+            "different times stand beside each other: export channels of one sample time"
+        )
+    return to_float(steps.pop()) if steps else None
 
 
 def _scales(rows: dict[str, list[str]], names: list[str], channels: list[int]) -> tuple[str, ...]:
@@ -109,6 +125,8 @@ def _scales(rows: dict[str, list[str]], names: list[str], channels: list[int]) -
         for n in channels:
             value = to_float(rows[key][n]) if key in rows and n < len(rows[key]) else None
             if value is not None and value != plain:
-                found.append(f"channel '{names[n]}' has {key} {value:g}, and the file does not say whether its "
-                             "values are scaled already (Scope: 'Scale values before export')")  # fmt: skip
+                found.append(
+                    f"channel '{names[n]}' has {key} {value:g}, and the file does not say whether its "
+                    "values are scaled already (Scope: 'Scale values before export')"
+                )
     return tuple(found)

@@ -1,12 +1,11 @@
 """Excel workbooks (and OpenDocument sheets) as a table of columns, read with fastexcel.
 
-A sheet is turned into tab-separated text and read as text is: header, line of units, dates and bad cells follow
-the same rules, and the line numbers of messages are the sheet's row numbers.
+A sheet is turned into tab-separated text and read as text is: header, line of units, dates and bad cells
+follow the same rules, and the line numbers of messages are the sheet's row numbers.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -22,7 +21,7 @@ from dbo_cli.logs.text_logs import TextTable
 
 _LOOKED_AT = 200  # rows that tell whether a sheet holds a table; instruments' headers are shorter
 _DATE = r"^\d{4}-\d\d-\d\d"
-_DAY_ZERO = re.compile(r"1899-12-3[01] (?=\d\d:)")  # a time of day without a date
+_DAY_ZERO = r"^1899-12-3[01] "  # before a time of day without a date
 
 
 def open_excel(address: Address, selectors: Sequence[str], options: ReadingOptions) -> TextTable:
@@ -84,7 +83,7 @@ def _as_text(book: Any, name: str) -> bytes:
     for text, number in zip(shown.get_columns(), exact.get_columns(), strict=True):
         frame = polars.DataFrame({"text": text, "number": number})
         usable = polars.col("number").is_not_null() & ~polars.col("text").str.contains(_DATE)
-        plain = polars.col("text").str.replace_all(r"[\t\r\n]", " ").str.replace(_DAY_ZERO.pattern[:16], "")
+        plain = polars.col("text").str.replace_all(r"[\t\r\n]", " ").str.replace(_DAY_ZERO, "")
         cells = polars.when(usable).then(polars.col("number").cast(polars.String)).otherwise(plain)
         columns.append(frame.select(cells.alias("cell")).to_series().rename(text.name))
     written: str = polars.DataFrame(columns).write_csv(

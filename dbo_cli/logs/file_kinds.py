@@ -84,8 +84,7 @@ def _is_matlab_4(head: bytes) -> bool:
         return False
     for order in ("little", "big"):
         kind, rows, columns, imaginary, name = (
-            int.from_bytes(head[at : at + 4], order, signed=True)  # type: ignore[arg-type]
-            for at in range(0, 20, 4)
+            int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)
         )
         if 0 <= kind < 5000 and rows >= 0 and columns >= 0 and imaginary in (0, 1) and 0 < name < 512:
             return True

@@ -1,4 +1,4 @@
-"""One HDF5 dataset as columns of numbers: names, units, scales, missing values and rates from its attributes."""
+"""One HDF5 dataset as columns: names, units, scales, missing values and rates from its attributes."""
 
 from __future__ import annotations
 
@@ -23,20 +23,10 @@ _UNUSED_FACTORS = (
     "conversion",
     "conversion_factor",
 )
-# What netCDF's library leaves where nothing was written (NC_FILL_DOUBLE, NC_FILL_FLOAT); no measurement is that.
+# What netCDF's library leaves where nothing was written (NC_FILL_DOUBLE, NC_FILL_FLOAT).
 _NETCDF_FILL = 9.969209968386869e36
-_MATLAB_NUMBERS = {
-    "double",
-    "single",
-    "logical",
-    "int8",
-    "int16",
-    "int32",
-    "int64",
-    "uint8",
-    "uint16",
-    "uint32",
-    "uint64",
+_MATLAB_NUMBERS = {"double", "single", "logical"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 
 
@@ -102,7 +92,7 @@ def columns_of(dataset: Any, name: str) -> list[ColumnSource]:
 
 
 def _holds_measurements(dataset: Any) -> bool:
-    """Leave out what only looks like numbers: MATLAB's text, empty matrices and objects, netCDF's bare dimensions."""
+    """Leave out what only looks like numbers: MATLAB's text and objects, netCDF's bare dimensions."""
     if attribute_text(dataset, "NAME").startswith("This is a netCDF dimension but not a netCDF variable"):
         return False
     matlab = matlab_class(dataset)
@@ -178,7 +168,7 @@ def _unit_of(dataset: Any, index: int) -> str:
 
 
 def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
-    """Apply netCDF's conventions and a plain ``scale``; say what else looks like a factor and is not applied."""
+    """Apply netCDF's conventions and a plain ``scale``; say what looks like a factor and is not used."""
     factor, addend = (_number(dataset, name, index) for name in ("scale_factor", "add_offset"))
     missing = tuple(
         value
@@ -195,9 +185,11 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     scale = _number(dataset, "scaling_factor", index) if scale is None else scale
     if scale is not None and scale not in (0.0, 1.0) and factor is None:
         if shift:
-            text = (f"column '{source.label}' has the attributes scale {scale:g} and offset {shift:g}, and nothing "
-                    "says in which order they apply (write scale_factor and add_offset, which mean value · scale_factor "
-                    "+ add_offset)")  # fmt: skip
+            text = (
+                f"column '{source.label}' has the attributes scale {scale:g} and offset {shift:g}, and "
+                "nothing says in which order they apply (write scale_factor and add_offset, which mean "
+                "value · scale_factor + add_offset)"
+            )
             return replace(source, problem=text)
         source = replace(source, scale=scale)
         remarks.append(f"column '{source.label}' is multiplied by its attribute scale, {scale:g}")

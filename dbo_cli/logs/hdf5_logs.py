@@ -23,8 +23,8 @@ from dbo_cli.logs.stated_clock import Statement
 
 _DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError, IndexError)
 _OBJECTS = (
-    "MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain vectors, "
-    "t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement')"
+    "MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
+    "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement')"
 )
 
 
@@ -126,7 +126,8 @@ def _nearest_clock(node: Any) -> list[Statement]:
 def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[ColumnSource]]]) -> str:
     text = f"{address.text}: no columns of numbers in this group: {_list_groups(file)}"
     if tables:
-        return f"{text} (write {address.path}::{clean_text(tables[0][0].name)} for the first of {len(tables)} tables)"
+        first = clean_text(tables[0][0].name)
+        return f"{text} (write {address.path}::{first} for the first of {len(tables)} tables)"
     objects = file.get("#subsystem#") is not None
     return f"{text} ({_OBJECTS})" if objects or any(map(_is_object, _members(file))) else text
 

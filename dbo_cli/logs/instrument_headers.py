@@ -1,8 +1,8 @@
-"""Text headers that carry the answer: names, units, rate and start as an instrument or its software wrote them.
+"""Text headers that carry the answer: names, units, rate and start as an instrument wrote them.
 
 A maker is recognised by words that only its files have; everything else is left to ``text_dialect``.  What a
-header says of the sample rate is read whoever wrote it (``Sampling rate: 10 kHz``), and used where the log has
-no time column.
+header says of the sample rate is read whoever wrote it (``Sampling rate: 10 kHz``), and used where the log
+has no time column.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _MAKERS = (
 )
 _LONGEST_HEADER = 200  # lines; a statement of the rate stands well above that
 _KEY_VALUE = re.compile(
-    r"\s*[#%;!/*]*\s*(?P<key>[^\d=:;,\t]+?)\s*(?:=|:|;|,|\t)\s*(?P<value>.+?)\s*[,;\t]*\s*"
+    r"\s*[#%;!/*]*\s*(?P<key>[^\d=:;,\t]+?)\s*(?P<mark>[=:;,\t])\s*(?P<value>.+?)\s*[,;\t]*\s*"
 )
 
 
@@ -101,19 +101,22 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
 
 
 def _stated(lines: list[str]) -> Iterator[Statement]:
-    """Find the lines above the data that state a rate or a step: ``key = value``, ``key: value``, ``key,value``."""
+    """Find the lines above the data that state a rate or a step: ``key = value``, ``key: value``."""
     for line in lines[:_LONGEST_HEADER]:
         found = _KEY_VALUE.fullmatch(line)
         if found is None or not is_clock_name(found["key"]):
             continue
-        value = re.split(r"[\t;]|,\s*(?=,|$)", found["value"])[0].strip()
-        cells = [cell.strip() for cell in value.split(",")]
-        if len(cells) == 2 and is_number(cells[0], ".") and not is_number(cells[1], "."):
-            value = f"{cells[0]} {cells[1]}"  # the unit in a cell of its own
-        elif len(cells) > 1 and len(set(cells)) == 1:
-            value = cells[0]
-        elif re.fullmatch(r"\d+,\d+\s*\D*", value):
-            value = value.replace(",", ".")
-        statement = read_statement(found["key"], value)
+        statement = read_statement(found["key"], _first_value(found["value"], found["mark"]))
         if statement is not None:
             yield statement
+
+
+def _first_value(text: str, mark: str) -> str:
+    """Take the first channel's value of a line, with its unit where that has a cell of its own."""
+    value = re.split(r"[\t;]|,\s*(?=,|$)", text)[0].strip()
+    if mark.strip() != "," and re.fullmatch(r"\d+,\d+\s*\D*", value):
+        return value.replace(",", ".")
+    cells = [cell.strip() for cell in value.split(",")]
+    if len(cells) == 2 and is_number(cells[0], ".") and not is_number(cells[1], "."):
+        return f"{cells[0]} {cells[1]}"
+    return cells[0] if len(set(cells)) == 1 else value

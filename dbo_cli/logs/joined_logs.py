@@ -1,7 +1,7 @@
 """One log in several files: a column of another file beside those of the first (``FILE::COLUMN``).
 
-Rows belong together by number.  Where both files have clocks, they must agree; where only one has, or none, the
-files must be equally long.
+Rows belong together by number.  Where both files have clocks, they must agree; where only one has, or none,
+the files must be equally long.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class _Other:
 
 
 def other_file(selector: str | None) -> tuple[str, str] | None:
-    """Take ``FILE::COLUMN`` (or ``FILE::GROUP::COLUMN``) apart into an address and a column; None for a plain name."""
+    """Take ``FILE::COLUMN`` or ``FILE::GROUP::COLUMN`` apart; None for a plain column name."""
     if selector is None or "::" not in selector:
         return None
     path, _, rest = selector.partition("::")
@@ -220,8 +220,8 @@ class _ClockChecks:
         if len(apart):
             index = int(apart[0])
             raise InputError(
-                f"{self.place}: row {block.rows[index]}: its time {here[index]:.6g} s is {there[index]:.6g} s in "
-                f"{other.table.place} (bring both to one clock; `sample_rate` HZ takes them row by row)"
+                f"{self.place}: row {block.rows[index]}: its time {here[index]:.6g} s is {there[index]:.6g} "
+                f"s in {other.table.place} (bring both to one clock; `sample_rate` HZ takes them row by row)"
             )
 
 

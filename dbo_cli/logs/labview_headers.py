@@ -1,6 +1,8 @@
-"""The header of LabVIEW's measurement files (.lvm), after National Instruments' specification of the format."""
+"""The header of LabVIEW's measurement files (.lvm), after National Instruments' specification."""
 
 from __future__ import annotations
+
+import re
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import split_cells
@@ -22,50 +24,45 @@ def read_lvm(place: str, lines: list[str]) -> HeaderReading | None:
     if not lines or not lines[0].startswith("LabVIEW Measurement"):
         return None
     ends = [number for number, line in enumerate(lines) if line.startswith(_END)]
-    if len(ends) < 2:
+    if len(ends) < 2 or ends[1] + 2 >= len(lines):
         return None
-    file = {}
-    for line in lines[: ends[0]]:
-        key, _, value = line.replace(",", "\t", 1).partition("\t")
-        file[key.strip()] = value.strip("\t, ")
+    file = _file_header(lines[: ends[0]])
     delimiter = _SEPARATORS.get(file.get("Separator", "Tab").lower(), "\t")
-    channels: dict[str, list[str]] = {}
-    for line in lines[ends[0] + 1 : ends[1]]:
-        cells = split_cells(line, delimiter)
-        if cells[0]:
-            channels[cells[0]] = cells[1:]
-    header = ends[1] + 1
-    if header + 1 >= len(lines):
-        return None
-    names = split_cells(lines[header], delimiter)
+    rows = [split_cells(line, delimiter) for line in lines[ends[0] + 1 : ends[1] + 3]]
+    channels = {cells[0]: cells[1:] for cells in rows[:-2] if cells[0]}
+    names = rows[-2]
     while names and names[-1] in ("", "Comment"):
         names.pop()
-    columns = file.get("X_Columns", "One").lower()
-    if columns == "multi":
+    x_columns = file.get("X_Columns", "One").lower()
+    if x_columns == "multi":
         raise InputError(
-            f"{place}: every channel has its own X column (X_Columns Multi): write it with X_Columns One or No"
+            f"{place}: every channel has its own X column (X_Columns Multi): write it with X_Columns One "
+            "or No"
         )
-    width = max(len(names), len(split_cells(lines[header + 1], delimiter)))
-    decimal = file.get("Decimal_Separator", ".") or "."
-    first_channel = next((n for n, name in enumerate(names) if n and name), 1)
-    units = ["", *_units(channels, len(names), first_channel)]
-    timed = all(one.lower() == "time" for one in channels.get("X_Dimension", ["Time"]) if one)
-    if columns == "no":
+    units = ["", *channels.get("Y_Unit_Label", [])]
+    timed = all(one.lower() == "time" for one in channels.get("X_Dimension", []) if one)
+    if x_columns == "no":
         names = ["", *names[1:]]  # the X column is there, but its cells are empty
     elif timed:
         units[0] = "s"
-    clock = _clock(channels) if timed else ()
-    start = to_float(next((one for one in channels.get("X0", []) if one), "0")) or 0.0
-    if file.get("Time_Pref", "Relative").lower() != "relative":
-        start = 0.0  # X0 then counts from some day in the past
-    dialect = make_dialect(delimiter, "," if decimal == "," else ".", header + 2, names, units, width)
-    return HeaderReading(dialect, clock, start)
+    relative = (
+        file.get("Time_Pref", "Relative").lower() == "relative"
+    )  # else X0 counts from a day in the past
+    start = to_float(next((one for one in channels.get("X0", []) if one), "")) if relative else None
+    decimal = "," if file.get("Decimal_Separator") == "," else "."
+    width = max(len(names), len(rows[-1]))
+    dialect = make_dialect(delimiter, decimal, ends[1] + 3, names, units, width)
+    return HeaderReading(dialect, _clock(channels) if timed else (), start or 0.0)
 
 
-def _units(channels: dict[str, list[str]], width: int, first: int) -> list[str]:
-    """Give each channel's unit, in the columns behind the X column."""
-    labels = channels.get("Y_Unit_Label", [])
-    return ["", *labels][1:width] if len(labels) >= width - first else [*labels, *[""] * width][: width - 1]
+def _file_header(lines: list[str]) -> dict[str, str]:
+    """Read the keys of the file as a whole; the separator that is stated already separates them."""
+    found = {}
+    for line in lines:
+        match = re.match(r"(\w+)([\t,;])(.*)", line)
+        if match is not None:
+            found[match[1]] = match[3].rstrip("\t ").removesuffix(match[2]) or match[3].strip("\t ")
+    return found
 
 
 def _clock(channels: dict[str, list[str]]) -> tuple[Statement, ...]:

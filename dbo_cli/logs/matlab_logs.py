@@ -19,8 +19,8 @@ _LABELS = ("Name", "name", "label", "Label", "title")
 _VALUES = ("Data", "data", "values", "value", "Values", "Y")
 _UNITS = ("Unit", "unit", "Units", "units")
 _OBJECTS = (
-    "MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain vectors, "
-    "t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement')"
+    "MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
+    "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement')"
 )
 
 
@@ -63,7 +63,7 @@ def open_matlab(address: Address, selectors: Sequence[str], options: ReadingOpti
         raise InputError(
             f"{place}: no columns of numbers: it holds {listed}" + (f" ({_OBJECTS})" if objects else "")
         )
-    clock = next((found for level in reversed(trail) if (found := list(_statements(level)))), [])
+    clock = next((said for level in reversed(trail) if (said := list(_statements(level)))), [])
     starts = [value for level in trail for name, value in level.items() if name.lower() in _START_NAMES]
     start = (
         float(starts[-1]) if starts and np.ndim(starts[-1]) == 0 and not isinstance(starts[-1], str) else 0.0

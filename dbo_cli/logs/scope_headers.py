@@ -18,7 +18,7 @@ def _statement(name: str, value: str, unit: str | None = None) -> tuple[Statemen
 
 
 def read_tektronix_rows(place: str, lines: list[str]) -> HeaderReading | None:
-    """Read the TDS series' files: settings in the first two columns, beside the first rows of time and volts."""
+    """Read the TDS series' files: settings in two columns, beside the first rows of time and volts."""
     if not lines or not lines[0].startswith("Record Length,"):
         return None
     first = split_cells(lines[0], ",")
@@ -75,7 +75,7 @@ def read_tektronix_table(place: str, lines: list[str]) -> HeaderReading | None:
 
 
 def read_rigol(place: str, lines: list[str]) -> HeaderReading | None:
-    """Read the files of the DS1000 to DS6000 series (``Start,Increment``) and of the MSO series (``t0, tInc``)."""
+    """Read the files of the DS series (``Start,Increment``) and of the MSO series (``t0, tInc``)."""
     if not lines:
         return None
     first = split_cells(lines[0], ",")

@@ -7,7 +7,7 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from types import TracebackType
 from typing import Protocol
 

@@ -1,9 +1,9 @@
 """Sample rates and steps that a file states: which names count, in which units, and what to do in doubt.
 
 A rate is used only where its meaning is plain.  An attribute called ``sample_rate`` of ``10 kHz`` is 10,000
-samples a second; one without a unit is taken in the unit that its name implies (hertz for a rate, seconds for a
-step), and that is said; a unit that is none of a rate or a step, or two statements that disagree, are refused as
-soon as the rate is needed.
+samples a second; one without a unit is taken in the unit that its name implies (hertz for a rate, seconds
+for a step), and that is said; a unit that is none of a rate or a step, or two statements that disagree, are
+refused as soon as the rate is needed.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _STEPS = {"wfincrement", "sampleperiod", "samplingperiod", "sampleinterval", "sa
           "timestep", "timeincrement", "dt", "deltat", "ts", "tinterval", "xincrement", "xinc", "tinc",
           "abtastintervall", "abtastzeit", "abtastperiode"}  # fmt: skip
 _BARE = {"rate"}  # of what? only a unit of a rate tells
-_PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", "Sps", "samples/s", "Samples/s",
-               "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s", "1/s", "s^-1", "s-1",
-               "/s")  # fmt: skip
+_PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", "Sps", "samples/s",
+               "Samples/s", "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s",
+               "1/s", "s^-1", "s-1", "/s")  # fmt: skip
 _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 _HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND} | {"mHz": 1e-3}
 # Steps a second of each unit, so that dividing keeps 0.1 ms at exactly 10,000 samples a second.
@@ -38,9 +38,7 @@ _STEP_WORDS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "S": "s",
                "usec": "us", "usecs": "us", "nanosecond": "ns", "nanoseconds": "ns", "nsec": "ns",
                "minute": "min", "minutes": "min", "hour": "h", "hours": "h"}  # fmt: skip
 _AMOUNT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
-_SAME = (
-    1e-6  # rates that differ by less were rounded when the file was written (0.000333333 s beside 3000 Hz)
-)
+_SAME = 1e-6  # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ def _kind_of(name: str) -> tuple[str, str, str | None]:
     """Give ``rate``, ``step`` or nothing for a name, its plain spelling, and the unit that it carries."""
     quantity, unit = split_header(name)
     key = re.sub(r"[\s_\-.]+", "", quantity).lower()
-    if key.removesuffix("hz") in _RATES:
+    if key.endswith("hz") and key.removesuffix("hz") in _RATES:
         key, unit = key.removesuffix("hz"), unit or "Hz"
     return ("rate" if key in _RATES | _BARE else "step" if key in _STEPS else ""), key, unit
 
@@ -95,7 +93,7 @@ def read_statement(name: str, value: object, unit: object = None, *, sure: bool 
     said = f"'{name}' {_plain(value)}" + (f" {stated}" if stated and stated not in _plain(value) else "")
     if amount is None:
         # Text and lists under the name of a step are time stamps (``ts``) more often than steps.
-        several = kind == "rate" and not isinstance(value, str | bytes) and np.size(value) > 1
+        several = kind == "rate" and not isinstance(value, str | bytes) and np.asarray(value).size > 1
         return Statement(said, None, f"{said} is no single number") if several else None
     if not amount > 0.0 or not math.isfinite(amount):
         return None  # an instrument's way to say that it does not know
@@ -175,11 +173,5 @@ def _plain(value: object) -> str:
         if array.size != 1:
             return f"({array.size} values)"
         one = array[0]
-        text = (
-            clean_text(one)
-            if isinstance(one, str | bytes)
-            else f"{one:g}"
-            if array.dtype.kind in "fiub"
-            else str(one)
-        )
+        text = f"{one:g}" if array.dtype.kind in "fiub" else clean_text(one)
     return text if len(text) <= 40 else text[:37] + "..."
