@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import SECONDS_PER_UNIT
 from dbo_cli.logs.sample_block import FloatArray, Places, SampleBlock, joined
 
 _LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
@@ -17,16 +16,8 @@ GAP_STEPS = 1.5
 JITTER = 0.05
 
 
-def to_seconds(time: FloatArray, unit: str | None) -> FloatArray:
-    """Convert time stamps to seconds; without a unit (or one that is no time) seconds are assumed."""
-    scale = SECONDS_PER_UNIT.get(unit or "s", 1.0)
-    if scale == 1.0:
-        return time
-    return time * scale if scale > 1.0 else time / round(1.0 / scale)  # dividing keeps 5 ms at exactly 0.005
-
-
 @dataclass
-class _Finding:
+class Finding:
     """How often something odd happened, and where first."""
 
     count: int = 0
@@ -37,6 +28,7 @@ class _Finding:
     def add(
         self, lines: Places | None, rows: Places, at: NDArray[np.intp], before: FloatArray, after: FloatArray
     ) -> None:
+        """Count the places ``at`` (indices into the block)."""
         if len(at) and not self.count:
             index = int(at[0])
             places = rows if lines is None else lines
@@ -48,21 +40,21 @@ class _Finding:
 class TimeCheck:
     """Watches time stamps go by and says what is odd about them, in constant memory.
 
-    The usual step is the median of the first thousand, so that the verdict does not depend on the block size.
-    Feed every block, then ask for ``notes()``.
+    The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
+    the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``.
     """
 
     place: str
     has_lines: bool = True
     step: float = 0.0
-    backward: _Finding = field(default_factory=_Finding)
-    restart: _Finding = field(default_factory=_Finding)
-    repeat: _Finding = field(default_factory=_Finding)
-    gap: _Finding = field(default_factory=_Finding)
+    backward: Finding = field(default_factory=Finding)
+    restart: Finding = field(default_factory=Finding)
+    repeat: Finding = field(default_factory=Finding)
+    gap: Finding = field(default_factory=Finding)
     narrowest: float = np.inf
     widest: float = 0.0
     _kept: list[tuple[FloatArray, Places, Places | None]] = field(default_factory=list)
-    _count: int = 0
+    rows: int = 0
     _last: float | None = None
     _first: float = 0.0
 
@@ -70,14 +62,20 @@ class TimeCheck:
         """Look at one block of time stamps (s)."""
         if not len(time):
             return
+        self.rows += len(time)
         if self.step == 0.0:
             self._kept.append((time, rows, lines))
-            self._count += len(time)
-            if self._count < _LEARNING:
+            if self.rows < _LEARNING:
                 return
             self._learn()
         else:
             self._judge(time, rows, lines)
+
+    @property
+    def seconds(self) -> float:
+        """The time from the first stamp to the last (s)."""
+        self._learn()
+        return 0.0 if self._last is None else self._last - self._first
 
     def notes(self) -> list[str]:
         """Say what was found, one line a finding, with the first place of each."""

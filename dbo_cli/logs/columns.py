@@ -1,7 +1,8 @@
 """Which column is meant: names, units and guesses.
 
 A header such as ``voltage_V``, ``displacement (um)`` or ``Position [µm]`` names a quantity and a unit.  Units
-are carried, never guessed: a suffix after an underscore counts as a unit only when it is a known one.
+are carried, never guessed: a suffix after an underscore counts as a unit only when it is a known one.  Two
+columns that may be meant are asked about, never taken by their order.
 """
 
 from __future__ import annotations
@@ -12,28 +13,26 @@ from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 
-TIME_GUESSES = ("time", "t", "x_value", "zeit")  # x_value: what LabVIEW writes
-
-_PREFIXED = ("V", "A", "m", "N", "Hz", "s", "rad", "Pa", "T", "g", "C", "W", "ohm")
-_PREFIXES = ("", "p", "n", "u", "m", "k", "M", "G")
-KNOWN_UNITS = frozenset(prefix + unit for prefix in _PREFIXES for unit in _PREFIXED) | {
-    "min", "h", "deg", "arcsec", "K", "%", "degC", "counts", "cts", "LSB", "bit", "a.u.", "au", "cm", "dB",
-    "samples", "sample",
-}  # fmt: skip
-_SPELLED = {
-    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "sec": "s", "secs": "s", "second": "s",
-    "seconds": "s", "msec": "ms", "milliseconds": "ms", "microseconds": "us", "usec": "us", "micron": "um",
-    "microns": "um", "micrometer": "um", "micrometers": "um", "micrometre": "um", "micrometres": "um",
-    "nanometer": "nm", "nanometers": "nm", "meter": "m", "meters": "m", "minutes": "min", "hours": "h",
-}  # fmt: skip
 _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
 _SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S+)$", re.DOTALL)
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
+_INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
+_CHANNEL = re.compile(
+    r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
+    r"[ _.#-]?[a-z]?\d{0,3}|hv|tension",
+    re.IGNORECASE,
+)
+_REMARKS = frozenset(
+    ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
+     "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average")
+)  # fmt: skip
+"""What stands in brackets behind a name and is no unit."""
+
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
-SECONDS_PER_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 
 @dataclass(frozen=True)
@@ -42,32 +41,34 @@ class ColumnWish:
 
     ``selector`` is what the user gave (a header name, a dataset path, a number counted from 1) or None; then
     ``guesses`` are tried, quantity names in lower case.  ``option`` is the parameter named in the remedy.
+
+    What is guessed is held against the rest: ``letters`` are tried as whole names where no name is found,
+    ``kinds`` are what the unit may measure (None: anything), ``contrary`` are words that give a column
+    another role, ``channel_kinds`` what the unit of a channel without a name must measure (``CH1 (V)``), a
+    column with one of the ``preferred`` names goes before the others, and one with a ``foreign`` name is not
+    taken just because no other is left.
     """
 
     selector: str | None
     guesses: tuple[str, ...] = ()
     required: bool = True
     option: str = "column"
-
-
-def normalise_unit(text: str) -> str | None:
-    """Spell a unit plainly: ``µm`` and ``microns`` are ``um``, ``Volts`` is ``V``; None for an empty one."""
-    plain = text.strip().strip("[](){}<>").strip().replace("µ", "u").replace("μ", "u").replace("°C", "degC")
-    plain = plain.replace("Ω", "ohm")
-    return _SPELLED.get(plain.lower(), plain) or None
-
-
-def is_known_unit(text: str) -> bool:
-    """Tell whether a header suffix is a unit and not a part of the name."""
-    unit = normalise_unit(text)
-    return unit in KNOWN_UNITS
+    letters: tuple[str, ...] = ()
+    kinds: frozenset[str] | None = None
+    contrary: frozenset[str] = frozenset()
+    channel_kinds: frozenset[str] = frozenset()
+    preferred: tuple[str, ...] = ()
+    foreign: frozenset[str] = frozenset()
 
 
 def split_header(header: str) -> tuple[str, str | None]:
     """Split a header cell into its quantity and its normalised unit (or None)."""
     text = " ".join(header.split())
     found = _BRACKETED.match(text)
-    if found and found["quantity"] and not found["unit"].strip().isdigit():  # data[2] is not in units of "2"
+    if found and found["quantity"]:
+        inner = found["unit"].strip().lower()
+        if _INDEX.fullmatch(inner) or inner in _REMARKS:
+            return text, None
         return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
     for pattern in (_SLASHED, _SUFFIXED):
         found = pattern.match(text)
@@ -110,8 +111,13 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     UsageError
         The number is 0 or negative.
     """
-    if re.fullmatch(r"[+-]?\d+", selector):
+    by_number, by_name = selector.startswith("number="), selector.startswith("name=")
+    if by_number or by_name:
+        selector = selector.partition("=")[2]
+    if re.fullmatch(r"[+-]?\d+", selector) and not by_name:
         number = int(selector)
+        if not by_number:
+            _ask_about_number(place, columns, selector, option)
         if number < 1:
             raise UsageError(f"`{option}` {selector}: columns are counted from 1")
         if number > len(columns):
@@ -129,6 +135,18 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
                 f"{place}: column '{selector}' occurs more than once: give its number (`{option}` {numbers})"
             )
     raise InputError(f"{place}: there is no column '{selector}': {list_columns(columns)}")
+
+
+def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> None:
+    """Refuse a number that is the name of another column than the one at that place (InputError)."""
+    number = int(selector)
+    named = [one for one in columns if one.quantity and one.name.strip() == selector]
+    if any(one.number != number for one in named) and 1 <= number <= len(columns):
+        raise InputError(
+            f"{place}: `{option}` {selector}: column {selector}, '{columns[number - 1].name}', or column "
+            f"{named[0].number}, which is named '{selector}'? "
+            f"(`{option}` number={selector} or name={selector})"
+        )
 
 
 def _same_name(column: ColumnInfo, wanted: str) -> bool:
@@ -149,6 +167,38 @@ def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list
     if exact:
         return exact
     return [column for column in columns if set(_words(column.quantity)) & set(guesses)]
+
+
+def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+    """Find the columns that a wish may mean: by name, by word, by letter, or as a channel by its unit."""
+    fitting = [column for column in columns if may_be(column, wish)]
+    preferred = guess_columns(fitting, wish.preferred) if wish.preferred else []
+    if preferred:
+        return preferred
+    found = guess_columns(fitting, wish.guesses)
+    if found and wish.letters and all(len(column.quantity) == 1 for column in found):
+        letters = [column for column in fitting if column.quantity.lower() in wish.letters]
+        return sorted([*found, *letters], key=lambda column: column.number)
+    if not found:
+        found = [column for column in fitting if column.quantity.lower() in wish.letters]
+    if not found:
+        found = [one for one in fitting if is_channel(one) and kind_of_unit(one.unit) in wish.channel_kinds]
+    return found
+
+
+def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether nothing in a column's unit and words speaks against a wish."""
+    kind = kind_of_unit(column.unit)
+    if column.written != "numbers":
+        return False
+    if wish.kinds is not None and kind is not None and kind not in wish.kinds:
+        return False
+    return not wish.contrary or not wish.contrary & set(_words(column.name))
+
+
+def is_channel(column: ColumnInfo) -> bool:
+    """Tell whether a column's name says by itself nothing of what it holds."""
+    return bool(_CHANNEL.fullmatch(column.quantity.strip()))
 
 
 def _words(quantity: str) -> list[str]:
@@ -184,12 +234,13 @@ def choose_columns(
         if wish.selector is not None:
             chosen[role] = find_column(place, columns, wish.selector, wish.option)
     for role, wish in want.items():
-        if wish.selector is None:
+        if wish.selector is None:  # the only column left is what is meant
             used = {column.number for column in [*taken, *chosen.values()]}
             free = [column for column in columns if column.number not in used]
-            found = guess_columns(free, wish.guesses)
+            found = matching_columns(free, wish)
             if not found and len(want) == 1 and len(free) == 1 and wish.required:
-                found = free  # the only column left is what is meant
+                found = [one for one in free if may_be(one, wish)]
+                found = [one for one in found if one.quantity.lower() not in wish.foreign]
             if len(found) == 1:
                 chosen[role] = found[0]
             elif found or wish.required:

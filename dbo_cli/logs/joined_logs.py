@@ -7,22 +7,25 @@ the files must be equally long.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.clock import JITTER, to_seconds
-from dbo_cli.logs.columns import TIME_GUESSES, ColumnWish, find_column, guess_columns
-from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.clock import JITTER
+from dbo_cli.logs.columns import ColumnWish, find_column
+from dbo_cli.logs.file_kinds import open_table
+from dbo_cli.logs.reading_options import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.time_column import TIME, TimeColumn, find_time_column, time_column
 
 if TYPE_CHECKING:
     from dbo_cli.logs.signal_log import Table
 
-_CLOCK = "its clock"  # the role of the other file's time column, beside the roles asked for
+_CLOCK = "the clock of file "  # the role of a file's seconds while clocks are compared
 
 
 @dataclass
@@ -31,7 +34,7 @@ class _Other:
 
     table: Table
     columns: dict[int, ColumnInfo]  # number in the joined log to column in the file
-    clock: ColumnInfo | None
+    clock: TimeColumn | None = None
 
 
 def other_file(selector: str | None) -> tuple[str, str] | None:
@@ -46,7 +49,7 @@ def other_file(selector: str | None) -> tuple[str, str] | None:
 
 
 def join_files(
-    table: Table, want: Mapping[str, ColumnWish], open_other: Callable[[str, str], Table]
+    table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions
 ) -> tuple[Table, dict[str, ColumnWish]]:
     """Open the other files that wishes name, and put their columns behind those of the first.
 
@@ -56,8 +59,8 @@ def join_files(
         The first file.
     want
         Role to wish; those of the form ``FILE::COLUMN`` are replaced by column numbers of the joined log.
-    open_other
-        Opens an address, told the column that will be asked for.
+    options
+        How all files are to be read; ``time`` names a column of the first.
 
     Raises
     ------
@@ -75,25 +78,43 @@ def join_files(
                 continue
             address, selector = named
             if address not in others:
-                others[address] = _Other(open_other(address, selector), {}, None)
+                there = replace(options, format=None)
+                opened = open_table(parse_address(address), there, False, False, [selector])
+                others[address] = _Other(opened, {})
             other = others[address]
             found = find_column(other.table.place, other.table.columns, selector, wish.option)
-            columns.append(replace(found, name=f"{other.table.place}::{found.name}", number=len(columns) + 1))
-            other.columns[len(columns)] = found
-            wishes[role] = replace(wish, selector=str(len(columns)))
-        for other in others.values():
-            clocks = guess_columns(other.table.columns, TIME_GUESSES)
-            clocks = [one for one in clocks if one not in other.columns.values()]
-            other.clock = clocks[0] if len(clocks) == 1 else None
-            if other.clock is not None and not guess_columns(columns, TIME_GUESSES):
-                place = f"{other.table.place}::{other.clock.name}"
-                columns.append(replace(other.clock, name=place, number=len(columns) + 1))
-                other.columns[len(columns)] = other.clock
+            _append(columns, other, found)
+            wishes[role] = replace(wish, selector=f"number={len(columns)}")
+        _find_clocks(table, columns, list(others.values()), options)
     except BaseException:
         for other in others.values():
             other.table.close()
         raise
-    return (_JoinedTable(table, list(others.values()), columns) if others else table), wishes
+    if not others:
+        return table, wishes
+    return _JoinedTable(table, list(others.values()), columns, options), wishes
+
+
+def _append(columns: list[ColumnInfo], other: _Other, found: ColumnInfo) -> None:
+    columns.append(replace(found, name=f"{other.table.place}::{found.name}", number=len(columns) + 1))
+    other.columns[len(columns)] = found
+
+
+def _find_clocks(
+    table: Table, columns: list[ColumnInfo], others: Sequence[_Other], options: ReadingOptions
+) -> None:
+    """Find the other files' clocks; where the first file has none, another's becomes that of the log."""
+    if options.sample_rate is not None:
+        return  # the clocks are replaced
+    own = find_time_column(table.place, list(table.columns), options, [])
+    for other in others:
+        wanted = list(other.columns.values())
+        plain = replace(options, time=None)
+        other.clock = find_time_column(other.table.place, other.table.columns, plain, wanted).clock
+        if own.clock is None and other.clock is not None:
+            for found in other.clock.picks.values():
+                _append(columns, other, found)
+            own = find_time_column(table.place, columns, options, [])
 
 
 def _refuse_missing(table: Table, wish: ColumnWish) -> None:
@@ -110,12 +131,15 @@ def _refuse_missing(table: Table, wish: ColumnWish) -> None:
 class _JoinedTable:
     """Several files as one table; fulfils the protocol of ``signal_log.Table``."""
 
-    def __init__(self, first: Table, others: list[_Other], columns: list[ColumnInfo]) -> None:
+    def __init__(
+        self, first: Table, others: list[_Other], columns: list[ColumnInfo], options: ReadingOptions
+    ) -> None:
         self.place = first.place
         self.columns = columns
         self.notes = first.notes
         self._first = first
         self._others = others
+        self._options = options
 
     def describe(self) -> str:
         """Tell in one line how each file is written."""
@@ -153,22 +177,29 @@ class _JoinedTable:
             The files are not equally long, or their clocks do not agree.
         """
         own = {role: pick for role, pick in picks.items() if pick.number <= len(self._first.columns)}
-        clock = _clock_role(own)
-        streams = [self._first.blocks(own, rows, skip_bad, block_rows)] if own else []
-        names = [self._first.place] if own else []
-        for number, other in enumerate(self._others):
+        streams, names = [], []
+        if own:
+            blocks = self._first.blocks(own, rows, skip_bad, block_rows)
+            if TIME in own:
+                unit = self._options.time_unit
+                clock = time_column(self.place, own[TIME], list(self._first.columns), unit)
+                blocks = _with_seconds(clock, blocks, _CLOCK, {})
+            streams.append(blocks)
+            names.append(self.place)
+        for other in self._others:
             there = {
-                role: other.columns[pick.number]
-                for role, pick in picks.items()
-                if pick.number in other.columns
+                role: other.columns[n] for role, pick in picks.items() if (n := pick.number) in other.columns
             }
-            if clock is not None and other.clock is not None:
-                there[f"{_CLOCK} {number}"] = other.clock
-            streams.append(other.table.blocks(there, rows, skip_bad, block_rows))
+            own_clock = TIME in there  # the log's clock is this file's: nothing to compare it with
+            extra = {} if other.clock is None or own_clock or TIME not in own else dict(other.clock.picks)
+            blocks = other.table.blocks(there | extra, rows, skip_bad, block_rows)
+            if extra and other.clock is not None:
+                blocks = _with_seconds(other.clock, blocks, _CLOCK + other.table.place, extra)
+            streams.append(blocks)
             names.append(other.table.place)
-        checks = _ClockChecks(self.place, clock, picks, self._others)
+        check = _ClockCheck(self.place)
         for block in _in_step(names, streams, skip_bad, self.notes):
-            yield checks.checked(block)
+            yield check.checked(block)
         for other in self._others:
             self.notes.extend(other.table.notes)
 
@@ -184,36 +215,36 @@ class _JoinedTable:
         return self._first.sha256
 
 
-def _clock_role(picks: Mapping[str, ColumnInfo]) -> str | None:
-    """Tell which role is the time: the one that ``signal_log`` adds to those asked for, always the last."""
-    from dbo_cli.logs.signal_log import CLOCK_ROLE
-
-    return CLOCK_ROLE if CLOCK_ROLE in picks else None
+def _with_seconds(
+    clock: TimeColumn, blocks: Iterator[SampleBlock], role: str, extra: Mapping[str, ColumnInfo]
+) -> Iterator[SampleBlock]:
+    """Add the seconds of a file's clock under a role; the columns in ``extra`` were read for that alone."""
+    for block in clock.held_back(blocks):
+        seconds = clock.seconds(dict(block.values))
+        values = {name: array for name, array in block.values.items() if name not in extra}
+        yield SampleBlock(block.rows, block.lines, block.time, values | {role: seconds})
 
 
 @dataclass
-class _ClockChecks:
+class _ClockCheck:
     """Compares the clocks of all files with the first one's, row by row."""
 
     place: str
-    clock: str | None
-    picks: Mapping[str, ColumnInfo]
-    others: Sequence[_Other]
     step: float = 0.0
 
     def checked(self, block: SampleBlock) -> SampleBlock:
-        """Refuse a block whose clocks disagree (InputError); give it back without the other clocks."""
-        values = {role: array for role, array in block.values.items() if not role.startswith(_CLOCK)}
-        if self.clock is not None:
-            here = to_seconds(values[self.clock], self.picks[self.clock].unit)
-            for role, array in block.values.items():
-                if role.startswith(_CLOCK):
-                    other = self.others[int(role.removeprefix(_CLOCK))]
-                    assert other.clock is not None
-                    self._compare(block, here, to_seconds(array, other.clock.unit), other)
+        """Refuse a block whose clocks disagree (InputError); give it back without the compared clocks."""
+        clocks = {role: array for role, array in block.values.items() if role.startswith(_CLOCK)}
+        if not clocks:
+            return block
+        values = {role: array for role, array in block.values.items() if role not in clocks}
+        here = clocks.pop(_CLOCK, None)
+        if here is not None:
+            for role, there in clocks.items():
+                self._compare(block, here, there, role.removeprefix(_CLOCK))
         return SampleBlock(block.rows, block.lines, block.time, values)
 
-    def _compare(self, block: SampleBlock, here: FloatArray, there: FloatArray, other: _Other) -> None:
+    def _compare(self, block: SampleBlock, here: FloatArray, there: FloatArray, name: str) -> None:
         if self.step == 0.0 and len(here) > 1:
             self.step = float(np.median(np.abs(np.diff(here))))
         apart = np.flatnonzero(~(np.abs(here - there) <= JITTER * self.step))
@@ -221,7 +252,7 @@ class _ClockChecks:
             index = int(apart[0])
             raise InputError(
                 f"{self.place}: row {block.rows[index]}: its time {here[index]:.6g} s is {there[index]:.6g} "
-                f"s in {other.table.place} (bring both to one clock; `sample_rate` HZ takes them row by row)"
+                f"s in {name} (bring both to one clock; `sample_rate` HZ takes them row by row)"
             )
 
 

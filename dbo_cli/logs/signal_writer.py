@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.background_io import OneBehind
-from dbo_cli.logs.columns import is_known_unit, split_header
+from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.number_text import rows_as_text
 from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.units import is_known_unit
 from dbo_cli.logs.whole_output import check_output, replacing, standard_output
 
 _WORTH_A_THREAD = 1 << 14  # rows

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import normalise_unit, split_header
+from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.foreign_text import clean_text
+from dbo_cli.logs.time_units import time_unit
 
 _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",
           "acquisitionrate", "acquisitionfrequency", "fs", "srate", "sfreq", "scanrate", "abtastrate",
@@ -33,10 +34,6 @@ _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 _HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND} | {"mHz": 1e-3}
 # Steps a second of each unit, so that dividing keeps 0.1 ms at exactly 10,000 samples a second.
 _PER_STEP = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ps": 1e12, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
-_STEP_WORDS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "S": "s", "millisecond": "ms",
-               "milliseconds": "ms", "msec": "ms", "msecs": "ms", "microsecond": "us", "microseconds": "us",
-               "usec": "us", "usecs": "us", "nanosecond": "ns", "nanoseconds": "ns", "nsec": "ns",
-               "minute": "min", "minutes": "min", "hour": "h", "hours": "h"}  # fmt: skip
 _AMOUNT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
 _SAME = 1e-6  # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 
@@ -161,7 +158,7 @@ def _factor(kind: str, unit: str) -> float | None:
     plain = plain.replace(" ", "").replace("µ", "u").replace("μ", "u")
     for suffix in ("/sample", "/S", "/Sa", "persample"):
         plain = plain.removesuffix(suffix)
-    return _PER_STEP.get(_STEP_WORDS.get(plain.lower(), normalise_unit(plain) or plain))
+    return _PER_STEP.get(time_unit(plain) or "")
 
 
 def _plain(value: object) -> str:

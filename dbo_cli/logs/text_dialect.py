@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
-from dbo_cli.logs.columns import is_known_unit
 from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.units import is_known_unit
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
@@ -27,7 +27,9 @@ class Dialect:
     """How a text log is written.
 
     ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
-    where the log has none, else ``width`` cells long.
+    where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
+    in most rows; ``writings`` says how each column is written (``ColumnInfo.written``), where any holds time
+    stamps.
     """
 
     delimiter: str
@@ -37,6 +39,8 @@ class Dialect:
     first_line: int
     headers: tuple[str, ...]
     units: tuple[str, ...]
+    numeric: frozenset[int] = frozenset()
+    writings: tuple[str, ...] = ()
 
     def describe(self) -> str:
         """Tell in one line what was detected, for ``verbose``."""
@@ -87,7 +91,25 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         decimal = _late_decimal(lines[layout.first :], comments)
     row = split_cells(lines[layout.first], shape.delimiter) if layout.first < len(lines) else []
     headers, units = _aligned(place, layout, shape.width, row)
-    return Dialect(shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units)
+    return Dialect(
+        shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
+        _writings([lines[number] for number in candidates if number >= layout.first][-_SAMPLE_LINES:], shape),
+    )  # fmt: skip
+
+
+def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:
+    """Find the columns of time stamps; empty where there are none."""
+    others = sorted(set(range(shape.width)) - shape.numeric)
+    if not others:
+        return ()
+    from dbo_cli.logs.time_cells import writing_of
+
+    rows = [split_cells(line, shape.delimiter) for line in sample]
+    rows = [row for row in rows if len(row) >= shape.width]
+    found = {column: writing_of([row[column] for row in rows]) for column in others}
+    if not any(found.values()):
+        return ()
+    return tuple(found.get(column) or "numbers" for column in range(shape.width))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.background_io import one_ahead
@@ -123,8 +124,9 @@ class TextTable:
     def _describe_columns(self) -> list[ColumnInfo]:
         names = self.dialect.headers or ("",) * self.dialect.width
         units = self.dialect.units or ("",) * self.dialect.width
-        described = zip(names, units, strict=True)
-        return [column_info(name, number, unit) for number, (name, unit) in enumerate(described, start=1)]
+        written = self.dialect.writings or ("numbers",) * self.dialect.width
+        told = enumerate(zip(names, units, written, strict=True), start=1)
+        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in told]
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:

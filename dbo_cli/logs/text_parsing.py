@@ -8,7 +8,7 @@ take a block only when every line is a row of the usual width and every wanted c
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +19,11 @@ from dbo_cli.logs.cell_grammar import (
     SKIP_REMEDY,
     complain,
     decode_line,
-    remedy,
+    is_text,
     split_cells,
     to_number,
 )
-from dbo_cli.logs.columns import column_label
+from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.interrupts import keep_interrupts
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
@@ -69,13 +69,15 @@ class BlockParser:
         lines = int(np.count_nonzero(np.frombuffer(block, dtype=np.uint8) == 10)) + (
             not block.endswith(b"\n")
         )
-        columns = [pick.number - 1 for pick in self.picks.values()]
+        picks = list(self.picks.values())
         regular = self._regular(block)
         arrays = None
         if regular is not None:
             plain = small or (len(block) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
-            read = _parse_plain if plain else _parse_fast
-            arrays = read(regular, lines, columns, self.dialect)
+            read = _parse_plain if plain or any(pick.written != "numbers" for pick in picks) else _parse_fast
+            unpicked = self._unpicked()
+            guarded = unpicked if unpicked and _has_letters(regular, self.dialect.delimiter) else []
+            arrays = read(regular, lines, picks, guarded, self.dialect)
         if arrays is None:
             return self._parse_slowly(block)
         found = SampleBlock(
@@ -134,25 +136,47 @@ class BlockParser:
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
         cells = split_cells(line, self.dialect.delimiter)
-        problem, help = _wrong_width(cells, self.dialect.width), SKIP_REMEDY
+        problem = _wrong_width(cells, self.dialect.width)
         row: list[float] = []
         if not problem:
             for pick in self.picks.values():
                 cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
-                value = to_number(cell, self.dialect.decimal)
+                value = self._value(cell, pick)
                 if value is None:
-                    problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal)}"
-                    help = remedy(cell)
+                    problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
                     break
                 row.append(value)
+            else:
+                problem = self._text_among_numbers(cells)
         if not problem:
             return row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
-            raise InputError(f"{message} {help}")
+            raise InputError(f"{message} {SKIP_REMEDY}")
         self.dropped += 1
         self.first_dropped = self.first_dropped or message
         return None
+
+    def _value(self, cell: str, pick: ColumnInfo) -> float | None:
+        """Read a cell as a number or a time stamp (s); None where it is neither."""
+        if pick.written == "numbers":
+            return to_number(cell, self.dialect.decimal)
+        from dbo_cli.logs.time_cells import READERS
+
+        return READERS[pick.written](cell)
+
+    def _text_among_numbers(self, cells: list[str]) -> str:
+        """Say where text stands in a column of numbers that nobody asked for: such a row is no sample."""
+        for column in self._unpicked():
+            if column < len(cells) and is_text(cells[column], self.dialect.decimal):
+                names = self.dialect.headers
+                info = column_info(names[column] if names else None, column + 1)
+                return f"{column_label(info)} {complain(cells[column], self.dialect.decimal)}"
+        return ""
+
+    def _unpicked(self) -> list[int]:
+        """List the columns of numbers (from 0) that are not read."""
+        return sorted(self.dialect.numeric - {pick.number - 1 for pick in self.picks.values()})
 
     def _in_range(self, block: SampleBlock) -> SampleBlock:
         first, last = self.rows
@@ -200,8 +224,25 @@ def _is_rectangular(block: bytes, lines: int, dialect: Dialect) -> bool:
     return bool(ends[:, -1].all()) and np.count_nonzero(ends) == lines
 
 
-def _parse_plain(block: bytes, lines: int, columns: list[int], dialect: Dialect) -> list[FloatArray] | None:
-    """Parse a small regular block without any library; None where it is not regular after all."""
+def _has_letters(block: bytes, delimiter: str) -> bool:
+    """Tell whether a block holds a character that no number has: at ``@`` or above, but no exponent's e."""
+    text = np.frombuffer(block, dtype=np.uint8)
+    found = np.count_nonzero(text >= 64)
+    if not found:
+        return False
+    known = np.count_nonzero((text | 32) == 101)  # e and E
+    if ord(delimiter) >= 64:
+        known += np.count_nonzero(text == ord(delimiter))
+    return bool(found > known)
+
+
+def _parse_plain(
+    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+) -> list[FloatArray] | None:
+    """Parse a small regular block without any library; None where it is not regular after all.
+
+    ``guarded`` are columns (from 0) of numbers that are not wanted: text in them makes a row irregular.
+    """
     if b'"' in block or b"_" in block or not block.isascii() or not _is_rectangular(block, lines, dialect):
         return None
     mark = dialect.delimiter.encode()
@@ -211,25 +252,48 @@ def _parse_plain(block: bytes, lines: int, columns: list[int], dialect: Dialect)
             return None
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
+    if any(_any_text(words[column :: dialect.width], ".") for column in guarded):
+        return None
     try:
-        arrays = [np.array(list(map(float, words[column :: dialect.width]))) for column in columns]
-    except ValueError:
+        arrays = [
+            np.array(list(map(_reader(pick), words[pick.number - 1 :: dialect.width])), dtype=np.float64)
+            for pick in picks
+        ]
+    except (ValueError, TypeError):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
     return arrays if all(np.isfinite(array).all() for array in arrays) else None
 
 
-def _parse_fast(block: bytes, lines: int, columns: list[int], dialect: Dialect) -> list[FloatArray] | None:
-    """Parse a large block with polars; None where it is not regular after all."""
+def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
+    """Return what reads the cells of a column."""
+    if pick.written == "numbers":
+        return float
+    from dbo_cli.logs.time_cells import READERS
+
+    read = READERS[pick.written]
+    return lambda cell: read(cell.decode().strip())
+
+
+def _any_text(cells: Iterable[bytes], decimal: str) -> bool:
+    """Tell whether any of the cells holds text."""
+    return any(is_text(cell.decode().strip(), decimal) for cell in set(cells))
+
+
+def _parse_fast(
+    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+) -> list[FloatArray] | None:
+    """Parse a large block with polars; None where it is not regular after all (see ``_parse_plain``)."""
     import polars
 
     keep_interrupts()
 
+    columns = [pick.number - 1 for pick in picks]
     whole = len(set(columns)) == dialect.width  # then polars refuses long rows, and short ones leave a null
     if not whole and not _is_rectangular(block, lines, dialect):
         return None
     if dialect.decimal == "," and b"." in block:
         return None
-    wanted = sorted(set(columns))
+    wanted = set(columns)
     schema = {
         f"column_{n + 1}": polars.Float64 if n in wanted else polars.String for n in range(dialect.width)
     }
@@ -238,7 +302,7 @@ def _parse_fast(block: bytes, lines: int, columns: list[int], dialect: Dialect) 
             block,
             has_header=False,
             schema=schema,
-            columns=None if whole else wanted,
+            columns=None if whole else sorted(wanted | set(guarded)),
             separator=dialect.delimiter,
             decimal_comma=dialect.decimal == ",",
             quote_char='"' if b'"' in block else None,
@@ -248,6 +312,11 @@ def _parse_fast(block: bytes, lines: int, columns: list[int], dialect: Dialect) 
         return None
     if len(table) != lines:
         return None
+    for column in guarded:
+        text = table.get_column(f"column_{column + 1}").drop_nulls()
+        odd = text.filter(text.str.contains(r"[^\x00-?eE]")).unique()
+        if any(is_text(cell.strip(), dialect.decimal) for cell in odd):
+            return None
     series = [table.get_column(f"column_{column + 1}") for column in columns]
     if any(one.null_count() for one in series):
         return None

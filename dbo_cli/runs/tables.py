@@ -9,17 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import InputError
-from dbo_cli.logs.clock import to_seconds
-from dbo_cli.logs.columns import (
-    TIME_GUESSES,
-    ColumnWish,
-    choose_columns,
-    column_info,
-    find_column,
-    guess_columns,
-)
+from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.time_column import TIME, TimeColumn, find_time_column
 from dbo_cli.runs.source import ArraySource
 
 if TYPE_CHECKING:
@@ -57,24 +50,19 @@ def table_source(
     units: Mapping[str, str | None] = table.attrs.get("units", {})
     infos = [column_info(str(name), k, units.get(name)) for k, name in enumerate(table.columns, start=1)]
     given = table.attrs.get("sample_rate") if sample_rate is None and time is None else sample_rate
-    clock = None if sample_rate is not None else _clock_of(infos, time)
-    columns = choose_columns(TABLE, infos, want, [clock] if clock else [])
+    clock = None if sample_rate is not None else _clock_of(infos, want, time)
+    columns = choose_columns(TABLE, infos, want, [clock.column] if clock else [])
     if clock is not None:
-        stamps = np.asarray(table.iloc[:, clock.number - 1], dtype=np.float64)
-        time, given = to_seconds(stamps, clock.unit), None
+        stamps = np.asarray(table.iloc[:, clock.column.number - 1], dtype=np.float64)
+        time, given = clock.seconds({TIME: stamps}), None
     values = {role: table.iloc[:, column.number - 1].to_numpy() for role, column in columns.items()}
     stamped = None if time is None or isinstance(time, str) else time
     return ArraySource(values, stamped, given if stamped is None else None, columns, TABLE)
 
 
-def _clock_of(infos: list[ColumnInfo], time: Any) -> ColumnInfo | None:
+def _clock_of(infos: list[ColumnInfo], want: Mapping[str, ColumnWish], time: Any) -> TimeColumn | None:
     """Return the time column, named or guessed; None where the time is an array or not there."""
-    if isinstance(time, str):
-        return find_column(TABLE, infos, time, "time")
-    if time is not None:
+    if time is not None and not isinstance(time, str):
         return None
-    found = guess_columns(infos, TIME_GUESSES)
-    if len(found) > 1:
-        names = " or ".join(f"'{column.name}'" for column in found)
-        raise InputError(f"{TABLE}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
-    return found[0] if found else None
+    named = [find_column(TABLE, infos, wish.selector, wish.option) for wish in want.values() if wish.selector]
+    return find_time_column(TABLE, infos, ReadingOptions(time=time), named).clock

@@ -87,7 +87,7 @@ REFUSABLE = [
     Refusal("a guess that finds none", b"t,ch1,ch2\n0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage: it has 1 t, 2 ch1, 3 ch2 (choose with `voltage` NAME or NUMBER)"),
     Refusal("no names to guess from", b"0,1,2\n1,2,3\n", "{log}: no column is recognised as the voltage: it has 3 columns without names (choose with `voltage` NAME or NUMBER)"),
     Refusal("two time columns", b"t,time,u,y\n0,0,1,2\n1,1,2,3\n", "{log}: which column is the time, 't' or 'time'? (choose with `time` NAME or NUMBER)"),
-    Refusal("clock times as the time column", b"time,u,y\n10:15:00,1,2\n10:15:01,2,3\n", "{log}:2: column 'time' is not a number: '10:15:00' (clock times and dates are not read: `sample_rate` HZ gives the time instead)"),
+    Refusal("a clock time cut off", b"time,u,y\n10:15:00,1,2\n10:15:01,2,3\n10:15,3,4\n", "{log}:4: column 'time' is not a time stamp like the others: '10:15'" + SKIP),
     Refusal("a time column that is absent", HEAD + GOOD, "{log}: there is no column 'zeit': " + THERE, call={"time": "zeit"}),
     Refusal("a sample rate beside a time column", HEAD + GOOD, "`time` and `sample_rate` exclude each other: the log has the one or needs the other", call={"time": "1", "sample_rate": 10.0}, code=2),
     Refusal("a negative sample rate", HEAD + GOOD, "`sample_rate` -1: give a positive number of samples a second", call={"sample_rate": -1.0}, code=2),
