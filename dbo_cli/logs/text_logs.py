@@ -77,6 +77,8 @@ class TextTable:
         parser = BlockParser(self.place, self.dialect, picks, rows, skip_bad)
         found = parser.parse(self._data(parser), self._small or self._live)
         yield from one_ahead(found) if self._ahead else found
+        if parser.repeated is not None and parser.repeated.count:
+            self.notes.append(parser.repeated.note())
         if parser.dropped:
             rest = f" and {parser.dropped - 1} more" if parser.dropped > 1 else ""
             plural = "s" if parser.dropped > 1 else ""
