@@ -71,29 +71,27 @@ class TimeCheck:
         else:
             self._judge(time, rows, lines)
 
-    @property
-    def seconds(self) -> float:
-        """The time from the first stamp to the last (s)."""
-        self._learn()
-        return 0.0 if self._last is None else self._last - self._first
-
     def notes(self) -> list[str]:
         """Say what was found, one line a finding, with the first place of each."""
         self._learn()
         where = "line" if self.has_lines else "row"
         told = []
         for finding, text in (
-            (self.restart, "the clock starts again at {where} {line} (from {before:.6g} s to {after:.6g} s)"),
-            (self.backward, "time goes backwards at {where} {line} (from {before:.6g} s to {after:.6g} s)"),
-            (self.repeat, "the time stamp {after:.6g} s repeats at {where} {line}"),
+            (self.restart, "the clock starts again at {where} {line} (from {before} s to {after} s)"),
+            (self.backward, "time goes backwards at {where} {line} (from {before} s to {after} s)"),
+            (self.repeat, "the time stamp {after} s repeats at {where} {line}"),
             (
                 self.gap,
-                "a gap at {where} {line} (from {before:.6g} s to {after:.6g} s, usual step {step:.4g} s)",
+                "a gap at {where} {line} (from {before} s to {after} s, usual step {step:.4g} s)",
             ),
         ):
             if finding.count:
                 text = text.format(
-                    where=where, line=finding.line, before=finding.before, after=finding.after, step=self.step
+                    where=where,
+                    line=finding.line,
+                    before=_stamp(finding.before),
+                    after=_stamp(finding.after),
+                    step=self.step,
                 )
                 again = f", and {finding.count - 1} more" if finding.count > 1 else ""
                 told.append(f"{self.place}: {text}{again}")
@@ -140,6 +138,11 @@ class TimeCheck:
         if len(usual):
             self.narrowest = min(self.narrowest, float(usual.min()))
             self.widest = max(self.widest, float(usual.max()))
+
+
+def _stamp(time: float) -> str:
+    """Write a time stamp (s); those that count from 1970 need more digits to be told apart."""
+    return f"{time:.6g}" if abs(time) < 1e6 else f"{time:.3f}"
 
 
 def even_step(time: FloatArray) -> float | None:
@@ -220,8 +223,8 @@ def _require_rising(place: str, block: SampleBlock) -> None:
         index = int(stuck[0]) + 1
         where = f"row {block.rows[index]}" if block.lines is None else f"line {block.lines[index]}"
         raise InputError(
-            f"{place}: time does not advance at {where} (from {block.time[index - 1]:.6g} s to "
-            f"{block.time[index]:.6g} s), so it cannot be resampled (cut the log with `rows` A:B)"
+            f"{place}: time does not advance at {where} (from {_stamp(block.time[index - 1])} s to "
+            f"{_stamp(block.time[index])} s), so it cannot be resampled (cut the log with `rows` A:B)"
         )
 
 

@@ -16,7 +16,8 @@ TIME_NAMES = ("time", "t", "x_value", "zeit")  # x_value: what LabVIEW writes
 MORE_TIME_NAMES = (
     "timestamp", "time_stamp", "timestamps", "elapsed", "seconds", "millis", "micros", "milliseconds",
     "microseconds", "nanoseconds", "msec", "usec", "datetime", "zeitstempel", "uhrzeit", "temps", "tiempo",
-    "tempo", "tijd", "tid", "czas", "čas", "cas", "время", "时间", "時間",
+    "tempo", "date", "datum", "datenum", "tijd", "tid", "czas", "čas", "cas", "время", "时间", "時間",
+    "x-axis",
 )  # fmt: skip
 
 
@@ -32,14 +33,16 @@ class RoleNames:
         What the column's unit may measure, where it has one.
     contrary
         Words that give a column another role.
-    channel_kinds
-        What the unit must measure where the column is a channel without a name (``CH1 (V)``).
+    by_unit
+        Names that say too little by themselves: they count with a unit that measures one of
+        ``channel_kinds``; ``ch`` stands for all names of channels (``CH1 (V)``).
     """
 
     names: tuple[str, ...]
     letters: tuple[str, ...]
     kinds: frozenset[str]
     contrary: frozenset[str]
+    by_unit: tuple[str, ...]
     channel_kinds: frozenset[str]
 
 
@@ -56,6 +59,7 @@ VOLTAGE = RoleNames(
     (),
     frozenset(("voltage", "share", "count")),
     frozenset(("sensor", "position", "displacement", "feedback", "photodiode", "interferometer", "supply")),
+    ("tension", "hv", "ch"),
     frozenset(("voltage",)),
 )  # fmt: skip
 DISPLACEMENT = RoleNames(
@@ -66,6 +70,7 @@ DISPLACEMENT = RoleNames(
     ("x", "z"),
     _PLACES,
     _ORDERS,
+    ("actual", "current", "ist", "istwert", "feedback", "readback", "ch"),
     frozenset(("length", "angle")),
 )  # fmt: skip
 DESIRED = RoleNames(
@@ -74,13 +79,15 @@ DESIRED = RoleNames(
     (),
     _PLACES,
     frozenset(),
-    frozenset(),
+    ("command",),
+    frozenset(("length", "angle")),
 )  # fmt: skip
 TRAJECTORY = RoleNames(
     (*DISPLACEMENT.names, *DESIRED.names),
     DISPLACEMENT.letters,
     _PLACES,
     frozenset(),
+    (*DESIRED.by_unit, *DISPLACEMENT.by_unit),
     DISPLACEMENT.channel_kinds,
 )
 ROLES = {
@@ -128,6 +135,7 @@ def wish(
         letters=known.letters,
         kinds=known.kinds | ({kind} if kind else set()),
         contrary=known.contrary,
+        by_unit=known.by_unit,
         channel_kinds=known.channel_kinds,
         preferred=DESIRED.names if role == "trajectory" else (),
         foreign=frozenset(name for other in ROLES.values() for name in other.names) - frozenset(known.names),

@@ -22,7 +22,7 @@ _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 _INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
 _CHANNEL = re.compile(
     r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
-    r"[ _.#-]?[a-z]?\d{0,3}|hv|tension",
+    r"[ _.#-]?[a-z]?\d{0,3}",
     re.IGNORECASE,
 )
 _REMARKS = frozenset(
@@ -44,9 +44,9 @@ class ColumnWish:
 
     What is guessed is held against the rest: ``letters`` are tried as whole names where no name is found,
     ``kinds`` are what the unit may measure (None: anything), ``contrary`` are words that give a column
-    another role, ``channel_kinds`` what the unit of a channel without a name must measure (``CH1 (V)``), a
-    column with one of the ``preferred`` names goes before the others, and one with a ``foreign`` name is not
-    taken just because no other is left.
+    another role, ``by_unit`` are names that count only with a unit of ``channel_kinds`` (``ch`` stands for
+    all names of channels: ``CH1 (V)``), a column with one of the ``preferred`` names goes before the others,
+    and one with a ``foreign`` name is not taken just because no other is left.
     """
 
     selector: str | None
@@ -56,6 +56,7 @@ class ColumnWish:
     letters: tuple[str, ...] = ()
     kinds: frozenset[str] | None = None
     contrary: frozenset[str] = frozenset()
+    by_unit: tuple[str, ...] = ()
     channel_kinds: frozenset[str] = frozenset()
     preferred: tuple[str, ...] = ()
     foreign: frozenset[str] = frozenset()
@@ -83,6 +84,13 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
     quantity, own = split_header(header)
     return ColumnInfo(header, normalise_unit(unit or "") or own, quantity, number)
+
+
+def contradicted_unit(column: ColumnInfo) -> str | None:
+    """Return the unit that a column's name states where it is another than the one it was given apart."""
+    own = split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
+    known = own is not None and column.unit is not None and is_known_unit(own)
+    return own if known and own != column.unit else None
 
 
 def column_label(column: ColumnInfo) -> str:
@@ -170,7 +178,10 @@ def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list
 
 
 def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
-    """Find the columns that a wish may mean: by name, by word, by letter, or as a channel by its unit."""
+    """Find the columns that a wish may mean: by name, by word, by letter, or as a channel by its unit.
+
+    Where the only column of a name is in a unit that cannot be meant, no lesser name is taken in its place.
+    """
     fitting = [column for column in columns if may_be(column, wish)]
     preferred = guess_columns(fitting, wish.preferred) if wish.preferred else []
     if preferred:
@@ -179,10 +190,14 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
     if found and wish.letters and all(len(column.quantity) == 1 for column in found):
         letters = [column for column in fitting if column.quantity.lower() in wish.letters]
         return sorted([*found, *letters], key=lambda column: column.number)
+    if found or (wish.kinds is not None and guess_columns(columns, wish.guesses)):
+        return found
+    found = [column for column in fitting if column.quantity.lower() in wish.letters]
     if not found:
-        found = [column for column in fitting if column.quantity.lower() in wish.letters]
-    if not found:
-        found = [one for one in fitting if is_channel(one) and kind_of_unit(one.unit) in wish.channel_kinds]
+        measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
+        found = [one for one in measuring if set(_words(one.quantity)) & set(wish.by_unit)]
+        if not found and "ch" in wish.by_unit:
+            found = [one for one in measuring if is_channel(one)]
     return found
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dbo_cli.logs.cell_grammar import is_number, split_cells
+from dbo_cli.logs.header_blocks import find_header_block
 from dbo_cli.logs.stated_clock import Statement
 from dbo_cli.logs.text_dialect import COMMENTS, Dialect
+
+_SAMPLE_LINES = 40  # as many as text_dialect looks at
 
 
 @dataclass(frozen=True)
@@ -54,3 +57,13 @@ def to_float(text: str) -> float | None:
         return float(text.strip().replace(",", "."))
     except ValueError:
         return None
+
+
+def completed(dialect: Dialect, lines: Sequence[str]) -> Dialect:
+    """Add what the rows tell: which columns hold numbers, and a header that stands again among them."""
+    rows = [split_cells(line, dialect.delimiter) for line in lines[dialect.first_line - 1 :][-_SAMPLE_LINES:]]
+    rows = [row for row in rows if len(row) >= dialect.width]
+    counts = [sum(is_number(row[n], dialect.decimal) for row in rows) for n in range(dialect.width)]
+    numeric = frozenset(n for n, count in enumerate(counts) if count and 2 * count >= len(rows))
+    block = find_header_block(lines, dialect.first_line - 1, dialect.delimiter)
+    return replace(dialect, numeric=numeric, header_block=block)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from dbo_cli.logs.cell_grammar import decode_line, is_number
 from dbo_cli.logs.controller_headers import read_pi_array, read_twincat
-from dbo_cli.logs.header_parts import HeaderReading
+from dbo_cli.logs.header_parts import HeaderReading, completed
 from dbo_cli.logs.labview_headers import read_lvm
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.scope_headers import (
@@ -95,7 +95,7 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
         found = next((reading for read in _MAKERS if (reading := read(place, lines)) is not None), None)
     if found is None:
         return InstrumentHeader(clock=tuple(_stated(lines)))
-    dialect = found.dialect
+    dialect = completed(found.dialect, lines)
     clock = found.clock or tuple(_stated(lines[: dialect.first_line - 1]))
     return InstrumentHeader(dialect, clock, found.start, found.remarks, found.end_mark)
 

@@ -19,8 +19,8 @@ from dbo_cli.logs.clock import JITTER
 from dbo_cli.logs.columns import ColumnWish, find_column
 from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.time_column import TIME, TimeColumn, find_time_column, time_column
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.time_column import TimeColumn, find_time_column, time_column
 
 if TYPE_CHECKING:
     from dbo_cli.logs.signal_log import Table

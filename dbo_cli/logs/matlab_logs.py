@@ -40,7 +40,8 @@ def open_matlab(address: Address, selectors: Sequence[str], options: ReadingOpti
     try:
         stored = scipy.io.loadmat(address.path, simplify_cells=True)
     except Exception as problem:  # scipy raises whatever the damaged bytes lead to
-        raise InputError(f"{place}: damaged MATLAB file: {brief(problem)}") from None
+        why = "it ends early" if isinstance(problem, IndexError | EOFError) else brief(problem)
+        raise InputError(f"{place}: damaged MATLAB file: {why}") from None
     variables = {name: value for name, value in stored.items() if not name.startswith("__")}
     objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
     group, trail = _struct(place, variables, address.group)

@@ -55,7 +55,8 @@ class ReadingSummary:
             told.append(f"{self.rows:,} row{'s' if self.rows != 1 else ''}")
         if self.rate is not None:
             source = f" ({self.rate_source})" if self.rate_source else ""
-            rate = f"{'' if self.even else 'about '}{_plain(self.rate)} samples/s{source}"
+            plural = "" if _plain(self.rate) == "1" else "s"
+            rate = f"{'' if self.even else 'about '}{_plain(self.rate)} sample{plural}/s{source}"
             told.append(rate if self.seconds is None else f"{_plain(self.seconds, 3)} s at {rate}")
         elif self.time is None:
             told.append("no time")

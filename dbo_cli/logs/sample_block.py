@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Places = range | NDArray[np.int64]
 
+TIME = "the clock"  # the time column's place among the roles; no quantity of a model is called so
+
 
 @dataclass(frozen=True)
 class ColumnInfo:

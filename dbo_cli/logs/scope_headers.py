@@ -122,9 +122,8 @@ def read_infiniivision(place: str, lines: list[str]) -> HeaderReading | None:
     if first is None or len(units) != len(names) or is_number(units[0], "."):
         return None
     width = len(split_cells(lines[first], ","))
-    second = units[0].lower() in ("second", "s", "sec")
     return HeaderReading(
-        make_dialect(",", ".", first + 1, ["time" if second else names[0], *names[1:]], units, width)
+        make_dialect(",", ".", first + 1, names, units, width)
     )
 
 

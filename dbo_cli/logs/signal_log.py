@@ -16,7 +16,7 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
-from dbo_cli.logs.columns import ColumnWish, choose_columns, find_column
+from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.joined_logs import join_files, other_file
 from dbo_cli.logs.provenance import InputRecord, input_record
@@ -97,7 +97,12 @@ class SignalLog:
         self.sample_rate = sample_rate
         self._start_time = start_time
         self.notes = table.notes
-        self.warnings: list[str] = []
+        self.warnings = [
+            f"{self.name}: column '{column.name}' is in {own} by its name and in {column.unit} by its unit: "
+            f"{column.unit} is taken (`scale` converts)"
+            for column in columns.values()
+            if (own := contradicted_unit(column))
+        ]
         self.rows_read = 0
         self._table = table
         self._options = options

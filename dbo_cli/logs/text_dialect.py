@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
+from dbo_cli.logs.header_blocks import HeaderBlock, find_header_block
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.units import is_known_unit
 
@@ -29,7 +30,7 @@ class Dialect:
     ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
     where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
     in most rows; ``writings`` says how each column is written (``ColumnInfo.written``), where any holds time
-    stamps.
+    stamps; ``header_block`` is what stands again before each segment of the data.
     """
 
     delimiter: str
@@ -41,6 +42,7 @@ class Dialect:
     units: tuple[str, ...]
     numeric: frozenset[int] = frozenset()
     writings: tuple[str, ...] = ()
+    header_block: HeaderBlock | None = None
 
     def describe(self) -> str:
         """Tell in one line what was detected, for ``verbose``."""
@@ -94,6 +96,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     return Dialect(
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
         _writings([lines[number] for number in candidates if number >= layout.first][-_SAMPLE_LINES:], shape),
+        find_header_block(lines, layout.first, shape.delimiter),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from dbo_cli.logs.cell_grammar import decode_line, is_number, split_cells
 from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.instrument_headers import read_instrument_header
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock
 from dbo_cli.logs.stated_clock import agreed_rate
 from dbo_cli.logs.text_dialect import COMMENTS, detect, is_comment
 from dbo_cli.logs.text_parsing import PLAIN_BYTES, BlockParser
@@ -94,6 +94,8 @@ class TextTable:
         parser = BlockParser(self.place, self.dialect, picks, rows, skip_bad)
         found = parser.parse(self._data(parser), self._small or self._live)
         yield from one_ahead(found) if self._ahead else found
+        if parser.repeated is not None and parser.repeated.count:
+            self.notes.append(parser.repeated.note(TIME in picks))
         if parser.dropped:
             rest = f" and {parser.dropped - 1} more" if parser.dropped > 1 else ""
             plural = "s" if parser.dropped > 1 else ""

@@ -24,9 +24,10 @@ from dbo_cli.logs.cell_grammar import (
     to_number,
 )
 from dbo_cli.logs.columns import column_info, column_label
+from dbo_cli.logs.header_blocks import RepeatedHeader
 from dbo_cli.logs.interrupts import keep_interrupts
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.text_dialect import Dialect, is_comment
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
@@ -49,6 +50,12 @@ class BlockParser:
     first_dropped: str = ""
     next_row: int = 1
     next_line: int = 1
+    repeated: RepeatedHeader | None = None
+
+    def __post_init__(self) -> None:
+        """Prepare for headers among the data."""
+        if self.dialect.header_block is not None:
+            self.repeated = RepeatedHeader(self.place, self.dialect.header_block)
 
     def parse(self, blocks: Iterator[bytes], small: bool) -> Iterator[SampleBlock]:
         """Parse blocks of whole lines, starting with the first data row.
@@ -80,6 +87,9 @@ class BlockParser:
             arrays = read(regular, lines, picks, guarded, self.dialect)
         if arrays is None:
             return self._parse_slowly(block)
+        if self.repeated is not None and TIME in self.picks:
+            at = list(self.picks).index(TIME)
+            arrays[at] = self.repeated.continued(arrays[at])
         found = SampleBlock(
             range(self.next_row, self.next_row + lines),
             range(self.next_line, self.next_line + lines),
@@ -110,6 +120,7 @@ class BlockParser:
         return block
 
     def _parse_slowly(self, block: bytes) -> SampleBlock:
+        time = list(self.picks).index(TIME) if TIME in self.picks else None
         rows: list[int] = []
         lines: list[int] = []
         values: list[list[float]] = []
@@ -118,9 +129,13 @@ class BlockParser:
             text.pop()
         for raw in text:
             line = decode_line(raw.removesuffix(b"\r"))
-            if not is_comment(line, self.dialect.comments):
+            if self.repeated is not None and self.repeated.takes(line, self.next_line):
+                pass
+            elif not is_comment(line, self.dialect.comments):
                 row = self._parse_row(line)
                 if row is not None:
+                    if time is not None and self.repeated is not None:
+                        row[time] = float(self.repeated.continued(np.array(row[time : time + 1]))[0])
                     rows.append(self.next_row)
                     lines.append(self.next_line)
                     values.append(row)

@@ -16,12 +16,11 @@ from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time
 from dbo_cli.logs.units import ONE, UnitFactor
 
-TIME = "the clock"  # its place among the roles; no quantity of a model is called so
-DATE = "the date"  # the same of the column of dates beside clock times
+DATE = "the date"  # the place among the roles of the column of dates beside clock times
 
 _TEN_MILLION = 10**7
 
@@ -88,7 +87,7 @@ class TimeColumn:
     column: ColumnInfo
     date: ColumnInfo | None
     stated: StatedTime
-    given: bool
+    given: bool  # by the user, so that nothing is doubted
     said: str = ""
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
@@ -206,16 +205,20 @@ class TimeColumn:
                 f"{called} repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
                 "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
             )
-        if not self.bare and self.column.written == "numbers" and abs(self._latest) > 1e11:
-            told.append(
-                f"{called} is stated in {self.stated.unit}, but its stamps would be {self._latest:.3g} s "
-                "(`time_unit` says what they count)"
-            )
+        if self.column.written == "numbers" and not self.bare and not self.given:
+            told.append(self._of_stated(called))
         return [text for text in told if text]
 
-    @property
-    def _latest(self) -> float:
-        return self._final * float(self.stated.factor)
+    def _of_stated(self, called: str) -> str:
+        """Say why figures can hardly be in the unit that is stated."""
+        first, last = (float(self.stated.factor) * (value or 0.0) for value in (self._first, self._final))
+        if abs(last) > _CALENDARS[0].high:
+            told = f"its stamps would be {last:.3g} s"
+        elif self._count > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
+            told = f"the whole log would last {abs(last - first):.3g} s"
+        else:
+            return ""
+        return f"{called} is stated in {self.stated.unit}, but {told} (`time_unit` says what it counts)"
 
     def _of_figures(self, called: str, check: TimeCheck) -> str:
         """Say why figures without a unit can hardly be seconds."""
@@ -230,7 +233,7 @@ class TimeColumn:
             )
         if self._calendar is not None:
             if step > LONG_STEP and np.isfinite(step):
-                return f"{called} has no unit: {self.said}, its usual step is {step:.4g} s {remedy}"
+                return f"{called} has {self.said}, and a usual step of {step:.4g} s {remedy}"
             if self._calendar in _DAY_CALENDARS:
                 return f"{called} has {self.said} (`time_unit` s if they are seconds of a day)"
             return ""

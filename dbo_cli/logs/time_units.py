@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.columns import contradicted_unit
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import ONE, UnitFactor, kind_of_unit
 
@@ -107,14 +108,21 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     """
     if given is not None:
         return StatedTime(*parse_time_unit(given))
+    words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
+    units = {_UNIT_OF[word] for word in words if word in _WORDS}
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
         since = _SINCE.fullmatch(column.unit)
         unit = time_unit(since["unit"] if since else column.unit)
         if unit is None:
             raise InputError(_unknown(place, column, column.unit))
+        own = contradicted_unit(column)
+        units |= {_UNIT_OF[own]} if own in _UNIT_OF else set()
+        if units - {unit} and not since:
+            raise InputError(
+                f"{place}: the time column '{column.name}' is in {(units - {unit}).pop()} by its name and in "
+                f"{unit} by its unit (`time_unit` says which is right)"
+            )
         return StatedTime(unit, UnitFactor(*_SIZES[unit]), since["origin"].strip() if since else None)
-    words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
-    units = {_UNIT_OF[word] for word in words if word in _WORDS}
     if len(units) == 1:
         unit = units.pop()
         return StatedTime(unit, UnitFactor(*_SIZES[unit]))

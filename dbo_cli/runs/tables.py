@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.sample_block import ColumnInfo
-from dbo_cli.logs.time_column import TIME, TimeColumn, find_time_column
+from dbo_cli.logs.sample_block import TIME, ColumnInfo
+from dbo_cli.logs.time_column import TimeColumn, find_time_column
 from dbo_cli.runs.source import ArraySource
 
 if TYPE_CHECKING:
