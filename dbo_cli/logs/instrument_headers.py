@@ -106,7 +106,13 @@ def _stated(lines: list[str]) -> Iterator[Statement]:
         found = _KEY_VALUE.fullmatch(line)
         if found is None or not is_clock_name(found["key"]):
             continue
-        statement = read_statement(found["key"], _first_value(found["value"], found["mark"]))
+        value = _first_value(found["value"], found["mark"])
+        thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)
+        if thousands is not None:
+            said = f"'{found['key']}' {value}"
+            yield Statement(said, None, f"{said} may be {thousands[1]} or {thousands[1]}{thousands[2]}")
+            continue
+        statement = read_statement(found["key"], value)
         if statement is not None:
             yield statement
 
@@ -114,8 +120,9 @@ def _stated(lines: list[str]) -> Iterator[Statement]:
 def _first_value(text: str, mark: str) -> str:
     """Take the first channel's value of a line, with its unit where that has a cell of its own."""
     value = re.split(r"[\t;]|,\s*(?=,|$)", text)[0].strip()
-    if mark.strip() != "," and re.fullmatch(r"\d+,\d+\s*\D*", value):
-        return value.replace(",", ".")
+    if mark != "," and re.fullmatch(r"\d+,\d+\s*\D*", value):
+        grouped = re.fullmatch(r"\d{1,3},\d{3}\D*", value)  # 1,000 is 1 to some and 1000 to others
+        return value if grouped else value.replace(",", ".")
     cells = [cell.strip() for cell in value.split(",")]
     if len(cells) == 2 and is_number(cells[0], ".") and not is_number(cells[1], "."):
         return f"{cells[0]} {cells[1]}"

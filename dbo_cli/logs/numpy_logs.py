@@ -22,7 +22,10 @@ def open_npy(address: Address, selectors: Sequence[str], options: ReadingOptions
     InputError
         The file is damaged, or holds no columns of numbers.
     """
-    array = _load(address)
+    try:
+        array = np.load(address.path, mmap_mode="r", allow_pickle=False)
+    except Exception as problem:  # numpy raises whatever the damaged bytes lead to
+        raise InputError(f"{address.text}: {_reason(problem)}") from None
     sources = _columns("", array)
     if not sources:
         raise InputError(f"{address.text}: no columns of numbers: it holds {_shape(array)}")
@@ -37,10 +40,9 @@ def open_npz(address: Address, selectors: Sequence[str], options: ReadingOptions
     InputError
         The file is damaged, or holds no columns of numbers.
     """
-    archive = _load(address)
     arrays: dict[str, Any] = {}
     try:
-        with archive:
+        with open(address.path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
             for name in archive.files:
                 arrays[name] = _member(archive, name)
     except Exception as problem:  # zipfile and numpy raise whatever the damaged bytes lead to
@@ -58,14 +60,6 @@ def open_npz(address: Address, selectors: Sequence[str], options: ReadingOptions
             statement = read_statement(name, array.ravel()[0], _text(readable, name))
             clock += [statement] if statement is not None else []
     return ColumnTable(address.text, "NumPy archive", sources, clock=clock)
-
-
-def _load(address: Address) -> Any:
-    try:
-        mapped = address.path.lower().endswith(".npz")
-        return np.load(address.path, mmap_mode=None if mapped else "r", allow_pickle=False)
-    except Exception as problem:  # as above
-        raise InputError(f"{address.text}: {_reason(problem)}") from None
 
 
 def _reason(problem: Exception) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,9 +24,12 @@ def open_tdms(address: Address, selectors: Sequence[str], options: ReadingOption
         npTDMS is not installed, the file is damaged, or holds no channels of numbers.
     """
     nptdms = import_extra("nptdms", "tdms", address.text)
+    nptdms.log.log_manager.set_level(logging.CRITICAL)  # it would write its doubts to the terminal
+    stream = open(address.path, "rb")  # its own: npTDMS leaves a damaged file open
     try:
-        file = nptdms.TdmsFile.open(address.path)
+        file = nptdms.TdmsFile.open(stream)
     except Exception as problem:  # npTDMS raises whatever the damaged bytes lead to
+        stream.close()
         raise InputError(f"{address.text}: damaged TDMS: {brief(problem)}") from None
     try:
         groups = _groups(address, file)
@@ -47,11 +51,11 @@ def open_tdms(address: Address, selectors: Sequence[str], options: ReadingOption
             "TDMS",
             sources,
             clock=clock[0] if clock else (),
-            close=file.close,
+            close=stream.close,
             damaged=(Exception,),
         )
     except BaseException:
-        file.close()
+        stream.close()
         raise
 
 

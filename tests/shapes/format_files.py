@@ -1,13 +1,12 @@
 """Files in the formats of libraries and instruments: who writes them, and what must come of reading them.
 
 What a library writes is written by that library; what an instrument writes is written by hand after its maker's
-manual or files published with it.  The table in ``docs/instruments-formats.md`` is made from this list
-(``python -m tests.shapes.format_files docs/instruments-formats.md``).
+manual or files published with it.  The table in ``docs/instruments-formats.md`` is made from these lists (``tests/shapes/format_table.py``).
 """
 
 from __future__ import annotations
 
-import sys
+import datetime
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,10 +39,12 @@ class FormatFile:
     displacement: tuple[float, ...] = D
     notes: tuple[str, ...] = ()  # after the file's name
     refusal: str = ""
+    block_rows: int = 1 << 16
 
     @property
     def options(self) -> ReadingOptions:
-        return ReadingOptions(sample_rate=self.sample_rate, time=self.ask.get("time"))
+        time = self.ask.get("time")
+        return ReadingOptions(sample_rate=self.sample_rate, time=time, block_rows=self.block_rows)
 
 
 def frame(**more: Any) -> Any:
@@ -329,10 +330,10 @@ DSPACE = {
     }
 }  # fmt: skip
 COLUMNS = {"t": np.array([T]).T, "voltage": np.array([V]).T, "displacement": np.array([D]).T}
+STAMPS = tuple(datetime.datetime(2026, 1, 2, 3, 4, 5, 1000 * n) for n in range(4))
+STAMPED = tuple(1_767_323_045.0 + 0.001 * n for n in range(4))  # s since 1970
 NO_UNITS: tuple[None, None] = (None, None)
-MS = "100 ns"
 PANDAS, XARRAY, SCIPY, H5PY, NUMPY = "pandas", "xarray", "scipy.io.savemat", "h5py", "NumPy"
-ASSUMED = "has no unit: Hz is assumed"
 OBJECTS = (
     "MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain vectors, "
     "t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement')"
@@ -385,6 +386,11 @@ LIBRARY_FILES = [
                excel(["Bench", 4], [], ["Time", "Voltage", "Displacement"], ["s", "V", "µm"],
                      columns=(T, (0.1, 1e-7 / 3, -2.5, 4.0), D)),
                voltage=(0.1, 3.333333333333333e-08, -2.5, 4.0)),
+    FormatFile("Excel, dates and times of day as time", "openpyxl", ".xlsx",
+               excel(["Time", "voltage_V", "displacement_um"], columns=(STAMPS, V, D)), time=STAMPED),
+    FormatFile("Excel, text among the numbers", "openpyxl", ".xlsx",
+               excel(["t_s", "voltage_V", "displacement_um"], columns=(T, (0.0, "off", -2.5, 4.0), D)),
+               refusal=":3: column 'voltage_V' is not a number: 'off' (`skip_bad` drops such rows)"),
     FormatFile("Excel, two sheets of numbers", "openpyxl", ".xlsx", excel(["t", "u", "y"], sheets=2),
                refusal=": 2 sheets hold numbers, 'Run 1', 'Run 2': which one? (write {file}::Run 1)"),
     FormatFile("Excel, one of two sheets", "openpyxl", ".xlsx", excel(["t", "u", "y"], sheets=2), group="::Run 2",
@@ -420,6 +426,14 @@ LIBRARY_FILES = [
     FormatFile("LabOne, with its clock base", f"{HAND} (h5py, after Zurich Instruments' manual)", ".h5",
                hdf5(labone(True)), ask={"time": "timestamp", "voltage": "auxin0", "displacement": "x"},
                units=("V", "V")),
+    FormatFile("LabOne, without its clock base", f"{HAND} (h5py, after Zurich Instruments' manual)", ".h5",
+               hdf5(labone(False)), ask={"time": "timestamp", "voltage": "auxin0", "displacement": "x"},
+               refusal=": the time column 'timestamp' counts 'ticks', which is no known unit of time (`time_unit` s, ms, "
+                       "us, ns, ps, min, h, d or a number of them such as 10us, or `sample_rate` HZ)"),
+    FormatFile("LabOne, without its clock base, with the rate given",
+               f"{HAND} (h5py, after Zurich Instruments' manual)", ".h5", hdf5(labone(False)), sample_rate=1000.0,
+               ask={"voltage": "auxin0", "displacement": "x"}, units=("V", "V"),
+               notes=(": `sample_rate` replaces the column 'timestamp'",)),
     FormatFile("HDF5, scale and a rate in kHz", H5PY, ".h5", hdf5(scaled),
                notes=(": column 'voltage' is multiplied by its attribute scale, 20",)),
     FormatFile("HDF5, scale and offset", H5PY, ".h5", hdf5(scale_and_offset),

@@ -120,6 +120,9 @@ INSTRUMENT_FILES = [
                text("Sample rate: 1000 rpm", "voltage_V,displacement_um", *rows(",", (V, D))),
                refusal=": 'Sample rate' 1000 rpm is not in a unit of a rate (Hz, kHz, S/s) (`sample_rate` HZ gives the "
                        "rate instead)"),
+    FormatFile("A rate that may be 1 or 1000", HAND, ".csv",
+               text("Sample rate: 1,000 Hz", "voltage_V,displacement_um", *rows(",", (V, D))),
+               refusal=": 'Sample rate' 1,000 Hz may be 1 or 1000 (`sample_rate` HZ gives the rate instead)"),
     FormatFile("TwinCAT Scope, a time column a channel, EOF", f"{HAND} (Beckhoff's TE13xx manual)", ".csv",
                text(*twincat())),
     FormatFile("TwinCAT Scope, a scale", f"{HAND} (Beckhoff's TE13xx manual)", ".csv", text(*twincat(scale="0.1")),
