@@ -85,8 +85,9 @@ def test_files_of_unequal_length_are_refused(short: str, block_rows: int, tmp_pa
     d, v = D[: lengths["sensor"]], V[: lengths["drive"]]
     first = write(tmp_path / "sensor.csv", "x_um,displacement_um", d, d)
     other = write(tmp_path / "drive.csv", "y_um,voltage_V", v, v)
-    with pytest.raises(InputError) as raised:
-        joined(first, f"{other}::voltage", block_rows=block_rows).read()
+    selector = f"{other}::voltage"
+    with pytest.raises(InputError) as raised, joined(first, selector, block_rows=block_rows) as log:
+        log.read()
     told = f"{first} {lengths['sensor']}, {other} {lengths['drive']}"
     assert str(raised.value) == f"the files are not equally long: {told} rows (`rows` A:B cuts all of them)"
     with joined(first, f"{other}::voltage", block_rows=block_rows, rows=(1, 2)) as log:
