@@ -48,7 +48,7 @@ MICROMETRES = {
 }  # fmt: skip
 ANY = {
     prefix + unit: size * base
-    for prefix, size in (("", 1.0), ("p", 1e-12), ("n", 1e-9), ("u", 1e-6), ("m", 1e-3), ("k", 1e3), ("M", 1e6))
+    for prefix, size in {"": 1.0, "p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}.items()
     for unit, base in (("V", 1.0), ("m", 1e6))
 } | {name: size for table in (VOLTS, MICROMETRES) for name, size in table.items()}
 NO_TIMES = (
@@ -163,8 +163,8 @@ class HeaderFuzz:
             return cells, name, f"{unit} since 2024-03-09 10:15:00", "since", {}
         stamps = [BASE + datetime.timedelta(microseconds=round(v * 1e6)) for v in seconds]
         style = pick.choice(
-            ["%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%fZ", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f", "%M:%S.%f",
-             "%d-%b-%Y %H:%M:%S.%f", "%Y/%m/%d %I:%M:%S.%f %p", "%Y%m%dT%H%M%S.%f", "%H:%M:%S"]
+            ["%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%fZ", "%H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f",
+             "%M:%S.%f", "%d-%b-%Y %H:%M:%S.%f", "%Y/%m/%d %I:%M:%S.%f %p", "%Y%m%dT%H%M%S.%f", "%H:%M:%S"]
         )  # fmt: skip
         return [stamp.strftime(style) for stamp in stamps], name, "", f"stamps {style}", {}
 
@@ -238,7 +238,7 @@ class HeaderFuzz:
         if log.warnings or log.notes:
             return "warned"
         line = log.reading_line()
-        if wrong == ["time"] and ("no unit, read as s)" in line or "; no time" in line or ", no time;" in line):
+        if wrong == ["time"] and re.search(r"no unit, read as s\)|, no time;", line):
             return "said in the line"
         return f"WRONG: {', '.join(wrong)}: {line}"
 

@@ -244,7 +244,7 @@ def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
 
 
 def _one_letter_off(one: str, other: str) -> bool:
-    """Tell whether two words differ by one letter put in, left out, changed, or swapped with its neighbour."""
+    """Tell whether two words differ by one letter: put in, left out, changed, or swapped with the next."""
     short, long = sorted((one, other), key=len)
     same = next((k for k, letter in enumerate(short) if letter != long[k]), len(short))
     if len(short) < len(long):
