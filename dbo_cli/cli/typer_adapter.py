@@ -36,7 +36,9 @@ TYPED: ContextVar[tuple[str, ...]] = ContextVar("TYPED", default=())
 
 READING: dict[str, Any] = {
     "time": options.Time,
+    "time_unit": options.TimeUnit,
     "sample_rate": options.SampleRate,
+    "scale": options.Scale,
     "rows": options.Rows,
     "skip_bad": options.SkipBad,
     "resample": options.Resample,

@@ -59,7 +59,7 @@ VOLTAGE = RoleNames(
     (),
     frozenset(("voltage", "share", "count")),
     frozenset(("sensor", "position", "displacement", "feedback", "photodiode", "interferometer", "supply")),
-    ("tension", "hv", "ch"),
+    ("tension", "ch"),
     frozenset(("voltage",)),
 )  # fmt: skip
 DISPLACEMENT = RoleNames(

@@ -20,6 +20,11 @@ _SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S+)$", r
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
 _INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
+_BESIDES = frozenset(
+    ("n", "no", "index", "idx", "row", "sample", "flag", "temp", "temperature", "loop", "cycle", "trigger",
+     "status", "marker", "segment", "remark", "comment", "date", "time")
+)  # fmt: skip
+"""Names of columns that stand beside the signals in many logs and are none."""
 _CHANNEL = re.compile(
     r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
     r"[ _.#-]?[a-z]?\d{0,3}",
@@ -178,27 +183,81 @@ def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list
 
 
 def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
-    """Find the columns that a wish may mean: by name, by word, by letter, or as a channel by its unit.
+    """Find the columns that a wish may mean: by name, by word, by letter, or by a lesser name and the unit.
 
-    Where the only column of a name is in a unit that cannot be meant, no lesser name is taken in its place.
+    What is found by less than a whole name has to stand alone: beside it, whatever has a unit of the kind
+    that is looked for may be meant as well, and so may a name that is only misspelled. Where the only column
+    of a name is in a unit that cannot be meant, no lesser name is taken in its place.
     """
     fitting = [column for column in columns if may_be(column, wish)]
     preferred = guess_columns(fitting, wish.preferred) if wish.preferred else []
     if preferred:
         return preferred
     found = guess_columns(fitting, wish.guesses)
-    if found and wish.letters and all(len(column.quantity) == 1 for column in found):
-        letters = [column for column in fitting if column.quantity.lower() in wish.letters]
-        return sorted([*found, *letters], key=lambda column: column.number)
-    if found or (wish.kinds is not None and guess_columns(columns, wish.guesses)):
+    if not wish.channel_kinds:
         return found
-    found = [column for column in fitting if column.quantity.lower() in wish.letters]
-    if not found:
-        measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
-        found = [one for one in measuring if set(_words(one.quantity)) & set(wish.by_unit)]
-        if not found and "ch" in wish.by_unit:
-            found = [one for one in measuring if is_channel(one)]
-    return found
+    if found and all(column.quantity.lower() in wish.guesses and _is_sure(column, wish) for column in found):
+        return found
+    slips = [column for column in fitting if _resembles(column, wish)]
+    measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
+    letters = [column for column in fitting if column.quantity.lower() in wish.letters]
+    if found and all(_is_sure(column, wish) for column in found):
+        others = [*slips, *[column for column in letters if column in measuring]]
+        return sorted({one.number: one for one in [*found, *others]}.values(), key=lambda one: one.number)
+    if not found and guess_columns(columns, wish.guesses):
+        return []
+    lesser = [column for column in measuring if _has_lesser_name(column, wish)]
+    if not (found or letters or lesser):
+        return []
+    if not found:  # and what nobody knows may be it as well, where no unit speaks for the lesser name
+        sure = all(kind_of_unit(column.unit) in wish.channel_kinds for column in [*letters, *lesser])
+        long_names = [name for name in wish.guesses if len(name) >= 4]
+        for column in fitting:
+            unknown = not sure and column.unit is None and _is_unknown(column, wish)
+            if unknown or any(name in column.quantity.lower() for name in long_names):  # positionmm
+                slips.append(column)
+    numbers = {column.number for column in [*found, *letters, *measuring, *slips]}
+    return [column for column in fitting if column.number in numbers]
+
+
+def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether a column was found by a whole name, or by a word and a unit of the right kind."""
+    kind = kind_of_unit(column.unit)
+    whole = len(column.quantity) > 1 and column.quantity.lower() in wish.guesses
+    return kind in wish.channel_kinds or (whole and kind is None)
+
+
+def _resembles(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether one of a column's words is a long name but for one letter."""
+    return any(
+        _one_letter_off(word, name)
+        for word in _words(column.quantity)
+        for name in wish.guesses
+        if len(name) >= 4 and abs(len(word) - len(name)) <= 1 and word not in wish.foreign
+    )
+
+
+def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether nothing is known of a column's name: no other role's, and no mere number or flag."""
+    words = set(_words(column.quantity))
+    return bool(words) and not words & (wish.foreign | _BESIDES)
+
+
+def _one_letter_off(one: str, other: str) -> bool:
+    """Tell whether two words differ by one letter: put in, left out, changed, or swapped with the next."""
+    short, long = sorted((one, other), key=len)
+    same = next((k for k, letter in enumerate(short) if letter != long[k]), len(short))
+    if len(short) < len(long):
+        return short[same:] == long[same + 1 :]
+    rest = one[same + 1 :], other[same + 1 :]
+    swapped = one[same : same + 2] == other[same : same + 2][::-1] and rest[0][1:] == rest[1][1:]
+    return one != other and (rest[0] == rest[1] or swapped)
+
+
+def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
+    if set(_words(column.quantity)) & set(wish.by_unit):
+        return True
+    return "ch" in wish.by_unit and bool(_CHANNEL.fullmatch(column.quantity.strip()))
 
 
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -209,11 +268,6 @@ def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
     if wish.kinds is not None and kind is not None and kind not in wish.kinds:
         return False
     return not wish.contrary or not wish.contrary & set(_words(column.name))
-
-
-def is_channel(column: ColumnInfo) -> bool:
-    """Tell whether a column's name says by itself nothing of what it holds."""
-    return bool(_CHANNEL.fullmatch(column.quantity.strip()))
 
 
 def _words(quantity: str) -> list[str]:

@@ -79,6 +79,7 @@ class ReadingOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
+        object.__setattr__(self, "scale", (self.scale,) if isinstance(self.scale, str) else tuple(self.scale))
         for name in ("sample_rate", "resample"):
             rate = getattr(self, name)
             if rate is not None and not (math.isfinite(rate) and rate > 0.0):
@@ -102,18 +103,6 @@ class ReadingOptions:
         if self.encoding is not None:
             check_encoding(self.encoding)
 
-    def chosen(self) -> dict[str, object]:
-        """Return what was said, under its parameter's name; how many rows are held changes nothing."""
-        said: dict[str, object] = {}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if value != field.default and field.name != "block_rows":
-                said[field.name] = value
-        if "rows" in said:
-            first, last = self.rows
-            said["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
-        return said
-
     def _check_units(self) -> None:
         """Refuse a unit of time or a scale that is none."""
         if self.time_unit is not None:
@@ -128,6 +117,18 @@ class ReadingOptions:
     def scales(self) -> tuple[Scale, ...]:
         """The factors by role (UsageError where one is none)."""
         return tuple(parse_scale(text) for text in self.scale)
+
+    def chosen(self) -> dict[str, object]:
+        """Return what was said, under its parameter's name; how many rows are held changes nothing."""
+        said: dict[str, object] = {}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value != field.default and field.name != "block_rows":
+                said[field.name] = value
+        if "rows" in said:
+            first, last = self.rows
+            said["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
+        return said
 
     @property
     def delimiter_character(self) -> str | None:

@@ -24,7 +24,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.reading_summary import ReadColumn, ReadingSummary
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
 from dbo_cli.logs.time_column import TimeColumn, find_time_column
-from dbo_cli.logs.units import Scale
+from dbo_cli.logs.units import Scale, kind_of_unit
 
 
 class Table(Protocol):
@@ -97,12 +97,7 @@ class SignalLog:
         self.sample_rate = sample_rate
         self._start_time = start_time
         self.notes = table.notes
-        self.warnings = [
-            f"{self.name}: column '{column.name}' is in {own} by its name and in {column.unit} by its unit: "
-            f"{column.unit} is taken (`scale` converts)"
-            for column in columns.values()
-            if (own := contradicted_unit(column))
-        ]
+        self.warnings = [text for one in columns.values() if (text := _doubtful_unit(self.name, one))]
         self.rows_read = 0
         self._table = table
         self._options = options
@@ -268,6 +263,22 @@ class SignalLog:
         for role, factor in self._factors.items():
             values[role] = factor.apply(values[role])
         return SampleBlock(raw.rows, raw.lines, time, values)
+
+
+def _doubtful_unit(place: str, column: ColumnInfo) -> str:
+    """Say what is odd about the unit of a column, if anything is."""
+    own = contradicted_unit(column)
+    if own is not None:
+        return (
+            f"{place}: column '{column.name}' is in {own} by its name and in {column.unit} by its unit: "
+            f"{column.unit} is taken (`scale` converts)"
+        )
+    if column.unit is not None and kind_of_unit(column.unit) is None:
+        return (
+            f"{place}: the unit '{column.unit}' of column '{column.name}' is not known and carried as it is "
+            "(`scale` ROLE=FACTORUNIT/UNIT converts)"
+        )
+    return ""
 
 
 def open_log(

@@ -91,11 +91,12 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     decimal = shape.decimal
     if options.decimal is None and shape.delimiter != "," and decimal == "." and shape.whole_numbers:
         decimal = _late_decimal(lines[layout.first :], comments)
-    row = split_cells(lines[layout.first], shape.delimiter) if layout.first < len(lines) else []
-    headers, units = _aligned(place, layout, shape.width, row)
+    data = [number for number in candidates if number >= layout.first]
+    rows = [split_cells(lines[number], shape.delimiter) for number in data[:3]]
+    headers, units = _aligned(place, layout, shape.width, rows)
     return Dialect(
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
-        _writings([lines[number] for number in candidates if number >= layout.first][-_SAMPLE_LINES:], shape),
+        _writings([lines[number] for number in data[-_SAMPLE_LINES:]], shape),
         find_header_block(lines, layout.first, shape.delimiter),
     )  # fmt: skip
 
@@ -316,14 +317,14 @@ def _trimmed(cells: list[str], width: int) -> list[str]:
 
 
 def _aligned(
-    place: str, layout: _Layout, width: int, row: list[str]
+    place: str, layout: _Layout, width: int, rows: list[list[str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Bring the header to the width of the rows, or refuse one that cannot be meant for them."""
     names = _trimmed(layout.names, width)
     if names and len(names) == width - 1:
-        if row and not row[-1]:
+        if rows and not rows[0][-1]:
             names = [*names, ""]  # the rows end with a delimiter
-        elif row and row[0].isdigit():
+        elif rows and [row[0] for row in rows] == [str(number + 1) for number in range(len(rows))]:
             names = ["", *names]  # numbered rows, their column without a name
     if names and len(names) != width:
         raise InputError(

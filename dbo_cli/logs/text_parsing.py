@@ -183,15 +183,17 @@ class BlockParser:
     def _text_among_numbers(self, cells: list[str]) -> str:
         """Say where text stands in a column of numbers that nobody asked for: such a row is no sample."""
         for column in self._unpicked():
-            if column < len(cells) and is_text(cells[column], self.dialect.decimal):
+            if column < len(cells) and _is_guarded_text(cells[column], column, self.dialect):
                 names = self.dialect.headers
                 info = column_info(names[column] if names else None, column + 1)
-                return f"{column_label(info)} {complain(cells[column], self.dialect.decimal)}"
+                written = self.dialect.writings[column] if self.dialect.writings else "numbers"
+                return f"{column_label(info)} {complain(cells[column], self.dialect.decimal, written)}"
         return ""
 
     def _unpicked(self) -> list[int]:
-        """List the columns of numbers (from 0) that are not read."""
-        return sorted(self.dialect.numeric - {pick.number - 1 for pick in self.picks.values()})
+        """List the columns of numbers or time stamps (from 0) that are not read."""
+        stamps = {at for at, written in enumerate(self.dialect.writings) if written != "numbers"}
+        return sorted((self.dialect.numeric | stamps) - {pick.number - 1 for pick in self.picks.values()})
 
     def _in_range(self, block: SampleBlock) -> SampleBlock:
         first, last = self.rows
@@ -267,7 +269,7 @@ def _parse_plain(
             return None
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
-    if any(_any_text(words[column :: dialect.width], ".") for column in guarded):
+    if any(_any_text(words[column :: dialect.width], column, dialect) for column in guarded):
         return None
     try:
         arrays = [
@@ -289,9 +291,16 @@ def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
     return lambda cell: read(cell.decode().strip())
 
 
-def _any_text(cells: Iterable[bytes], decimal: str) -> bool:
-    """Tell whether any of the cells holds text."""
-    return any(is_text(cell.decode().strip(), decimal) for cell in set(cells))
+def _is_guarded_text(cell: str, column: int, dialect: Dialect) -> bool:
+    """Tell whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
+    if column in dialect.numeric:
+        return is_text(cell, dialect.decimal)
+    return is_text(cell, dialect.decimal) and not any(character.isdigit() for character in cell)
+
+
+def _any_text(cells: Iterable[bytes], column: int, dialect: Dialect) -> bool:
+    """Tell whether any of the cells of a column holds text."""
+    return any(_is_guarded_text(cell.decode().strip(), column, dialect) for cell in set(cells))
 
 
 def _parse_fast(
@@ -329,8 +338,9 @@ def _parse_fast(
         return None
     for column in guarded:
         text = table.get_column(f"column_{column + 1}").drop_nulls()
-        odd = text.filter(text.str.contains(r"[^\x00-?eE]")).unique()
-        if any(is_text(cell.strip(), dialect.decimal) for cell in odd):
+        worded = r"[^\x00-?eE]" if column in dialect.numeric else r"^[^0-9]+$"
+        odd = text.filter(text.str.contains(worded)).unique()
+        if any(_is_guarded_text(cell.strip(), column, dialect) for cell in odd):
             return None
     series = [table.get_column(f"column_{column + 1}") for column in columns]
     if any(one.null_count() for one in series):

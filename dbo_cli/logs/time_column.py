@@ -133,6 +133,17 @@ class TimeColumn:
             yield from waiting
         yield from blocks
 
+    def whole(self, figures: FloatArray, warnings: list[str]) -> FloatArray:
+        """Return a whole column in seconds; what is doubtful about it is added to ``warnings``."""
+        if self.bare:
+            self._decide(figures, last=True)
+        seconds = self.seconds({TIME: figures})
+        check = TimeCheck(self.place, has_lines=False)
+        check.feed(seconds, range(1, len(seconds) + 1), None)
+        check.notes()  # brings the last of the stamps into the account
+        warnings.extend(self.warnings(check))
+        return seconds
+
     def seconds(self, values: dict[str, FloatArray]) -> FloatArray:
         """Take the time out of a block's columns and return it in seconds."""
         raw, dates = values.pop(TIME), values.pop(DATE, None)

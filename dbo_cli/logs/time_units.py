@@ -48,6 +48,8 @@ _NO_UNIT = frozenset(
 )  # fmt: skip
 """What is written in the brackets of a time column where other columns have their unit."""
 
+_OTHER_HALVES = frozenset(("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day"))
+_STATED = re.compile(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
 _SINCE = re.compile(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
 _FACTOR = re.compile(r"(?P<whole>\d+)(?:\.(?P<part>\d+))?\s*(?P<unit>[^\d\s.].*)")
 
@@ -108,7 +110,7 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     """
     if given is not None:
         return StatedTime(*parse_time_unit(given))
-    words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
+    words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
     units = {_UNIT_OF[word] for word in words if word in _WORDS}
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
         since = _SINCE.fullmatch(column.unit)
@@ -126,10 +128,18 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     if len(units) == 1:
         unit = units.pop()
         return StatedTime(unit, UnitFactor(*_SIZES[unit]))
-    counted = [word for word in words[1:] if word in _COUNTED]
-    if units or counted:
-        raise InputError(_unknown(place, column, (counted or sorted(units))[0]))
+    counted = [word for word in words[1:] if word in _COUNTED] or sorted(units) or _behind(column.quantity)
+    if counted:
+        raise InputError(_unknown(place, column, counted[0]))
     return StatedTime(None)
+
+
+def _behind(quantity: str) -> list[str]:
+    """Find what a name states behind ``in`` or a slash, where units stand (Date/Time states none)."""
+    found = _STATED.fullmatch(quantity.strip())
+    if found is None or found["right"].lower() in _NO_UNIT | _OTHER_HALVES:
+        return []
+    return [found["right"]]
 
 
 def is_other_kind(unit: str | None) -> bool:

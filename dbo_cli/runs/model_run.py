@@ -156,7 +156,7 @@ class ModelRun:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
-        told = Remarks(notes=list(self.source.notes))
+        told = Remarks(list(self.source.notes), list(self.source.warnings))
         if self.clipped.count:
             told.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
         elif self.beyond.count:
