@@ -34,7 +34,7 @@ class Outcome(NamedTuple):
     err: str
 
 
-READ = re.compile(r"^dbo: .*: ([\d,]+ rows?[,;]|no time;|time ).*\n", re.MULTILINE)
+READ = re.compile(r"^dbo: (?!error|warning).*: ([\d,]+ rows?[,;]|no time;|time ').*\n", re.MULTILINE)
 """The line that says what was read of a log, which stands before everything else a command says."""
 
 
