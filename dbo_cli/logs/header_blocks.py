@@ -118,10 +118,12 @@ class RepeatedHeader:
         self.guessed += 1
         return self._last + self._step - first
 
-    def note(self) -> str:
-        """Say what was found."""
+    def note(self, timed: bool) -> str:
+        """Say what was found; without a time column (``timed``) rows alone give the time."""
         plural = "s" if self.count > 1 else ""
         how = "their time goes on by the dates and times stated there"
-        if self.guessed:
+        if not timed:
+            how = "no column gives their time, so the rows go on as if there had been no pause"
+        elif self.guessed:
             how = "the time goes on one step after the last row, for no date and time say more"
         return f"{self.place}: {self.count} more header{plural} among the data: {how}"

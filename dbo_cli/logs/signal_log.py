@@ -7,22 +7,22 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import HDF5_SIGNATURE, Address, parse_address
+from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
+from dbo_cli.logs.file_kinds import open_table
+from dbo_cli.logs.joined_logs import join_files, other_file
 from dbo_cli.logs.provenance import InputRecord, input_record
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.reading_summary import ReadColumn, ReadingSummary
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
-from dbo_cli.logs.text_logs import TextTable
 from dbo_cli.logs.time_column import TimeColumn, find_time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
 
@@ -32,8 +32,10 @@ class Table(Protocol):
 
     place: str
     columns: list[ColumnInfo]
-    sample_rate: float | None
     notes: list[str]
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Tell the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
 
     def describe(self) -> str:
         """Tell in one line how the log is written."""
@@ -81,6 +83,7 @@ class SignalLog:
         sample_rate: float | None,
         options: ReadingOptions,
         scales: Mapping[str, Scale] | None = None,
+        start_time: float = 0.0,
     ) -> None:
         self.name = table.place
         self._address = address
@@ -92,6 +95,7 @@ class SignalLog:
         self._clock = clock
         self.time = None if clock is None else clock.column
         self.sample_rate = sample_rate
+        self._start_time = start_time
         self.notes = table.notes
         self.warnings = [text for one in columns.values() if (text := _doubtful_unit(self.name, one))]
         self.rows_read = 0
@@ -255,7 +259,7 @@ class SignalLog:
         if self._clock is not None:
             time = self._clock.seconds(values)
         elif self.sample_rate is not None:
-            time = (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
+            time = self._start_time + (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
         for role, factor in self._factors.items():
             values[role] = factor.apply(values[role])
         return SampleBlock(raw.rows, raw.lines, time, values)
@@ -308,35 +312,23 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    named = [wish.selector for wish in want.values() if wish.selector]
+    named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
     if options.time:
         named.append(options.time)
-    table = _open_table(parse_address(address, options.format), options, live, digest, named)
+    table = open_table(parse_address(address, options.format), options, live, digest, named)
     try:
+        table, want = join_files(table, want, options)
         found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
         columns = choose_columns(table.place, table.columns, want, found.taken)
-        rate = options.sample_rate or (None if found.clock else table.sample_rate)
+        rate, start = options.sample_rate, 0.0
+        if rate is None and found.clock is None:
+            rate, start = table.even_clock(columns.values())
         scales = _scales_by_role(options, want, columns)
         table.notes.extend(found.notes)
-        return SignalLog(address, table, columns, found.clock, rate, options, scales)
+        return SignalLog(address, table, columns, found.clock, rate, options, scales, start)
     except BaseException:
         table.close()
         raise
-
-
-def _open_table(
-    address: Address, options: ReadingOptions, live: bool, digest: bool, named: Sequence[str]
-) -> Table:
-    kind = address.kind
-    if not address.is_stream and os.path.isfile(address.path) and os.access(address.path, os.R_OK):
-        with open(address.path, "rb") as file:  # what a file is called matters less than what it is
-            if file.read(8) == HDF5_SIGNATURE:
-                kind = "hdf5"
-    if kind == "hdf5":
-        from dbo_cli.logs.hdf5_logs import Hdf5Table
-
-        return Hdf5Table(address, named)
-    return TextTable(address, options, live=live, digest=digest)
 
 
 def _named_columns(table: Table, want: Mapping[str, ColumnWish]) -> list[ColumnInfo]:
