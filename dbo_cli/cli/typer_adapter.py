@@ -21,10 +21,10 @@ from typing import Annotated, Any, get_args, get_origin
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from dbo_cli import __version__
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Voice
 from dbo_cli.errors import UsageError
+from dbo_cli.version import __version__
 
 COMMANDS = ("identify", "invert", "simulate", "compensate", "report", "excite")
 PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.logs.clock import JITTER
+from dbo_cli.logs.out_column import OutColumn
 from dbo_cli.logs.sample_block import FloatArray
-
-if TYPE_CHECKING:
-    from dbo_cli.logs.signal_writer import OutColumn
 
 CHUNK_ROWS = 1 << 16
 _PROBE = 2048  # bytes tried before a byte plane is squeezed

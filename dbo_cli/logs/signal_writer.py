@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import IO, Any, Protocol, cast
 
 import numpy as np
@@ -14,28 +13,14 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.background_io import OneBehind
-from dbo_cli.logs.columns import is_known_unit, split_header
 from dbo_cli.logs.number_text import rows_as_text
+from dbo_cli.logs.out_column import OutColumn
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import check_output, replacing, standard_output
 
+__all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
+
 _WORTH_A_THREAD = 1 << 14  # rows
-
-
-@dataclass(frozen=True)
-class OutColumn:
-    """A column to be written: name, unit, and what it measures (told by HDF5 alone; the name by default)."""
-
-    name: str
-    unit: str | None = None
-    quantity: str | None = None
-
-    @property
-    def header(self) -> str:
-        """The header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
-        if not self.unit or split_header(self.name)[1] == self.unit:
-            return self.name
-        return f"{self.name}_{self.unit}" if is_known_unit(self.unit) else f"{self.name} ({self.unit})"
 
 
 class SignalWriter(Protocol):
