@@ -33,6 +33,8 @@ def compensate(
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
     a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
     clipped, counted and said. Written are time (when known), the desired displacement and the drive.
+
+    Example: dbo compensate model.json trajectory.csv --max-slew 2000 -o drive.csv
     """
     from dbo_cli.runs.files import Destination, compensate_trajectory
 

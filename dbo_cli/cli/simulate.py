@@ -29,6 +29,8 @@ def simulate(
     A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
     log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
     model.json - --flush). Written are time (when known), the input column and the result.
+
+    Example: dbo simulate model.json drive.csv -o predicted.csv
     """
     from dbo_cli.runs.files import Destination, simulate_log
 

@@ -28,7 +28,7 @@ _SPELLED = {
     "nanometer": "nm", "nanometers": "nm", "meter": "m", "meters": "m", "minutes": "min", "hours": "h",
 }  # fmt: skip
 _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
-_SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S+)$", re.DOTALL)
+_SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes

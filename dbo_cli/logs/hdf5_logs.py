@@ -70,7 +70,7 @@ class Hdf5Table:
     """
 
     def __init__(self, address: Address, selectors: Sequence[str] = ()) -> None:
-        import h5py
+        from dbo_cli.logs.hdf5_safety import open_safely
 
         self.place = address.text
         self.notes: list[str] = []
@@ -81,7 +81,7 @@ class Hdf5Table:
         if os.path.isdir(address.path):
             raise InputError(f"{address.path}: this is a folder, not a log")
         try:
-            self._file = h5py.File(address.path, "r")
+            self._file = open_safely(address.path)
         except OSError as problem:
             raise InputError(f"{address.path}: cannot be read as HDF5: {_brief(problem)}") from None
         try:
@@ -119,9 +119,7 @@ class Hdf5Table:
         for start in range(rows[0] - 1, end, block_rows):
             stop = min(end, start + block_rows)
             try:
-                arrays = {
-                    role: source.read(start, stop) for role, source in zip(picks, sources, strict=True)
-                }
+                arrays = {role: source.read(start, stop) for role, source in zip(picks, sources, strict=True)}
             except (OSError, RuntimeError, TypeError, ValueError) as problem:
                 raise InputError(f"{self.place}: damaged HDF5: {_brief(problem)}") from None
             good = np.logical_and.reduce([np.isfinite(array) for array in arrays.values()])

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dbo_cli.logs.columns import is_known_unit, split_header
+from dbo_cli.logs.plain_text import cleaned
+
+_FORMULA_SIGNS = ("=", "+", "-", "@")
 
 
 @dataclass(frozen=True)
@@ -18,6 +22,31 @@ class OutColumn:
     @property
     def header(self) -> str:
         """The header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
-        if not self.unit or split_header(self.name)[1] == self.unit:
-            return self.name
-        return f"{self.name}_{self.unit}" if is_known_unit(self.unit) else f"{self.name} ({self.unit})"
+        name, unit = cleaned(self.name), cleaned(self.unit or "")
+        if not unit or split_header(name)[1] == unit:
+            return name
+        return f"{name}_{unit}" if is_known_unit(unit) else f"{name} ({unit})"
+
+
+def unique_headers(columns: Sequence[OutColumn]) -> list[str]:
+    """Return the headers of a table; the second column of a name is called ``name_2``."""
+    headers: list[str] = []
+    for column in columns:
+        header, number = column.header, 2
+        while header in headers:
+            header, number = f"{column.header}_{number}", number + 1
+        headers.append(header)
+    return headers
+
+
+def header_cell(text: str, delimiter: str) -> str:
+    """Write a header as a cell of delimited text.
+
+    A header that a spreadsheet would take for a formula (``=cmd|...``, ``-V``) gets an apostrophe before it,
+    the spreadsheet's own sign for text.
+    """
+    if text.startswith(_FORMULA_SIGNS):
+        text = "'" + text
+    if delimiter in text or '"' in text or text[:1] in ("#", "%"):
+        return '"' + text.replace('"', '""') + '"'
+    return text
