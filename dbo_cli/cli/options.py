@@ -115,6 +115,14 @@ Rows = Annotated[
         parse=values.rows,
     ),
 ]
+TimeUnit = Annotated[
+    str | None,
+    _reading("--time-unit", "UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
+]
+Scale = Annotated[
+    list[str] | None,
+    _reading("--scale", "ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable."),
+]
 SkipBad = Annotated[bool, _reading("--skip-bad", None, "Drop rows that hold no number, and count them.")]
 Resample = Annotated[
     float | None,

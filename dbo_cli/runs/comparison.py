@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, check_alike
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, DISPLACEMENT, VOLTAGE, check_unit
+from dbo_cli.runs.roles import check_unit
 from dbo_cli.runs.source import Source
 
 if TYPE_CHECKING:
@@ -30,11 +31,11 @@ def comparison_wishes(
     desired: str | None, measured: str | None, voltage: str | None, with_model: bool
 ) -> dict[str, ColumnWish]:
     """Return the columns that a comparison reads, as named or to be guessed."""
-    want = {"measured": ColumnWish(measured, DISPLACEMENT, option="measured")}
+    want = {"measured": wish("measured", measured, option="measured")}
     if not with_model:
-        want["desired"] = ColumnWish(desired, DESIRED, option="desired")
+        want["desired"] = wish("desired", desired, option="desired")
     needed = with_model or voltage is not None
-    want["voltage"] = ColumnWish(voltage, VOLTAGE, required=needed, option="voltage")
+    want["voltage"] = wish("voltage", voltage, required=needed, option="voltage")
     return want
 
 
@@ -81,7 +82,7 @@ class Comparison:
             )
         )
         listener.finished()
-        self.remarks.add(Remarks(notes=list(source.notes)) if run is None else run.remarks())
+        self.remarks.add(Remarks(list(source.notes), list(source.warnings)) if run is None else run.remarks())
 
     def result(self) -> ComparisonReport:
         """Return the report on all sources."""

@@ -27,7 +27,7 @@ from dbo_cli.runs.compensation import check_range, compensation
 from dbo_cli.runs.model import start_of
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, check_unit, guesses_for
+from dbo_cli.runs.roles import check_unit, quantity_wish
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -72,7 +72,7 @@ def simulate_log(
     check_format(reading.format, [log_file, destination.output])
     model = read_model(model_file)
     taken = model.input
-    want = {taken.quantity: ColumnWish(column, guesses_for(taken.quantity), option="input")}
+    want = {taken.quantity: quantity_wish(taken, column, option="input")}
     ahead = model.direction == "inverse" and model.delay_seconds > 0.0
     with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
         check_unit(log, taken.quantity, taken, _spoken(model_file))
@@ -105,8 +105,7 @@ def compensate_trajectory(
     model = read_model(model_file)
     model.require("forward", _spoken(model_file))
     wanted = model.output
-    names = (*guesses_for(wanted.quantity), *DESIRED)
-    want = {wanted.quantity: ColumnWish(column, names, option="displacement")}
+    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
     ahead = model.delay_seconds > 0.0
     with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
         check_unit(log, wanted.quantity, wanted, _spoken(model_file))

@@ -175,7 +175,7 @@ class ModelRun:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
-        told = Remarks(notes=list(self.source.notes))
+        told = Remarks(list(self.source.notes), list(self.source.warnings))
         if self.assumed:
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             told.notes.append(
