@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs.addresses import format_for
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
@@ -69,7 +70,8 @@ def report_logs(
         raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
     check_output(output, logs if model_file is None else [*logs, model_file])
     if figures is not None:
-        make_folder(figures)
+        with contextlib.suppress(OutputError):  # check_folder words it
+            make_folder(figures)
         check_folder(figures)
     model = None if model_file is None else read_model(model_file)
     options = ReportOptions(lag, remove_offset, segment, labels)
