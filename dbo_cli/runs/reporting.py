@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -69,13 +70,8 @@ def report_logs(
         raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
     check_output(output, logs if model_file is None else [*logs, model_file])
     if figures is not None:
-        try:
+        with contextlib.suppress(OutputError):  # check_folder words it
             make_folder(figures)
-        except OSError as problem:
-            reason = problem.strerror or str(problem)
-            raise OutputError(
-                f"{figures}: figures cannot be written there: {reason} (`figures` with another folder)"
-            ) from problem
         check_folder(figures)
     model = None if model_file is None else read_model(model_file)
     options = ReportOptions(lag, remove_offset, segment, labels)
