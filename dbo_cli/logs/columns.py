@@ -16,7 +16,7 @@ from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 
 _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
-_SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S+)$", re.DOTALL)
+_SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
 _INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)

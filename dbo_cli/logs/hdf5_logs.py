@@ -43,7 +43,7 @@ def open_hdf5(address: Address, selectors: Sequence[str], options: ReadingOption
     InputError
         The file or the group is absent, damaged, or holds no columns of numbers.
     """
-    import h5py
+    from dbo_cli.logs.hdf5_safety import open_safely
 
     if address.is_stream:
         raise InputError("standard input: HDF5 cannot be read from a pipe: give the file's name")
@@ -52,7 +52,7 @@ def open_hdf5(address: Address, selectors: Sequence[str], options: ReadingOption
     if os.path.isdir(address.path):
         raise InputError(f"{address.path}: this is a folder, not a log")
     try:
-        file = h5py.File(address.path, "r")
+        file = open_safely(address.path)
     except OSError as problem:
         raise InputError(f"{address.path}: cannot be read as HDF5: {brief(problem)}") from None
     try:

@@ -282,7 +282,7 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
     ways = [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
     ways.append(split_cells(text, shape.delimiter))
     ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
-    ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]*[)\]])?", text)])
+    ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)])
     ways.append(text.split())
     for cells in ways:
         if (

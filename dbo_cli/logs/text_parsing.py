@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import (
@@ -27,7 +28,7 @@ from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.header_blocks import RepeatedHeader
 from dbo_cli.logs.interrupts import keep_interrupts
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock
 from dbo_cli.logs.text_dialect import Dialect, is_comment
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
@@ -72,33 +73,43 @@ class BlockParser:
                 yield self._in_range(self._parse_block(block, small))
 
     def _parse_block(self, block: bytes, small: bool) -> SampleBlock:
-        # numpy counts what is frequent five times faster than bytes.count
-        lines = int(np.count_nonzero(np.frombuffer(block, dtype=np.uint8) == 10)) + (
-            not block.endswith(b"\n")
-        )
-        picks = list(self.picks.values())
-        regular = self._regular(block)
-        arrays = None
-        if regular is not None:
-            plain = small or (len(block) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
-            read = _parse_plain if plain or any(pick.written != "numbers" for pick in picks) else _parse_fast
-            unpicked = self._unpicked()
-            guarded = unpicked if unpicked and _has_letters(regular, self.dialect.delimiter) else []
-            arrays = read(regular, lines, picks, guarded, self.dialect)
+        if not block.strip(b"\n"):  # a compressed megabyte may unpack to a billion of them
+            self.next_line += len(block)
+            return SampleBlock(range(0), range(0), None, {role: np.empty(0) for role in self.picks})
+        return self._parse_regularly(block, small) or self._parse_slowly(block)
+
+    def _parse_regularly(self, block: bytes, small: bool) -> SampleBlock | None:
+        """Take a block at once where every line of it is a good row or empty; else None."""
+        text = self._regular(block)
+        if text is None:
+            return None
+        lines = _count_lines(text)
+        numbers: Places = range(self.next_line, self.next_line + lines)
+        if b"\n\n" in text or text.startswith(b"\n"):
+            text, filled = _without_empty_lines(text)
+            numbers = self.next_line + filled
+        if _count(text, ord(self.dialect.delimiter)) > 2 * len(numbers) * self.dialect.width + 100:
+            return None  # polars takes hundreds of bytes for every cell of a line of delimiters
+        arrays = self._columns(text, len(numbers), small) if text else None
         if arrays is None:
-            return self._parse_slowly(block)
-        if self.repeated is not None and TIME in self.picks:
+            return None
+        rows = range(self.next_row, self.next_row + len(numbers))
+        self.next_row += len(numbers)
+        self.next_line += lines
+        return SampleBlock(rows, numbers, None, dict(zip(self.picks, arrays, strict=True)))
+
+    def _columns(self, text: bytes, lines: int, small: bool) -> list[FloatArray] | None:
+        """Read the wanted columns of a regular block; None where it is not regular after all."""
+        picks = list(self.picks.values())
+        plain = small or (len(text) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
+        read = _parse_plain if plain or any(pick.written != "numbers" for pick in picks) else _parse_fast
+        unpicked = self._unpicked()
+        guarded = unpicked if unpicked and _has_letters(text, self.dialect.delimiter) else []
+        arrays = read(text, lines, picks, guarded, self.dialect)
+        if arrays is not None and self.repeated is not None and TIME in self.picks:
             at = list(self.picks).index(TIME)
             arrays[at] = self.repeated.continued(arrays[at])
-        found = SampleBlock(
-            range(self.next_row, self.next_row + lines),
-            range(self.next_line, self.next_line + lines),
-            None,
-            dict(zip(self.picks, arrays, strict=True)),
-        )
-        self.next_row += lines
-        self.next_line += lines
-        return found
+        return arrays
 
     def _regular(self, block: bytes) -> bytes | None:
         """Bring a block into the form that the fast readers take; None where only careful reading will do."""
@@ -112,11 +123,11 @@ class BlockParser:
         if mark == BLANKS:
             return None if b'"' in block else _single_blanks(block)
         if b" " in block:
+            if b"  " in block:
+                block = _runs_collapsed(block)
             delimiter = mark.encode()
-            while b" " + delimiter in block:
-                block = block.replace(b" " + delimiter, delimiter)
-            while b" \n" in block:
-                block = block.replace(b" \n", b"\n")
+            for edge in (delimiter, b"\n"):  # a blank before it; polars does without those after it
+                block = block.replace(b" " + edge, edge)
         return block
 
     def _parse_slowly(self, block: bytes) -> SampleBlock:
@@ -128,6 +139,9 @@ class BlockParser:
         if not text[-1]:
             text.pop()
         for raw in text:
+            if not raw:
+                self.next_line += 1
+                continue
             line = decode_line(raw.removesuffix(b"\r"))
             if self.repeated is not None and self.repeated.takes(line, self.next_line):
                 pass
@@ -211,6 +225,38 @@ def _wrong_width(cells: list[str], width: int) -> str:
         return ""
     plural = "s" if len(cells) != 1 else ""
     return f"{len(cells)} cell{plural} where the other rows have {width}"
+
+
+def _count_lines(block: bytes) -> int:
+    return _count(block, 10) + (not block.endswith(b"\n"))
+
+
+def _count(block: bytes, letter: int) -> int:
+    """Count a byte; numpy counts what is frequent five times faster than bytes.count."""
+    return int(np.count_nonzero(np.frombuffer(block, dtype=np.uint8) == letter))
+
+
+def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
+    """Leave out empty lines; return the rest and which lines (from 0) it holds."""
+    text = np.frombuffer(block, dtype=np.uint8)
+    ends = np.flatnonzero(text == 10)
+    empty = np.diff(ends, prepend=-1) == 1
+    kept = np.ones(len(text), dtype=bool)
+    kept[ends[empty]] = False
+    filled = np.flatnonzero(~empty)
+    if not block.endswith(b"\n"):
+        filled = np.append(filled, len(ends))
+    return text[kept].tobytes(), filled.astype(np.int64)
+
+
+def _runs_collapsed(block: bytes) -> bytes:
+    """Make one blank of every run of blanks, in time that does not depend on how long they are."""
+    text = np.frombuffer(block, dtype=np.uint8)
+    blank = text == 32
+    blank[1:] &= blank[:-1]
+    blank[0] = False
+    collapsed: bytes = text[~blank].tobytes()
+    return collapsed
 
 
 def _single_blanks(block: bytes) -> bytes:
