@@ -6,10 +6,13 @@ import contextlib
 import io
 import re
 import shutil
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from dbo_cli import __version__
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -78,3 +81,18 @@ def test_links_lead_somewhere(page: Path) -> None:
             headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
             known = {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
             assert anchor in known, f"{page.name}: {target}"
+
+
+def test_the_version_stands_in_two_places_alike() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == __version__
+
+
+@pytest.mark.parametrize("page", ["architecture.md", "model-file.md"])
+def test_files_that_a_page_names_are_there(page: str) -> None:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:\w+/)*\w+(?:\.\w+)*\.(?:py|md|json|toml))`", text))
+    places = [ROOT, DOCS, ROOT / "dbo_cli", *(one for one in (ROOT / "dbo_cli").rglob("*") if one.is_dir())]
+    missing = {name for name in named if not any((place / name).exists() for place in places)}
+    assert named
+    assert missing <= {"model.json"}
