@@ -98,7 +98,7 @@ def _condition(
 
     Their displacement is the model's own: nothing else is wanted there, and every cell must hold a number.
     """
-    from dbo_cli.hysteresis.excitation import condition
+    from dbo_cli.hysteresis.conditioning import condition
     from dbo_cli.logs.clock import require_even
 
     assert block.time is not None
