@@ -10,7 +10,9 @@ from test_hysteresis_model import build, limits_of, wanted
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.delay import read_ahead
-from dbo_cli.hysteresis.excitation import condition, excitation, swing_samples, swings
+from dbo_cli.hysteresis.conditioning import condition
+from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.swings import swing_samples, swings
 from dbo_cli.hysteresis.model import DriveLimits
 
 
@@ -72,7 +74,7 @@ def test_excitation_covers_the_range_within_its_limits() -> None:
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3.0 must be less than `v_max` 3.0"),
+    ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3 must be below `v_max` 3"),
     (
         {"sample_rate": 19.0},
         "`frequency` 1.0: fewer than 20 samples a cycle (raise `sample_rate` or lower it)",
