@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dbo_cli.logs.printable_text import printable
+
 if TYPE_CHECKING:
     from dbo_cli.runs.remarks import Remarks
 
@@ -17,7 +19,8 @@ _PARAMETER = re.compile(r"`([a-z]\w*)`")
 
 def shell_line(text: str) -> str:
     """Return a message of the library as the shell shows it: one line, parameters spelled as options."""
-    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), " ".join(text.split()))
+    plain = printable(" ".join(text.split()))
+    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), plain)
 
 
 @dataclass(frozen=True)

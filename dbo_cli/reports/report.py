@@ -234,7 +234,6 @@ def evaluate(
     log = comparison.run(parts.after())
     note = (
         f"{comparison.name}: {_counted(parts.count, 'row')} before time 0, a conditioning sweep, left out"
-        " (ask for them with `rows`)"
     )
     return replace(log, notes=(note, *log.notes))
 
