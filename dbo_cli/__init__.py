@@ -6,9 +6,10 @@ docs/python.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # as in typing, which is not imported for it
 if TYPE_CHECKING:
+    from typing import Any
+
     from dbo_cli.errors import (
         DboError,
         FitError,
