@@ -40,8 +40,8 @@ class TrajectoryMatch:
     ----------
     left_out : int
         Samples of the recording that found no partner; complete after the last pair.
-    unused : int
-        By rows, samples of the trajectory that found none, of those that were read.
+    goes_on : bool
+        By rows, whether the trajectory has more samples than the recording.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class TrajectoryMatch:
         self._trajectory = (block for block in trajectory if len(block))
         self._by_time = by_time
         self.left_out = 0
-        self.unused = 0
+        self.goes_on = False
 
     def pairs(self) -> Iterator[PairBlock]:
         """Yield the recording's samples with their desired values.
@@ -89,11 +89,8 @@ class TrajectoryMatch:
             notes.append(
                 f"{self._name}: {self.left_out:,} rows {what} {self._trajectory_name} take no part"
             )
-        if self.unused:
-            notes.append(
-                f"{self._trajectory_name}: {self.unused:,} rows or more beyond the last of {self._name} take"
-                " no part"
-            )
+        if self.goes_on:
+            notes.append(f"{self._trajectory_name}: goes on behind the last row of {self._name}")
         return notes
 
     def _pairs_by_time(self) -> Iterator[PairBlock]:
@@ -149,8 +146,8 @@ class TrajectoryMatch:
                 pair = PairBlock.of(own, partner.values["desired"])
                 yield PairBlock(pair.rows, pair.desired, pair.measured, time, pair.drive)
                 done, wanted = done + count, wanted.part(count, len(wanted))
-        rest = wanted if wanted is not None and len(wanted) else next(self._trajectory, None)
-        self.unused = 0 if rest is None else len(rest)
+        left = wanted is not None and len(wanted) > 0
+        self.goes_on = left or next(self._trajectory, None) is not None
 
 
 def _only(pair: PairBlock, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> PairBlock:

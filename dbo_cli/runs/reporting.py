@@ -88,32 +88,60 @@ def report_logs(
     options = ReportOptions(lag, remove_offset, segment, labels)
     traced = figures is not None or chosen == "html"
     comparison = Comparison(options, model, str(model_file), traced)
-    want = comparison_wishes(desired, measured, voltage, model is not None, trajectory is not None)
     names = short_names(logs)
-    reading, score_rows = rows_to_score(reading, lag, from_first=model is not None or trajectory is not None)
     for address in logs:
-        told = dataclasses.replace(reading, format=format_for(address, reading.format))
-        with contextlib.ExitStack() as stack:
-            log = stack.enter_context(open_log(address, want, told))
-            listener.opened(log.describe())
-            wished = None
-            if trajectory is not None:
-                wished = stack.enter_context(open_trajectory(trajectory, desired, reading))
-                listener.opened(wished.describe())
-            comparison.add(
-                log,
-                names.get(address),
-                listener,
-                score_rows=score_rows,
-                count_sweep=count_sweep or reading.rows != ALL_ROWS,
-                trajectory=wished,
-                match=match,
-            )
+        add_file(
+            comparison,
+            address,
+            reading,
+            (desired, measured, voltage),
+            trajectory=trajectory,
+            match=match,
+            count_sweep=count_sweep,
+            name=names.get(address),
+            listener=listener,
+        )
     result = comparison.result()
     write_whole(output, result.rendered(chosen), protect=inputs)
     if figures is not None:
         result.figures(figures)
     return Written(result.report, chosen, result.remarks)
+
+
+def add_file(
+    comparison: Comparison,
+    address: str,
+    reading: ReadingOptions,
+    selectors: tuple[str | None, str | None, str | None],
+    *,
+    trajectory: str | None = None,
+    match: Match = "auto",
+    count_sweep: bool = False,
+    name: str | None = None,
+    listener: Listener = SILENT,
+) -> None:
+    """Compare one log; ``selectors`` are the columns desired, measured and voltage, None where guessed."""
+    from_first = comparison.model is not None or trajectory is not None
+    want = comparison_wishes(*selectors, comparison.model is not None, trajectory is not None)
+    asked = reading.rows != ALL_ROWS
+    told = dataclasses.replace(reading, format=format_for(address, reading.format))
+    told, score_rows = rows_to_score(told, comparison.options.lag, from_first=from_first)
+    with contextlib.ExitStack() as stack:
+        log = stack.enter_context(open_log(address, want, told))
+        listener.opened(log.describe())
+        wished = None
+        if trajectory is not None:
+            wished = stack.enter_context(open_trajectory(trajectory, selectors[0], reading))
+            listener.opened(wished.describe())
+        comparison.add(
+            log,
+            name,
+            listener,
+            score_rows=score_rows,
+            count_sweep=count_sweep or asked,
+            trajectory=wished,
+            match=match,
+        )
 
 
 def rows_to_score(
