@@ -153,7 +153,19 @@ class TestDirectionTracker:
         return out
 
     def test_plateaus_keep_their_direction(self):
-        assert self.ways(np.array([0.0, 0, 1, 1, 2, 2, 2, 1, 1, 0, 0])) == [0, 0, 1, 1, 1, 0, 0, -1, -1, -1, 0]
+        assert self.ways(np.array([0.0, 0, 1, 1, 2, 2, 2, 1, 1, 0, 0])) == [
+            0,
+            0,
+            1,
+            1,
+            1,
+            0,
+            0,
+            -1,
+            -1,
+            -1,
+            0,
+        ]
 
     @pytest.mark.parametrize("size", [97, 1000, 10**9])
     @pytest.mark.parametrize("write", AS_WANTED)

@@ -86,7 +86,11 @@ def test_a_clock_that_steps_back_is_left_out():
     time = np.concatenate([np.arange(100), np.arange(50, 80)]) / 100.0
     for size in (7, 130):
         match = TrajectoryMatch(
-            "a", "b", blocks(size, time, measured=time), blocks(9, time[:100], desired=time[:100]), by_time=True
+            "a",
+            "b",
+            blocks(size, time, measured=time),
+            blocks(9, time[:100], desired=time[:100]),
+            by_time=True,
         )
         assert len(joined(match)[0]) == 100
         assert match.left_out == 30

@@ -15,8 +15,8 @@ FEWEST_CYCLES = 6  # one for the sweeps and one for return and rest leave four f
 SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer shows where a swing turns
 
 # Tried on five virtual actuators, two unseen moves, 15 s at 1 kHz, five or six seeds: no holds or longer
-# ones, holds of log-uniform length, a second sweep, speeds or levels that fill their range evenly, log-uniform
-# distances between turns. None was better by more than the seeds scatter, a tenth of the geometric mean.
+# ones, holds of log-uniform length, a second sweep, speeds or levels that fill their range evenly, distances
+# between turns that are log-uniform. None was better by more than the seeds scatter, a tenth of the mean.
 _FASTEST, _SLOWEST = -0.9, 0.6  # log10 of a swing's time in that of the sweep's part between the same levels
 _AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
 _HOLD_CHANCE = 0.15

@@ -6,8 +6,8 @@ import contextlib
 import functools
 import logging
 import os
-import shutil
 import sys
+import tempfile
 import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -33,32 +33,53 @@ def load() -> None:
     """Import matplotlib, unless a host program has done so already.
 
     A notebook sets MPLBACKEND to a module that need not be installed here; this program draws into memory
-    and needs no window. Where the folder for its configuration cannot be written, matplotlib says so in three
-    lines and leaves a folder behind; here it gets its temporary folder, and the folder goes.
+    and needs no window. Where its configuration cannot be written, matplotlib complains in three lines and
+    may leave a folder behind; here it gets a folder of its own, for as long as it looks for fonts.
     """
     if "matplotlib" in sys.modules:
         return
+    wanted = {name: os.environ.pop(name, None) for name in ("MPLBACKEND", "MPLCONFIGDIR")}
     log = logging.getLogger("matplotlib")
     level = log.level
-    before = {name: os.environ.pop(name, None) for name in ("MPLBACKEND",)}
-    folder = os.environ.get("MPLCONFIGDIR")
     log.setLevel(logging.CRITICAL)
     try:
-        import matplotlib
-        import matplotlib.font_manager
+        with contextlib.ExitStack() as stack:
+            folder = wanted["MPLCONFIGDIR"]
+            if not all(_is_writable(path) for path in _configuration_folders(folder)):
+                folder = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
+            if folder is not None:
+                os.environ["MPLCONFIGDIR"] = folder
+            import matplotlib
+            import matplotlib.font_manager
     finally:
         log.setLevel(level)
-        os.environ.update({name: value for name, value in before.items() if value is not None})
+        os.environ.pop("MPLCONFIGDIR", None)
+        os.environ.update({name: value for name, value in wanted.items() if value is not None})
     with contextlib.suppress(ValueError):  # what the host wants for its own figures, where that exists
-        if before["MPLBACKEND"]:
-            matplotlib.rcParams["backend"] = before["MPLBACKEND"]
-    temporary = os.environ.get("MPLCONFIGDIR")
-    if temporary is not None and temporary != folder:  # matplotlib made it and told so in this variable
-        shutil.rmtree(temporary, ignore_errors=True)
-        if folder is None:
-            del os.environ["MPLCONFIGDIR"]
-        else:
-            os.environ["MPLCONFIGDIR"] = folder
+        if wanted["MPLBACKEND"]:
+            matplotlib.rcParams["backend"] = wanted["MPLBACKEND"]
+
+
+def _configuration_folders(named: str | None) -> list[str]:
+    """Return where matplotlib keeps its configuration and its list of fonts, as its manual says."""
+    home = os.path.expanduser("~")
+    if named:
+        return [named]
+    if not sys.platform.startswith(("linux", "freebsd")):
+        return [os.path.join(home, ".matplotlib")]
+    return [
+        os.path.join(os.environ.get(variable) or os.path.join(home, usual), "matplotlib")
+        for variable, usual in (("XDG_CONFIG_HOME", ".config"), ("XDG_CACHE_HOME", ".cache"))
+    ]
+
+
+def _is_writable(folder: str) -> bool:
+    """Make a folder where it is missing, and tell whether files can be written there."""
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except (OSError, ValueError):
+        return False
+    return os.access(folder, os.W_OK)
 
 
 @contextlib.contextmanager
@@ -69,9 +90,7 @@ def style(settings: dict[str, object]) -> Iterator[None]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # settings that a later release of matplotlib gives up
-        defaults = {
-            key: value for key, value in rcParamsDefault.items() if not key.startswith(_OF_THE_HOST)
-        }
+        defaults = {key: value for key, value in rcParamsDefault.items() if not key.startswith(_OF_THE_HOST)}
         with rc_context({**defaults, **settings}):
             yield
 

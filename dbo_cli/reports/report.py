@@ -232,9 +232,7 @@ def evaluate(
     if not parts.found:
         return log
     log = comparison.run(parts.after())
-    note = (
-        f"{comparison.name}: {_counted(parts.count, 'row')} before time 0, a conditioning sweep, left out"
-    )
+    note = f"{comparison.name}: {_counted(parts.count, 'row')} before time 0, a conditioning sweep, left out"
     return replace(log, notes=(note, *log.notes))
 
 
@@ -412,7 +410,7 @@ def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:
 def _notes(name: str, labels: tuple[str, str], figures: TrackingFigures) -> list[str]:
     notes = []
     if figures.not_finite:
-        count = _counted(figures.not_finite, 'sample')
+        count = _counted(figures.not_finite, "sample")
         notes.append(f"{name}: {count} without a number in {labels[0]} or {labels[1]} left out")
     if figures.nrmse_percent is None:
         notes.append(f"{name}: {labels[0]} never changes, so NRMSE, loop width and lag are undefined")

@@ -86,9 +86,7 @@ class TrajectoryMatch:
         notes = []
         if self.left_out:
             what = "outside the time of" if self._by_time else "more than in"
-            notes.append(
-                f"{self._name}: {self.left_out:,} rows {what} {self._trajectory_name} take no part"
-            )
+            notes.append(f"{self._name}: {self.left_out:,} rows {what} {self._trajectory_name} take no part")
         if self.goes_on:
             notes.append(f"{self._trajectory_name}: goes on behind the last row of {self._name}")
         return notes
