@@ -15,7 +15,7 @@ import pytest
 from dbo_cli.errors import OutputError
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
-from dbo_cli.logs.printable_text import printable
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
 from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
 from dbo_cli.reports.model_figures import loop_of, plots_of_model
@@ -332,7 +332,7 @@ def reports_of(names, unit="$\\um_1$"):
     logs, traces = [], []
     for number, name in enumerate(names):
         report, seen = log_of(2000 if number % 2 else 10_000, unit=unit)
-        logs.append(replace(report.logs[0], name=printable(name)))
+        logs.append(replace(report.logs[0], name=cleaned(name)))
         traces.append(seen)
     return Report.of(logs, options, unit), traces
 

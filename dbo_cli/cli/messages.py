@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dbo_cli.logs.printable_text import printable
+from dbo_cli.errors import UsageError
+from dbo_cli.logs.plain_text import cleaned
 
 if TYPE_CHECKING:
     from dbo_cli.runs.remarks import Remarks
@@ -18,9 +19,11 @@ _PARAMETER = re.compile(r"`([a-z]\w*)`")
 
 
 def shell_line(text: str) -> str:
-    """Return a message of the library as the shell shows it: one line, parameters spelled as options."""
-    plain = printable(" ".join(text.split()))
-    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), plain)
+    """Return a message of the library as the shell shows it: one line, parameters spelled as options.
+
+    Names out of files hold no command that a terminal would obey.
+    """
+    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), cleaned(text))
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,12 @@ class Voice:
 
     def _line(self, text: str) -> None:
         print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
+
+
+def refuse_terminal(output: str) -> None:
+    """Refuse to write a model onto a terminal, where nobody could read or keep it (UsageError)."""
+    if output == "-" and sys.stdout.isatty():
+        raise UsageError("the model would be written onto the terminal: name a file (-o model.json)")
 
 
 class Progress:

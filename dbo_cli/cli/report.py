@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Progress, Voice
-from dbo_cli.logs.reading_options import ReadingOptions
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.reading_options import ReadingOptions
 
 
 def report(
@@ -36,6 +40,8 @@ def report(
     it is run from the first row on, and --rows says which rows count. With --trajectory the desired signal
     comes from a file of its own.
     Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
+
+    Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
     from dbo_cli.runs.reporting import Limits, report_logs
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.errors import OutputError
-from dbo_cli.logs.printable_text import printable
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.reports import drawing_library as library
 from dbo_cli.reports import figure_style as style
@@ -179,4 +179,4 @@ def _for_page(svg: str, plot: Plot, prefix: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
     svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
-    return svg.replace("<svg ", f'<svg role="img" aria-label="{escape(printable(plot.words))}" ', 1).strip()
+    return svg.replace("<svg ", f'<svg role="img" aria-label="{escape(cleaned(plot.words))}" ', 1).strip()

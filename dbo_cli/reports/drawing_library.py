@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from dbo_cli.logs.printable_text import printable
+from dbo_cli.logs.plain_text import cleaned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,7 +104,7 @@ def show_plainly(figure: Figure, *, as_outlines: bool) -> None:
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
-        shown = printable(text.get_text())
+        shown = cleaned(text.get_text())
         if as_outlines and not shown.isascii():
             missing = _missing(shown, "DejaVu Sans")
             if missing:

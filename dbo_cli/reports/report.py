@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.logs.printable_text import printable
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
 from dbo_cli.reports.running_statistics import ErrorDistribution, Floats
@@ -119,7 +119,7 @@ class Report:
     @classmethod
     def of(cls, logs: Sequence[LogReport], options: ReportOptions, unit: str | None) -> Report:
         """Put the logs side by side, each with its RMSE as a ratio to the first."""
-        unit = None if unit is None else printable(unit)
+        unit = None if unit is None else cleaned(unit)
         first = logs[0].figures.rmse if logs else 0.0
         rated = tuple(
             replace(log, ratio_to_first=log.figures.rmse / first if first > 0.0 else None) for log in logs
@@ -220,7 +220,7 @@ def evaluate(
     UsageError
         ``segment`` in seconds where no time is known; more than 10,000 segments.
     """
-    comparison = _Comparison(printable(name), options, sample_rate, traces, score_rows)
+    comparison = _Comparison(cleaned(name), options, sample_rate, traces, score_rows)
     if score_rows is not None or count_sweep:
         return comparison.run(blocks)
     parts = BeforeZero(blocks)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.printable_text import printable
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports.figures_of_merit import TrackingFigures
 from dbo_cli.reports.running_statistics import BATCH, Batches, ErrorDistribution, Floats, usable
 from dbo_cli.reports.sample_pairs import PairBlock
@@ -257,7 +257,7 @@ class Traces:
     """
 
     def __init__(self, drive_unit: str | None = None) -> None:
-        self.drive_unit = None if drive_unit is None else printable(drive_unit)
+        self.drive_unit = None if drive_unit is None else cleaned(drive_unit)
         self.begin(("desired", "measured"))
 
     def begin(self, labels: tuple[str, str]) -> None:

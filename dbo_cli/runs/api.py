@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.runs.model import Model, read_model
 from dbo_cli.runs.remarks import DboWarning
-from dbo_cli.runs.roles import DESIRED, DISPLACEMENT, VOLTAGE, recording_wishes
+from dbo_cli.runs.roles import recording_wishes
 from dbo_cli.runs.source import ArraySource
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
@@ -74,9 +74,9 @@ def read_log(
 
     options = _reading(time, rows, reading)
     want = {
-        "voltage": ColumnWish(voltage, VOLTAGE, required=False, option="voltage"),
-        "desired": ColumnWish(desired, DESIRED, required=False, option="desired"),
-        "displacement": ColumnWish(displacement, DISPLACEMENT, required=False, option="displacement"),
+        "voltage": wish("voltage", voltage, required=False, option="voltage"),
+        "desired": wish("desired", desired, required=False, option="desired"),
+        "displacement": wish("displacement", displacement, required=False, option="displacement"),
     }
     with open_log(os.fspath(path), want, options, digest=True) as log:
         if not log.columns:
@@ -88,6 +88,7 @@ def read_log(
     frame = pd.DataFrame(stamps | dict(block.values))
     units = {role: column.unit for role, column in log.columns.items()}
     frame.attrs |= {"units": ({"time": "s"} if stamps else {}) | units, "notes": list(log.notes)}
+    frame.attrs["warnings"] = list(log.warnings)
     frame.attrs["provenance"] = record
     if log.even_rate is not None:
         frame.attrs["sample_rate"] = log.even_rate

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, NoReturn
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import Rows
@@ -19,7 +20,7 @@ from dbo_cli.reports.sample_pairs import PairBlock, check_alike
 from dbo_cli.reports.trajectory_match import TrajectoryMatch
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, DISPLACEMENT, VOLTAGE, check_unit
+from dbo_cli.runs.roles import check_unit
 from dbo_cli.runs.source import Source
 
 if TYPE_CHECKING:
@@ -39,17 +40,17 @@ def comparison_wishes(
     with_trajectory: bool = False,
 ) -> dict[str, ColumnWish]:
     """Return the columns that a comparison reads, as named or to be guessed."""
-    want = {"measured": ColumnWish(measured, DISPLACEMENT, option="measured")}
+    want = {"measured": wish("measured", measured, option="measured")}
     if not with_model and not with_trajectory:
-        want["desired"] = ColumnWish(desired, DESIRED, option="desired")
+        want["desired"] = wish("desired", desired, option="desired")
     needed = with_model or voltage is not None
-    want["voltage"] = ColumnWish(voltage, VOLTAGE, required=needed, option="voltage")
+    want["voltage"] = wish("voltage", voltage, required=needed, option="voltage")
     return want
 
 
 def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
     """Return the column of a trajectory in a file of its own: what was wanted, whatever it is called."""
-    return {"desired": ColumnWish(desired, (*DESIRED, *DISPLACEMENT), option="desired")}
+    return {"desired": wish("trajectory", desired, option="desired")}
 
 
 @dataclass
@@ -127,7 +128,7 @@ class Comparison:
             log = dataclasses.replace(log, notes=(*joined.notes(), *log.notes))
         self._merits.append(log)
         listener.finished()
-        self.remarks.add(Remarks(notes=list(source.notes)) if run is None else run.remarks())
+        self.remarks.add(Remarks(list(source.notes), list(source.warnings)) if run is None else run.remarks())
 
     def result(self) -> ComparisonReport:
         """Return the report on all sources."""

@@ -28,6 +28,7 @@ class RecordedLog:
     recording: Recording
     record: Mapping[str, Any]
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def read_recordings(
         with open_log(address, recording_wishes(voltage, displacement), told, digest=True) as log:
             listener.opened(log.describe())
             recording = recording_of(log, names.get(address))
-            return RecordedLog(recording, dict(log.record()), log.notes)
+            return RecordedLog(recording, dict(log.record()), log.notes, log.warnings)
 
     whole = dataclasses.replace(reading, rows=ALL_ROWS)
     return [read(one, reading) for one in logs], [read(one, whole) for one in validation]
@@ -109,6 +110,7 @@ def identify_recordings(
     remarks = Remarks(warnings=list(found.warnings))
     for log in [*logs, *validation]:
         remarks.note(log.notes)
+        remarks.warnings.extend(log.warnings)
     return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
 
 
@@ -126,9 +128,11 @@ def arguments_of(logs: Sequence[str], validation: Sequence[str], chosen: Mapping
     for name in validation:
         words += ["--validate", os.path.basename(name)]
     for name, value in chosen.items():
-        words.append("--" + name.replace("_", "-"))
-        if value is not True:
-            words.append(_word(value))
+        several = isinstance(value, tuple) and all(isinstance(one, str) for one in value)
+        for one in value if isinstance(value, tuple) and several and value else [value]:
+            words.append("--" + name.replace("_", "-"))
+            if one is not True:
+                words.append(_word(one))
     return words
 
 

@@ -14,7 +14,7 @@ from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs.addresses import format_for
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.whole_output import check_output, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.reports.drawing import check_folder
 from dbo_cli.reports.report import Report, ReportOptions, check_limits
 from dbo_cli.reports.sample_pairs import rows_to_read
@@ -53,6 +53,7 @@ class Written:
         check_limits(self.report, **dataclasses.asdict(limits))
 
 
+@all_or_none()
 def report_logs(
     logs: Sequence[str],
     output: str,
@@ -80,9 +81,12 @@ def report_logs(
         refuse_both()
     chosen = form or ENDINGS.get(Path(output).suffix.lower(), "text")
     labels = ("desired", "measured") if model_file is None else ("model", "measured")
+    if form is not None and ENDINGS.get(Path(output).suffix.lower(), form) != form:
+        raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
     inputs = [*logs, *(name for name in (model_file, trajectory) if name is not None)]
     check_output(output, inputs)
     if figures is not None:
+        make_folder(figures)
         check_folder(figures)
     model = None if model_file is None else read_model(model_file)
     options = ReportOptions(lag, remove_offset, segment, labels)
@@ -102,9 +106,13 @@ def report_logs(
             listener=listener,
         )
     result = comparison.result()
-    write_whole(output, result.rendered(chosen), protect=inputs)
     if figures is not None:
         result.figures(figures)
+    try:
+        write_whole(output, result.rendered(chosen), protect=inputs)
+    except BrokenPipeError:  # the reader has seen enough; the figures were asked for all the same
+        if figures is None:
+            raise
     return Written(result.report, chosen, result.remarks)
 
 

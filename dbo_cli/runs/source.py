@@ -20,6 +20,7 @@ class Source(Protocol):
     name: str
     columns: dict[str, ColumnInfo]
     notes: list[str]
+    warnings: list[str]
 
     @property
     def has_time(self) -> bool:
@@ -101,6 +102,7 @@ class ArraySource:
             raise UsageError(f"`sample_rate` {sample_rate:g}: give a positive number of samples a second")
         self.name = name
         self.notes: list[str] = []
+        self.warnings: list[str] = []
         self.values = {role: samples(role, signal) for role, signal in values.items()}
         self.time = None if time is None else samples("time", time)
         first, count = next((role, signal.size) for role, signal in self.values.items())
