@@ -88,11 +88,9 @@ def test_the_version_stands_in_two_places_alike() -> None:
     assert project["version"] == __version__
 
 
-@pytest.mark.parametrize("page", ["architecture.md", "model-file.md"])
-def test_files_that_a_page_names_are_there(page: str) -> None:
-    text = (DOCS / page).read_text(encoding="utf-8")
-    named = set(re.findall(r"`((?:\w+/)*\w+(?:\.\w+)*\.(?:py|md|json|toml))`", text))
+def test_files_that_the_architecture_names_are_there() -> None:
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:\w+/)*\w+(?:\.\w+)*\.(?:py|md|json|toml))`", text)) - {"cli/COMMAND.py"}
     places = [ROOT, DOCS, ROOT / "dbo_cli", *(one for one in (ROOT / "dbo_cli").rglob("*") if one.is_dir())]
-    missing = {name for name in named if not any((place / name).exists() for place in places)}
-    assert named
-    assert missing <= {"model.json"}
+    assert len(named) > 20
+    assert {name for name in named if not any((place / name).exists() for place in places)} == set()
