@@ -8,6 +8,7 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Protocol
 
@@ -24,7 +25,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.reading_summary import ReadColumn, ReadingSummary
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
 from dbo_cli.logs.time_column import TimeColumn, find_time_column
-from dbo_cli.logs.units import Scale, kind_of_unit
+from dbo_cli.logs.units import ONE, Scale, kind_of_unit, match_units
 
 
 class Table(Protocol):
@@ -168,7 +169,7 @@ class SignalLog:
             self.name,
             [
                 ReadColumn(role, column, column.unit, self._scale_text(role))
-                for role, column in self.columns.items()
+                for role, column in self._picks.items()
             ],
             clock,
             rows,
@@ -181,6 +182,23 @@ class SignalLog:
     def _scale_text(self, role: str) -> str | None:
         scale = self._scales.get(role)
         return None if scale is None else f"times {str(scale).partition('=')[2]}"
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, and say so (see ``match_units``).
+
+        Raises
+        ------
+        InputError
+            The units measure unlike things.
+        """
+        column = self.columns[role]
+        match = match_units(self.name, column, wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        self.warnings.extend([match.warning] if match.warning else [])
+        if not match.factor.is_one:
+            known = self._factors.get(role, ONE)
+            self._factors[role] = known.times(match.factor.numerator, match.factor.denominator)
+            self.columns = self.columns | {role: replace(column, unit=wanted)}
 
     def require_time(self, why: str) -> None:
         """Refuse a log without time, naming the remedy.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs.addresses import format_for
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
@@ -69,7 +69,13 @@ def report_logs(
         raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
     check_output(output, logs if model_file is None else [*logs, model_file])
     if figures is not None:
-        make_folder(figures)
+        try:
+            make_folder(figures)
+        except OSError as problem:
+            reason = problem.strerror or str(problem)
+            raise OutputError(
+                f"{figures}: figures cannot be written there: {reason} (`figures` with another folder)"
+            ) from problem
         check_folder(figures)
     model = None if model_file is None else read_model(model_file)
     options = ReportOptions(lag, remove_offset, segment, labels)
