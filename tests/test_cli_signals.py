@@ -168,7 +168,7 @@ BAD_USE = {
     "simulate model.json drive.csv -o drive.csv": "drive.csv: this output is also an input: write to another file",
     "simulate model.json drive.csv --save-state model.json": "model.json: this output is also an input: write to "
     "another file",
-    "simulate model.json drive.csv -o a.csv --save-state a.csv": "a.csv is one file, and two outputs go there: ",
+    "simulate model.json drive.csv -o a.csv --save-state a.csv": "a.csv is one file, and two outputs go there: give each a file of its own",
     "simulate model.json drive.csv --state warm": "--state: 'warm' is none of auto, empty, full, settled, and "
     "there is no such file",
     "simulate model.json drive.csv --rows 3:2": "--rows 3:2: ",

@@ -141,9 +141,10 @@ def write_excitation(
     frequency: float,
     max_slew: float | None,
     form: str | None,
+    seed: int = 1,
 ) -> int:
     """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew)
+    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew, seed)
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": sample_rate}
