@@ -16,12 +16,12 @@ from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
-from dbo_cli.reports.sample_pairs import PairBlock, check_alike
+from dbo_cli.reports.sample_pairs import PairBlock
 from dbo_cli.reports.trajectory_match import TrajectoryMatch
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import check_unit
-from dbo_cli.runs.source import Source
+from dbo_cli.runs.roles import bring_to
+from dbo_cli.runs.source import Source, remarks_of
 
 if TYPE_CHECKING:
     import pandas
@@ -111,7 +111,7 @@ class Comparison:
         match
             How the two belong together: by ``time``, by ``rows``, or by time where both have one (``auto``).
         """
-        self._note_units(source, trajectory)
+        self._bring_to_one_unit(source, trajectory or source)
         traces = self._new_traces(source) if self.traced else None
         run = None if self.model is None else ModelRun(self.model, source)
         joined = None if trajectory is None else self._joined(source, trajectory, match, listener)
@@ -128,23 +128,33 @@ class Comparison:
             log = dataclasses.replace(log, notes=(*joined.notes(), *log.notes))
         self._merits.append(log)
         listener.finished()
-        self.remarks.add(Remarks(list(source.notes), list(source.warnings)) if run is None else run.remarks())
+        self.remarks.add(remarks_of(source) if run is None else run.remarks())
 
     def result(self) -> ComparisonReport:
         """Return the report on all sources."""
         report = Report.of(self._merits, self.options, common_unit(self._units))
         return ComparisonReport(report, tuple(self._traces), self.model, self.remarks)
 
-    def _note_units(self, source: Source, trajectory: Source | None) -> None:
-        """Keep the units, and refuse a pair (or a log and a model) that speaks two."""
-        measured = source.columns["measured"].unit
-        if self.model is None:
-            other = (trajectory or source).columns["desired"].unit
+    def _bring_to_one_unit(self, source: Source, wanted: Source) -> None:
+        """Compare in one unit: the model's, else that of the first log's measurement.
+
+        ``wanted`` holds the desired signal.
+        """
+        if self.model is not None:
+            unit = self.model.output.unit
+            bring_to(source, "voltage", self.model.input, self.model_name)
+            source.convert("measured", unit, f"{self.model_name} gives {self.model.output.quantity}")
         else:
-            other = self.model.output.unit
-            check_unit(source, "voltage", self.model.input, self.model_name)
-        check_alike(source.name, self.options.labels, (other, measured))
-        self._units.append((source.name, measured or other))
+            known = [unit for _, unit in self._units if unit is not None]
+            asked = (source, "measured"), (wanted, "desired")
+            unit = (
+                known[0]
+                if known
+                else next(filter(None, (one.columns[role].unit for one, role in asked)), None)
+            )
+            for one, role in asked:
+                one.convert(role, unit, "the comparison is")
+        self._units.append((source.name, unit or source.columns["measured"].unit))
 
     def _new_traces(self, source: Source) -> Traces:
         from dbo_cli.reports.thinned_curves import Traces

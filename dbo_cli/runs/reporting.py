@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs.addresses import format_for
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
@@ -86,7 +86,8 @@ def report_logs(
     inputs = [*logs, *(name for name in (model_file, trajectory) if name is not None)]
     check_output(output, inputs)
     if figures is not None:
-        make_folder(figures)
+        with contextlib.suppress(OutputError):  # check_folder words it
+            make_folder(figures)
         check_folder(figures)
     model = None if model_file is None else read_model(model_file)
     options = ReportOptions(lag, remove_offset, segment, labels)
