@@ -138,7 +138,7 @@ class Comparison:
     def _bring_to_one_unit(self, source: Source, wanted: Source) -> None:
         """Compare in one unit: the model's, else that of the first log's measurement.
 
-        ``wanted`` holds the desired signal.
+        ``wanted`` has the desired signal, where that lies elsewhere.
         """
         if self.model is not None:
             unit = self.model.output.unit
@@ -146,14 +146,10 @@ class Comparison:
             source.convert("measured", unit, f"{self.model_name} gives {self.model.output.quantity}")
         else:
             known = [unit for _, unit in self._units if unit is not None]
-            asked = (source, "measured"), (wanted, "desired")
-            unit = (
-                known[0]
-                if known
-                else next(filter(None, (one.columns[role].unit for one, role in asked)), None)
-            )
-            for one, role in asked:
-                one.convert(role, unit, "the comparison is")
+            measured, desired = source.columns["measured"].unit, wanted.columns["desired"].unit
+            unit = known[0] if known else measured or desired
+            source.convert("measured", unit, "the comparison is")
+            wanted.convert("desired", unit, "the comparison is")
         self._units.append((source.name, unit or source.columns["measured"].unit))
 
     def _new_traces(self, source: Source) -> Traces:
