@@ -432,7 +432,7 @@ ExciteRate = Annotated[
     float, _option("--sample-rate", "HZ", "Rows per second.", default="1000", parse=values.positive)
 ]
 Duration = Annotated[
-    float, _option("--duration", "SECONDS", "Length of the drive.", default="30", parse=values.positive)
+    float, _option("--duration", "SECONDS", "Length of the drive.", default="15", parse=values.positive)
 ]
 Frequency = Annotated[
     float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
