@@ -115,6 +115,14 @@ Rows = Annotated[
         parse=values.rows,
     ),
 ]
+TimeUnit = Annotated[
+    str | None,
+    _reading("--time-unit", "UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
+]
+Scale = Annotated[
+    list[str] | None,
+    _reading("--scale", "ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable."),
+]
 SkipBad = Annotated[bool, _reading("--skip-bad", None, "Drop rows that hold no number, and count them.")]
 Resample = Annotated[
     float | None,
@@ -162,7 +170,7 @@ Gears = Annotated[
     _option(
         "--gears",
         "N|auto",
-        "Gears of the backlash operator.",
+        "Gears: steps into which the loop is cut; more are finer and cost nothing.",
         default="auto",
         parse=values.auto_or(values.whole(1)),
     ),
@@ -172,7 +180,7 @@ Points = Annotated[
     _option(
         "--points",
         "M|auto|0",
-        "Segments of the point operator that makes the loop uneven.",
+        "Segments of the asymmetry: straight pieces that make the loop's ends unlike; 0 for none.",
         default="auto",
         parse=values.auto_or(values.whole(0)),
     ),
@@ -262,7 +270,8 @@ State = Annotated[
     _starting(
         "--state",
         "auto|empty|full|settled|FILE",
-        "Where the operator starts; auto: empty from the lower end, else settled.",
+        "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
+        "away there), auto (empty at the lower end, else settled), or a saved state.",
         default="auto",
     ),
 ]
@@ -326,6 +335,28 @@ ReportModel = Annotated[
     str | None,
     _option("--model", "MODEL", "Compare this model's prediction with the measurement."),
 ]
+ReportTrajectory = Annotated[
+    str | None,
+    _option("--trajectory", "FILE", "Where the desired signal lies, if not in the logs themselves."),
+]
+Match = Annotated[
+    Literal["auto", "time", "rows"],
+    _option(
+        "--match",
+        "auto|time|rows",
+        "How logs and --trajectory belong together; auto: by time where both have one.",
+        default="auto",
+        parse=values.choice(("auto", "time", "rows")),
+    ),
+]
+CountSweep = Annotated[
+    bool,
+    _option(
+        "--count-sweep",
+        None,
+        "Let a conditioning sweep (rows before time 0) take part; so do --rows that cover it.",
+    ),
+]
 Figures = Annotated[
     str | None,
     _option("--figures", "DIR", "Draw the figures, PNG and SVG, into this folder."),
@@ -368,6 +399,21 @@ ReportFormat = Annotated[
     ),
 ]
 
+# --- show ---
+ShowFormat = Annotated[
+    str | None,
+    _option(
+        "--format",
+        "text|json",
+        "Form of what is shown [default: by the output's name, else text].",
+        parse=values.choice(("text", "json")),
+    ),
+]
+ModelFigures = Annotated[
+    str | None,
+    _option("--figures", "DIR", "Draw the model's curves, PNG and SVG, into this folder."),
+]
+
 # --- excite ---
 ExciteMin = Annotated[
     float, _option("--v-min", "VOLT", "Lowest drive voltage.", default="0", parse=values.number)
@@ -390,6 +436,10 @@ Duration = Annotated[
 ]
 Frequency = Annotated[
     float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
+]
+Seed = Annotated[
+    int,
+    _option("--seed", "N", "Another number, another drive.", default="1", parse=values.whole(0)),
 ]
 OutputFormat = Annotated[
     str | None,

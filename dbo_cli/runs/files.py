@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from dbo_cli.errors import OutputError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_format, format_for, parse_output
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.columns import ColumnWish, split_header
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
@@ -27,7 +27,7 @@ from dbo_cli.runs.compensation import check_range, compensation
 from dbo_cli.runs.model import start_of
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, check_unit, guesses_for
+from dbo_cli.runs.roles import bring_to, quantity_wish
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -49,6 +49,8 @@ class Destination:
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
+        if list(self.protect).count("-") > 1:
+            raise UsageError("standard input can be read once only: give the model or the signal as a file")
         parse_output(self.output)
         check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
 
@@ -66,13 +68,14 @@ def simulate_log(
 ) -> Remarks:
     """Run a model over its input signal; write time (when known), the input column and the result."""
     destination.check()
+    _check_order(model_file, log_file)
     check_format(reading.format, [log_file, destination.output])
     model = read_model(model_file)
     taken = model.input
-    want = {taken.quantity: ColumnWish(column, guesses_for(taken.quantity), option="input")}
+    want = {taken.quantity: quantity_wish(taken, column, option="input")}
     ahead = model.direction == "inverse" and model.delay_seconds > 0.0
     with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
-        check_unit(log, taken.quantity, taken, _spoken(model_file))
+        bring_to(log, taken.quantity, taken, _spoken(model_file))
         last = reading.rows[1] if ahead else None
         run = ModelRun(model, log, start_of(state, model), outside, last_row=last)
         given = _column_of(log, taken)
@@ -97,15 +100,15 @@ def compensate_trajectory(
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
     check_range(v_min, v_max)
     destination.check()
+    _check_order(model_file, trajectory)
     check_format(reading.format, [trajectory, destination.output])
     model = read_model(model_file)
     model.require("forward", _spoken(model_file))
     wanted = model.output
-    names = (*guesses_for(wanted.quantity), *DESIRED)
-    want = {wanted.quantity: ColumnWish(column, names, option="displacement")}
+    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
     ahead = model.delay_seconds > 0.0
     with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
-        check_unit(log, wanted.quantity, wanted, _spoken(model_file))
+        bring_to(log, wanted.quantity, wanted, _spoken(model_file))
         run = compensation(
             model,
             log,
@@ -138,9 +141,10 @@ def write_excitation(
     frequency: float,
     max_slew: float | None,
     form: str | None,
+    seed: int = 1,
 ) -> int:
     """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew)
+    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew, seed)
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": sample_rate}
@@ -163,6 +167,8 @@ def _opened(
         options = dataclasses.replace(options, rows=(reading.rows[0], None))
     log = open_log(address, want, options, live=live)
     listener.opened(log.describe())
+    if live:
+        listener.reading(log.opening_line())
     return log
 
 
@@ -208,14 +214,37 @@ def _write(
             ) from None
         if destination.save_state is not None and run.state is not None:
             write_whole(destination.save_state, state_to_bytes(run.state, run.model))
-    return run.remarks()
+    told = run.remarks()
+    if destination.live:
+        told.read.clear()  # it was said when the stream began
+    return told
 
 
 def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
+    stated = split_header(column.name)[1]
     name = column.name if column.quantity else taken.quantity
+    if stated is not None and stated != column.unit:
+        name = column.quantity  # converted: the unit in its name is no longer its own
     return OutColumn(name, column.unit or taken.unit, taken.quantity)
+
+
+def _check_order(model_file: str, log_file: str) -> None:
+    """Recognise a model and a log that were given in each other's place (UsageError)."""
+    if not _is_model(model_file) and _is_model(log_file):
+        raise UsageError(
+            f"{log_file} is a model: the model comes first, then the log ({log_file} {model_file})"
+        )
+
+
+def _is_model(path: str) -> bool:
+    """Tell whether a file begins as a model does."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(1) == b"{" and b'"dbo-model"' in file.read(400)
+    except OSError:
+        return False
 
 
 def _spoken(address: str) -> str:
