@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import functools
 import importlib.util
 import os
 import subprocess
@@ -51,8 +52,8 @@ def backlash(operator: DiscreteBacklashOperator, start: BacklashState, x: Floats
     y, words = np.empty_like(x), np.zeros(kernel.buffer_words(operator.n), np.uint64)
     words[: kernel.state_words(operator.n)] = operator._words(start)[: kernel.state_words(operator.n)]
     return lambda: kernel.CHOSEN.backlash_run(
-        operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, NOTHING, 0.0, False, words.copy(), NOTHING, 0.0, x, y,
-        NOTHING, False, 0.0, 0.0, 0.0, NOTHING,
+        operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, NOTHING, 0.0, False,
+        words.copy(), NOTHING, 0.0, x, y, NOTHING, False, 0.0, 0.0, 0.0, NOTHING,
     )  # fmt: skip
 
 
@@ -144,9 +145,7 @@ def prepared(
     y, words, terms = np.empty_like(x), operator._words(start), operator.relaxation
     gain = np.array(terms.gain if terms else ())
     decay = terms.decay(0.001) if terms else NOTHING
-    tables: list[tuple[Any, ...]] = [
-        (operator.gears, operator.n, operator.equal_run), (operator.gears,)
-    ]  # fmt: skip
+    tables: list[tuple[Any, ...]] = [(operator.gears, operator.n, operator.equal_run), (operator.gears,)]
 
     def arguments(table: tuple[Any, ...]) -> tuple[Any, ...]:
         return (
@@ -159,7 +158,7 @@ def prepared(
             module.backlash_run(*arguments(table))
         except TypeError:
             continue
-        return lambda: module.backlash_run(*arguments(table)), y
+        return functools.partial(lambda one: module.backlash_run(*arguments(one)), table), y
     raise SystemExit("the other kernel's arguments are not known here")
 
 

@@ -4,13 +4,20 @@
 #define ALL_ONES UINT64_MAX
 #define ENDLESS (1.0e300 * 1.0e300)
 
-/* The state stays in registers only where these are inlined; left to choose, compilers do not. */
-#if defined(__GNUC__) || defined(__clang__)
+/* The state stays in registers only where these are inlined; left to choose, compilers do not. DBO_SMALL
+ * leaves the choice to them and expects grouped tables, for less than half of the code. */
+#if defined(DBO_SMALL)
+#define INLINE static
+#define EXPANDED_TABLES 0
+#elif defined(__GNUC__) || defined(__clang__)
 #define INLINE static inline __attribute__((always_inline))
 #elif defined(_MSC_VER)
 #define INLINE static __forceinline
 #else
 #define INLINE static inline
+#endif
+#ifndef EXPANDED_TABLES
+#define EXPANDED_TABLES 1
 #endif
 
 /* ---- find first set (4): the compiler's instruction, or de Bruijn as in the paper's reference [10] -- */
@@ -58,7 +65,7 @@ static size_t index_words(size_t n) { return ((n + 63) / 64 + 63) / 64; }
 size_t dbo_backlash_words(size_t n) { return (n + 63) / 64 + 2 * index_words(n); }
 
 INLINE size_t row_of(const walk *w, size_t gear) {
-    return w->grouped ? (size_t)(((uint64_t)gear * w->row_factor) >> 32) : gear;
+    return w->grouped || !EXPANDED_TABLES ? (size_t)(((uint64_t)gear * w->row_factor) >> 32) : gear;
 }
 
 /* Z (5) above word k, which has just become full; the words below it are full already. (The walk's members
@@ -154,7 +161,7 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
 
 /* ---- many equal gears at once ---------------------------------------------------------------------- */
 
-/* Crossing gears one by one is as fast up to about LEAP of them (measured on x86-64 and Cortex-M4). */
+/* A leap costs about as much as crossing so many gears one by one. */
 #define LEAP 4
 
 INLINE unsigned count_ones(uint64_t word) {
@@ -293,12 +300,15 @@ static size_t gears_crossed(const walk *w, double u, double reach, int rising) {
 INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                        engaged first, int *outside) {
     double slope = up->slope, d = u - w->x;
+    size_t single = LEAP;
     while (w->zero < w->n && d >= up->reach) {
         slope = up->slope;
-        if (w->run >= LEAP && d >= LEAP * up->reach)
+        if (single == 0 && w->run > 1 && d >= LEAP * up->reach)
             leap(w, gears_crossed(w, u, up->reach, 1), 1);
-        else
+        else {
+            if (single > 0) single--;
             move_up(w, w->gears + row_of(w, w->zero));
+        }
         *up = engage(op, w, w->zero);
         *down = first;
         d = u - w->x;
@@ -310,12 +320,15 @@ INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, e
 INLINE double cross_down(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                          engaged first, int *outside) {
     double slope = down->slope, d = u - w->x;
+    size_t single = LEAP;
     while (w->set < w->n && -d >= down->reach) {
         slope = down->slope;
-        if (w->run >= LEAP && -d >= LEAP * down->reach)
+        if (single == 0 && w->run > 1 && -d >= LEAP * down->reach)
             leap(w, gears_crossed(w, u, down->reach, 0), 0);
-        else
+        else {
+            if (single > 0) single--;
             move_down(w, w->gears + row_of(w, w->set));
+        }
         *down = engage(op, w, w->set);
         *up = first;
         d = u - w->x;
@@ -432,7 +445,7 @@ static void follow_output(walk *w, double y, int rising, const dbo_fixed_gear *f
 }
 
 /* The relative output for the relative input `u`, never crossing a gear that would leave [low, high]. */
-static double solve(const dbo_backlash *op, walk *w, double u, double kappa, double low, double high,
+INLINE double solve(const dbo_backlash *op, walk *w, double u, double kappa, double low, double high,
                     const dbo_fixed_gear *fixed, int *outside) {
     const int rising = u - (w->x + kappa * w->y) >= 0.0;
     const size_t last = rising ? pass_gears(w, u, kappa, high, 1, fixed)
@@ -454,7 +467,7 @@ static double solve(const dbo_backlash *op, walk *w, double u, double kappa, dou
 }
 
 /* The output within [low, high], the state that of the exchanged operator driven by it. */
-static double solve_within(const dbo_backlash *op, walk *w, double u, double kappa, double low,
+INLINE double solve_within(const dbo_backlash *op, walk *w, double u, double kappa, double low,
                            double high, double slack, const dbo_fixed_gear *fixed, int *outside,
                            int *clipped) {
     const double low_part = low - op->y0, high_part = high - op->y0;
@@ -550,14 +563,23 @@ dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *deca
     return fixed;
 }
 
-void dbo_backlash_run_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
-                            dbo_backlash_state *state, const double *x, double *y, size_t count,
-                            const dbo_limits *limits, dbo_counts *counts) {
-    walk w = begin(op, state, op->grouped);
+INLINE void run_at_fixed_step(const dbo_backlash *op, const dbo_fixed_step *fixed,
+                              dbo_backlash_state *state, const double *x, double *y, size_t count,
+                              const dbo_limits *limits, dbo_counts *counts, const int grouped) {
+    walk w = begin(op, state, grouped);
     for (size_t k = 0; k < count; k++)
         y[k] = general_sample(op, state, &w, x[k], fixed->decay, fixed->rest, fixed->kappa, fixed->gears,
                               limits, k, counts);
     finish(&w, state);
+}
+
+void dbo_backlash_run_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
+                            dbo_backlash_state *state, const double *x, double *y, size_t count,
+                            const dbo_limits *limits, dbo_counts *counts) {
+    if (EXPANDED_TABLES && !op->grouped)
+        run_at_fixed_step(op, fixed, state, x, y, count, limits, counts, 0);
+    else
+        run_at_fixed_step(op, fixed, state, x, y, count, limits, counts, 1);
 }
 
 double dbo_backlash_step_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
@@ -571,16 +593,17 @@ double dbo_backlash_step_fixed(const dbo_backlash *op, const dbo_fixed_step *fix
 void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
                       size_t count, const double *decay, size_t decay_stride,
                       const dbo_limits *limits, dbo_counts *counts) {
+    const int expanded = EXPANDED_TABLES && !op->grouped;
     if (limits || (op->terms && op->memory_on_output))
         run_general(op, state, x, y, count, decay, decay_stride, limits, counts);
-    else if (op->terms && op->grouped)
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1, 1);
-    else if (op->terms)
+    else if (op->terms && expanded)
         run_forward(op, state, x, y, count, decay, decay_stride, counts, 1, 0);
-    else if (op->grouped)
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 0, 1);
-    else
+    else if (op->terms)
+        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1, 1);
+    else if (expanded)
         run_forward(op, state, x, y, count, decay, decay_stride, counts, 0, 0);
+    else
+        run_forward(op, state, x, y, count, decay, decay_stride, counts, 0, 1);
 }
 
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,

@@ -96,9 +96,10 @@ def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats
 
 
 def equal_run(gears: Floats) -> int:
-    """Return how many neighbours are equal from every multiple of that number on; the last run may be shorter.
+    """Return how many neighbours are equal from every multiple of that number on.
 
-    Identification gives many gears one slope, so that runs are long; 1 where nothing repeats.
+    The last run may be shorter. Identification gives many gears one slope, so that runs are long; 1 where
+    nothing repeats.
     """
     starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
     run = math.gcd(*starts.tolist()) or len(gears)

@@ -19,7 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.gear_table import CROSSING_TOLERANCE, checked_pair, equal_run, gear_table, on_binary_grid
+from dbo_cli.hysteresis.gear_table import (
+    CROSSING_TOLERANCE,
+    checked_pair,
+    equal_run,
+    gear_table,
+    on_binary_grid,
+)
 from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
@@ -296,8 +302,8 @@ class DiscreteBacklashOperator:
         counts, before = Counts(), math.nan if last is None else last
         for begin, end, factors, steps in self._spans(signal.size, state, decay, bound.step):
             found = kernel.CHOSEN.backlash_run(
-                self.gears, self.n, self.equal_run, self.x0, self.y0, outside != "hold", gain, reference, self.memory_on == "output",
-                words, memory, before, signal[begin:end], y[begin:end], factors,
+                self.gears, self.n, self.equal_run, self.x0, self.y0, outside != "hold", gain, reference,
+                self.memory_on == "output", words, memory, before, signal[begin:end], y[begin:end], factors,
                 limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
             counts = counts + Counts(*found).shifted(begin)
@@ -339,16 +345,25 @@ class DiscreteBacklashOperator:
 
         The rows phi (len(x) × n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for an open one, a
         fraction for the engaged one, so that heights are linear unknowns of the output. With ``group_size``
-        > 1 that many neighbours share one column (len(x) × ceil(n / group_size)), their mean: the unknowns are then
-        the heights of the groups, equal within each. Relaxation is not in them (see ``Relaxation.lags``).
+        > 1 that many neighbours share one column (len(x) × ceil(n / group_size)), their mean: the unknowns
+        are then the heights of the groups, equal within each. Relaxation is not in them (see
+        ``Relaxation.lags``).
         """
         signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         words = self._words(state)
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((signal.size, crossed.size))
         kernel.CHOSEN.backlash_engagement(
-            self.gears, self.n, self.equal_run, self.x0, outside != "hold", words, signal, rows,
-            crossed, group_size,
+            self.gears,
+            self.n,
+            self.equal_run,
+            self.x0,
+            outside != "hold",
+            words,
+            signal,
+            rows,
+            crossed,
+            group_size,
         )
         return rows, BacklashState(self._bits(words), state.memory)
 
