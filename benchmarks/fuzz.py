@@ -32,9 +32,9 @@ sys.path.insert(0, str(ROOT))
 
 from dbo_cli.errors import DboError  # noqa: E402
 from dbo_cli.logs.columns import ColumnWish  # noqa: E402
+from dbo_cli.logs.reading_options import ReadingOptions, parse_rows  # noqa: E402
 from dbo_cli.logs.signal_log import open_log  # noqa: E402
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer  # noqa: E402
-from dbo_cli.logs.text_dialect import DialectOptions  # noqa: E402
 from tests.shapes.readable import READABLE  # noqa: E402
 from tests.shapes.refusable import REFUSABLE  # noqa: E402
 
@@ -160,7 +160,7 @@ class Fuzzer:
         out.write_bytes(b"as it was")
         try:
             with (
-                open_log(str(self.folder / name), want, **call) as log,
+                open_log(str(self.folder / name), want, ReadingOptions(**call)) as log,
                 signal_writer(
                     str(out), [OutColumn("voltage", "V")], protect=[str(self.folder / name)]
                 ) as writer,
@@ -183,13 +183,13 @@ class Fuzzer:
         pick = self.random.choice
         call: dict[str, Any] = {"block_rows": pick([1, 3, 1000]), "skip_bad": pick([False, False, True])}
         if self.random.random() < 0.2:
-            call["rows"] = pick(["2:", ":3", "2:2", "9:"])
+            call["rows"] = parse_rows(pick(["2:", ":3", "2:2", "9:"]))
         if self.random.random() < 0.2:
             call["sample_rate"] = 10.0
         if self.random.random() < 0.1:
             call["resample"] = pick([0.5, 10.0, 1000.0])
         if self.random.random() < 0.2:
-            call["dialect"] = DialectOptions(
+            call |= dict(
                 delimiter=pick([None, "comma", "blanks", ":"]),
                 decimal=pick([None, "point", "comma"]),
                 header_lines=pick([None, 0, 1, 2]),

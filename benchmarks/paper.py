@@ -24,7 +24,8 @@ from dbo_cli.hysteresis.identification import Identification, IdentificationOpti
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
-from dbo_cli.logs.sample_block import Block
+from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.reports.drawing import Plot, check_folder, save
@@ -66,10 +67,10 @@ class Line:
         return f"{self.what:<48}{f'{self.published:g} {self.unit}':>11}{found:>14}{mark}".rstrip()
 
 
-def read(path: Path, roles: tuple[str, ...], rows: str) -> Block:
+def read(path: Path, roles: tuple[str, ...], rows: str) -> SampleBlock:
     """Return the wanted columns of the wanted rows."""
     wish = {role: ColumnWish(COLUMNS[role]) for role in roles}
-    with open_log(str(path), wish, sample_rate=RATE, rows=rows) as log:
+    with open_log(str(path), wish, ReadingOptions(sample_rate=RATE, rows=parse_rows(rows))) as log:
         return log.read()
 
 

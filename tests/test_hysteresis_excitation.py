@@ -9,7 +9,8 @@ import pytest
 from test_hysteresis_model import build, limits_of, wanted
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.excitation import condition, excitation, read_ahead, swing_samples, swings
+from dbo_cli.hysteresis.delay import read_ahead
+from dbo_cli.hysteresis.excitation import condition, excitation, swing_samples, swings
 from dbo_cli.hysteresis.model import DriveLimits
 
 

@@ -19,13 +19,13 @@ from dbo_cli.hysteresis.operators import BacklashState
 
 EXAMPLE: dict[str, Any] = {
     "format": "dbo-model",
-    "version": 1,
+    "version": 2,
     "direction": "forward",
     "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 3.6},
     "output": {"quantity": "displacement", "unit": None, "min": -23, "max": 22.1},
     "stages": [
         {
-            "type": "backlash", "x0": 0.0, "y0": 0, "dx": [1.2, 1.2, 1.2],
+            "type": "backlash", "x0": 0.0, "y0": 0, "dx": [1.2, 1.0, 1.4],
             "dy": [0.1, 0.2, 0.30000000000000004],
             "relaxation": {"on": "input", "reference": 0.1, "tau": [0.01, 5.0], "gain": [0.02, 0.0]},
         },
@@ -98,7 +98,7 @@ REFUSED: list[tuple[dict[str, Any] | str, str]] = [
     (changed("version", ...), "version: is missing"),
     (changed("version", "1"), 'version: "1" is not a version'),
     (changed("version", True), "version: true is not a version"),
-    (changed("version", 2), "version: 2 is newer than this program reads, 1; upgrade dbo-cli"),
+    (changed("version", 3), "version: 3 is newer than this program reads, 2; upgrade dbo-cli"),
     (changed("direction", "up"), "direction: 'up' is neither 'forward' nor 'inverse'"),
     (changed("colour", "red"), "colour: is not a known key"),
     (changed("input", ...), "input: is missing"),
@@ -194,7 +194,7 @@ def test_a_resumed_run_gives_the_same_bits(tmp_path: Path) -> None:
 
 STATES: list[tuple[str, Any, str]] = [
     ("model", "0", "model: the state belongs to another model (save it again with this one)"),
-    ("version", 3, "version: 3 is newer than this program reads, 1; upgrade dbo-cli"),
+    ("version", 3, "version: 3 is newer than this program reads, 2; upgrade dbo-cli"),
     ("backlash.gears", 4, "backlash.gears: is not 3, the number of gears of the model"),
     ("backlash.bits", "8", "backlash.bits: is not a hexadecimal number of 3 bits"),
     ("backlash.bits", "0x3", "backlash.bits: is not a hexadecimal number of 3 bits"),
@@ -243,3 +243,60 @@ def test_any_json_is_read_or_refused_in_one_line(
         model_to_bytes(read_model(path))
     except DboError as problem:
         assert "\n" not in str(problem)
+
+
+RUNS = [0.5, *[0.25] * 40, 0.75, 0.75, *[0.125] * 3]
+
+
+def test_runs_of_equal_widths_are_written_once(tmp_path: Path) -> None:
+    values = copy.deepcopy(EXAMPLE)
+    values["stages"][0] |= {"dx": RUNS, "dy": RUNS}
+    model = read_model(write(tmp_path, values))
+    written = model_to_bytes(model)
+    assert json.loads(written)["stages"][0]["dx"] == [
+        0.5, {"repeat": 40, "value": 0.25}, 0.75, 0.75, {"repeat": 3, "value": 0.125}
+    ]  # fmt: skip
+    (tmp_path / "runs.json").write_bytes(written)
+    again = read_model(str(tmp_path / "runs.json"))
+    assert again.backlash.dx.tolist() == RUNS
+    assert model_to_bytes(again) == written
+
+
+def test_no_line_of_a_model_file_is_long(tmp_path: Path) -> None:
+    values = copy.deepcopy(EXAMPLE)
+    values["stages"][0] |= {"dx": [1.0 + k / 7 for k in range(300)], "dy": [1.0] * 300}
+    del values["stages"][0]["relaxation"]
+    written = model_to_bytes(read_model(write(tmp_path, values)))
+    assert max(map(len, written.splitlines())) <= 130
+
+
+@pytest.mark.parametrize(
+    ("item", "message"),
+    [
+        ({"repeat": 0, "value": 1.0}, "stages[0].dx[0].repeat: 0 is not a number of times"),
+        ({"repeat": True, "value": 1.0}, "stages[0].dx[0].repeat: true is not a number of times"),
+        ({"repeat": 1.5, "value": 1.0}, "stages[0].dx[0].repeat: 1.5 is not a number of times"),
+        ({"repeat": 2}, "stages[0].dx[0].value: is missing"),
+        ({"repeat": 2, "value": "x"}, 'stages[0].dx[0].value: "x" is not a number'),
+        ({"repeat": 10**12, "value": 1.0}, "stages[0].dx: has more than 1,000,000 entries"),
+    ],
+)
+def test_a_run_that_is_none_is_refused(tmp_path: Path, item: object, message: str) -> None:
+    values = copy.deepcopy(EXAMPLE)
+    values["stages"][0]["dx"] = [item]
+    path = write(tmp_path, values)
+    with pytest.raises(ModelError) as problem:
+        read_model(path)
+    assert str(problem.value) == f"{path}: {message}"
+
+
+OLD = Path(__file__).parent / "old_files"
+
+
+def test_files_of_version_1_stay_readable() -> None:
+    model = read_model(str(OLD / "model-v1.json"))
+    assert json.loads((OLD / "model-v1.json").read_text())["version"] == 1
+    assert model.backlash.dx.tolist() == json.loads((OLD / "model-v1.json").read_text())["stages"][0]["dx"]
+    state = read_state(str(OLD / "state-v1.json"), model)
+    assert state.time is None
+    assert state.drive == json.loads((OLD / "state-v1.json").read_text())["drive"]

@@ -19,6 +19,7 @@ from dbo_cli.logs.columns import (
     split_header,
 )
 from dbo_cli.logs.provenance import input_record, program_version_string
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
 
@@ -110,7 +111,7 @@ def test_provenance(tmp_path: Path) -> None:
     assert program_version_string().startswith("dbo ")
     path = tmp_path / "log.csv"
     path.write_text("voltage\n1\n2\nx\n")
-    with open_log(str(path), {"voltage": ColumnWish("1")}, skip_bad=True) as log:
+    with open_log(str(path), {"voltage": ColumnWish("1")}, ReadingOptions(skip_bad=True)) as log:
         log.read()
         record = log.record()
     assert record == {"name": "log.csv", "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "rows": 2}

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from dbo_cli.errors import InputError, OutputError
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.hdf5_writer import shuffled_deflated
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 
@@ -32,7 +33,7 @@ def opened(
         "voltage": ColumnWish(voltage, ("voltage", "drive", "u"), option="voltage"),
         "displacement": ColumnWish(displacement, ("displacement", "position", "y"), option="displacement"),
     }
-    return open_log(str(path), want, **more)
+    return open_log(str(path), want, ReadingOptions(**more))
 
 
 def plain(file: Any) -> None:
@@ -148,7 +149,8 @@ def test_the_sample_rate_of_an_attribute(tmp_path: Path) -> None:
             assert log.sample_rate == rate
         assert block.time is not None
         assert block.time[1] == pytest.approx(1 / rate, rel=1e-15)
-        with opened(tmp_path / "log.h5", sample_rate=8.0, rows="2:3") as log:  # what the user says goes first
+        # what the user says goes first
+        with opened(tmp_path / "log.h5", sample_rate=8.0, rows=(2, 3)) as log:
             block = log.read()
         assert block.time is not None
         assert block.time.tolist() == [0.125, 0.25]

@@ -10,6 +10,7 @@ import pytest
 from dbo_cli.errors import DboError
 from dbo_cli.logs import text_parsing as parsing
 from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from tests.shapes.refusable import REFUSABLE, Refusal
 
@@ -27,8 +28,11 @@ def told(refusal: Refusal, folder: Path, **more: Any) -> DboError:
         "voltage": ColumnWish(refusal.ask.get("voltage"), VOLTAGE, option="voltage"),
         "displacement": ColumnWish(refusal.ask.get("displacement"), DISPLACEMENT, option="displacement"),
     }
-    with pytest.raises(DboError) as raised, open_log(str(path) + suffix, want, **call) as log:
-        log.read()
+    with pytest.raises(DboError) as raised:
+        if "rows" in call:
+            call["rows"] = parse_rows(call["rows"])
+        with open_log(str(path) + suffix, want, ReadingOptions(**call)) as log:
+            log.read()
     return raised.value
 
 

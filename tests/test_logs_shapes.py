@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from dbo_cli.logs import text_parsing as parsing
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.sample_block import Block
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from tests.shapes.readable import READABLE, Shape
 
@@ -25,14 +26,16 @@ def open_shape(shape: Shape, path: Path, block_rows: int = 1 << 18) -> SignalLog
             "voltage": ColumnWish(shape.ask.get("voltage"), VOLTAGE, option="voltage"),
             "displacement": ColumnWish(shape.ask.get("displacement"), DISPLACEMENT, option="displacement"),
         },
-        time=shape.ask.get("time"),
-        sample_rate=shape.sample_rate,
-        dialect=shape.options,
-        block_rows=block_rows,
+        replace(
+            shape.options,
+            time=shape.ask.get("time"),
+            sample_rate=shape.sample_rate,
+            block_rows=block_rows,
+        ),
     )
 
 
-def check(shape: Shape, log: SignalLog, block: Block) -> None:
+def check(shape: Shape, log: SignalLog, block: SampleBlock) -> None:
     assert block.values["voltage"].tolist() == list(shape.voltage)
     assert block.values["displacement"].tolist() == list(shape.displacement)
     if shape.time is None:

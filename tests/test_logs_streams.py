@@ -19,6 +19,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs import text_parsing as parsing
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.number_text import rows_as_text, shortest
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
@@ -88,7 +89,8 @@ def test_the_place_of_a_bad_cell_deep_in_a_large_log(tmp_path: Path) -> None:
     rows[250_000] = "250000,OVLD"
     path.write_text("# bench\ntime_s,voltage_V\n" + "\n".join(rows) + "\n")
     for block_rows in (1000, 1 << 18):
-        with pytest.raises(InputError) as raised, open_log(str(path), WANT, block_rows=block_rows) as log:
+        options = ReadingOptions(block_rows=block_rows)
+        with pytest.raises(InputError) as raised, open_log(str(path), WANT, options) as log:
             for _ in log.blocks():
                 pass
         assert str(raised.value) == (
@@ -109,7 +111,8 @@ CELLS = st.one_of(
 
 def outcome(text: bytes, dialect: Dialect, skip: bool) -> object:
     """What one block gives: numbers with their places, or the message of its refusal."""
-    picks = [ColumnInfo("one", None, "one", 1), ColumnInfo("three", None, "three", dialect.width)]
+    first = ColumnInfo("one", None, "one", 1)
+    picks = {"one": first, "three": ColumnInfo("three", None, "three", dialect.width)}
     parser = parsing.BlockParser("log", dialect, picks, skip_bad=skip)
     try:
         blocks = list(parser.parse(iter([text]), small=True))
@@ -117,7 +120,7 @@ def outcome(text: bytes, dialect: Dialect, skip: bool) -> object:
         return str(problem)
     return [
         (list(b.rows), list(b.lines or []) if isinstance(b.lines, range) else np.asarray(b.lines).tolist(),
-         [a.view(np.uint64).tolist() for a in b.arrays])
+         [a.view(np.uint64).tolist() for a in b.values.values()])
         for b in blocks
     ], parser.dropped, parser.first_dropped  # fmt: skip
 
@@ -192,7 +195,7 @@ def test_the_samples_do_not_depend_on_the_block_size(block_rows: int, seed: int)
         path = os.path.join(folder, "log.csv")
         with open(path, "w") as file:
             file.write("t;voltage;remark\n" + "\n".join(lines))
-        with open_log(path, WANT, block_rows=block_rows) as log:
+        with open_log(path, WANT, ReadingOptions(block_rows=block_rows)) as log:
             block = log.read()
         with open_log(path, WANT) as log:
             whole = log.read()

@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.clock import TimeCheck, even_step, parse_rows, require_even, resampled, to_seconds
+from dbo_cli.logs.clock import TimeCheck, even_step, require_even, resampled, to_seconds
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.sample_block import Block
+from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
 
 WANT = {"voltage": ColumnWish(None, ("voltage",))}
@@ -21,7 +22,7 @@ WANT = {"voltage": ColumnWish(None, ("voltage",))}
 def notes_of(folder: Path, times: list[float], block_rows: int = 1 << 18) -> list[str]:
     path = folder / "log.csv"
     path.write_text("time_s,voltage_V\n" + "".join(f"{time!r},1\n" for time in times))
-    with open_log(str(path), WANT, block_rows=block_rows) as log:
+    with open_log(str(path), WANT, ReadingOptions(block_rows=block_rows)) as log:
         log.read()
     return [note.removeprefix(str(path)) for note in log.notes]
 
@@ -79,7 +80,7 @@ def test_the_verdict_does_not_depend_on_the_blocks(seed: int, size: int) -> None
 def test_dropped_rows_are_counted_and_keep_their_time(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("voltage\n1\nOVLD\n3\n\n4\nOVLD\n")
-    with open_log(str(path), WANT, sample_rate=10.0, skip_bad=True) as log:
+    with open_log(str(path), WANT, ReadingOptions(sample_rate=10.0, skip_bad=True)) as log:
         block = log.read()
     assert block.time is not None
     assert block.time.tolist() == [0.0, 0.2, 0.3]
@@ -94,7 +95,7 @@ def test_rows_of_a_log_keep_their_time(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("voltage\n" + "".join(f"{k}\n" for k in range(10)) + "x\n")
     for rows, expected in (("3:5", [2, 3, 4]), ("9:10", [8, 9]), (":2", [0, 1])):
-        with open_log(str(path), WANT, sample_rate=1.0, rows=rows) as log:
+        with open_log(str(path), WANT, ReadingOptions(sample_rate=1.0, rows=parse_rows(rows))) as log:
             block = log.read()
         assert block.values["voltage"].tolist() == expected  # the bad row is outside and does not matter
         assert block.time is not None
@@ -102,7 +103,6 @@ def test_rows_of_a_log_keep_their_time(tmp_path: Path) -> None:
 
 
 def test_rows() -> None:
-    assert parse_rows(None) == (1, None)
     assert parse_rows("3:5") == (3, 5)
     assert parse_rows(":5") == (1, 5)
     assert parse_rows("3:") == (3, None)
@@ -136,10 +136,10 @@ def test_resampling_equals_interpolation_for_any_block_size(seed: int, size: int
     random = np.random.default_rng(seed)
     time = 5.0 + np.cumsum(random.uniform(0.01, 0.2, 60))
     voltage = random.normal(size=60)
-    whole = Block(range(1, 61), range(2, 62), time, {"voltage": voltage})
+    whole = SampleBlock(range(1, 61), range(2, 62), time, {"voltage": voltage})
     cuts = range(0, 60, size)
     pieces = [
-        Block(range(k + 1, k + size + 1)[: len(time[k : k + size])], None, time[k : k + size],
+        SampleBlock(range(k + 1, k + size + 1)[: len(time[k : k + size])], None, time[k : k + size],
               {"voltage": voltage[k : k + size]})
         for k in cuts
     ]  # fmt: skip
@@ -156,7 +156,7 @@ def test_resampling_equals_interpolation_for_any_block_size(seed: int, size: int
 def test_resampling_through_the_log(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time_ms,voltage\n0,0\n10,1\n30,3\n40,4\n")
-    with open_log(str(path), WANT, resample=100.0) as log:
+    with open_log(str(path), WANT, ReadingOptions(resample=100.0)) as log:
         block = log.read()
     assert block.values["voltage"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert list(block.rows) == [1, 2, 3, 4, 5]
@@ -168,7 +168,7 @@ def test_resampling_refuses_a_clock_that_does_not_advance(tmp_path: Path) -> Non
     for block_rows in (1, 2, 100):
         with (
             pytest.raises(InputError) as raised,
-            open_log(str(path), WANT, resample=1.0, block_rows=block_rows) as log,
+            open_log(str(path), WANT, ReadingOptions(resample=1.0, block_rows=block_rows)) as log,
         ):
             log.read()
         assert str(raised.value) == (
@@ -193,7 +193,7 @@ def test_time_is_required_only_where_it_is_needed(tmp_path: Path) -> None:
 def test_a_sample_rate_replaces_a_guessed_time_column(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time,voltage\n0,5\n7,6\n")
-    with open_log(str(path), WANT, sample_rate=4.0) as log:
+    with open_log(str(path), WANT, ReadingOptions(sample_rate=4.0)) as log:
         block = log.read()
     assert block.time is not None
     assert block.time.tolist() == [0.0, 0.25]

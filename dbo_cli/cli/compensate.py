@@ -16,7 +16,7 @@ from dbo_cli.errors import UsageError
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
     from dbo_cli.hysteresis.model_state import DriveLimits
-    from dbo_cli.logs.sample_block import Block, FloatArray
+    from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 
 ON_LIMIT = ("clip", "error")
 
@@ -92,7 +92,7 @@ def _why_time(model: ActuatorModel, limits: DriveLimits, condition: bool) -> str
 
 
 def _condition(
-    stream: ModelStream, limits: DriveLimits, block: Block, x: FloatArray
+    stream: ModelStream, limits: DriveLimits, block: SampleBlock, x: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the rows of the conditioning sweep, and let the stream go on from the state it leaves.
 

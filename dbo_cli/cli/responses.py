@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dbo_cli.hysteresis.initial_states import StartName
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
     from dbo_cli.hysteresis.model_state import ModelState
-    from dbo_cli.logs.sample_block import Block, FloatArray
+    from dbo_cli.logs.sample_block import FloatArray, SampleBlock
     from dbo_cli.logs.signal_writer import OutColumn
 
 
@@ -58,7 +58,7 @@ def start_of(state: str, model: ActuatorModel) -> StartName | ModelState:
 
 def write_response(
     stream: ModelStream,
-    blocks: Iterable[tuple[Block, FloatArray]],
+    blocks: Iterable[tuple[SampleBlock, FloatArray]],
     result: Quantity,
     reading: Reading,
     voice: Voice,
@@ -100,7 +100,9 @@ def write_response(
     stream.tell(voice)
 
 
-def _responses(stream: ModelStream, blocks: Iterable[tuple[Block, FloatArray]]) -> Iterator[list[FloatArray]]:
+def _responses(
+    stream: ModelStream, blocks: Iterable[tuple[SampleBlock, FloatArray]]
+) -> Iterator[list[FloatArray]]:
     """Yield time (when known), input and result of each block."""
     role = stream.taken.quantity
     for block, x in blocks:

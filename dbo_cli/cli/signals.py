@@ -37,32 +37,25 @@ def open_signals(
     digest: bool = False,
 ) -> SignalLog:
     """Open a log as the reading options say."""
+    from dbo_cli.logs.reading_options import ALL_ROWS, BLOCK_ROWS, ReadingOptions, parse_rows
     from dbo_cli.logs.signal_log import open_log
-    from dbo_cli.logs.text_dialect import DialectOptions
 
-    dialect = DialectOptions(
+    options = ReadingOptions(
+        time=reading.time,
+        sample_rate=reading.sample_rate,
+        rows=ALL_ROWS if reading.rows is None else parse_rows(reading.rows),
+        skip_bad=reading.skip_bad,
+        resample=reading.resample,
+        format=format_for(address, reading.file_format),
         delimiter=reading.delimiter,
         decimal=reading.decimal,
         comment=reading.comment,
         skip_lines=reading.skip_lines,
         header_lines=reading.header_lines,
         encoding=reading.encoding,
+        block_rows=reading.block_rows or BLOCK_ROWS,
     )
-    blocks = {} if reading.block_rows is None else {"block_rows": reading.block_rows}
-    log = open_log(
-        address,
-        want,
-        time=reading.time,
-        sample_rate=reading.sample_rate,
-        rows=reading.rows,
-        skip_bad=reading.skip_bad,
-        format=format_for(address, reading.file_format),
-        dialect=dialect,
-        live=live,
-        digest=digest,
-        resample=reading.resample,
-        **blocks,
-    )
+    log = open_log(address, want, options, live=live, digest=digest)
     voice.detail(log.describe())
     return log
 

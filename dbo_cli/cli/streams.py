@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dbo_cli.hysteresis.model import ActuatorModel, Quantity
     from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
     from dbo_cli.hysteresis.operators import Outside
-    from dbo_cli.logs.sample_block import Block, FloatArray
+    from dbo_cli.logs.sample_block import FloatArray, SampleBlock
     from dbo_cli.logs.signal_log import SignalLog
 
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word
@@ -32,10 +32,10 @@ class Clock:
             log.require_time(why)
         # One number where samples are evenly spaced by definition: a delay of whole samples is exact then.
         rate = reading.resample or (log.sample_rate if not reading.skip_bad else None)
-        self.step = None if rate is None else 1.0 / rate
+        self.step: float | None = None if rate is None else 1.0 / rate
         self.last: float | None = None
 
-    def steps(self, block: Block) -> float | FloatArray | None:
+    def steps(self, block: SampleBlock) -> float | FloatArray | None:
         """Return the seconds since the sample before, one number or one for each sample of the block."""
         if not self.needed or block.time is None:
             return None
@@ -53,7 +53,7 @@ class Clock:
         self.last = float(time[-1])
         return steps
 
-    def _backward(self, block: Block, index: int) -> str:
+    def _backward(self, block: SampleBlock, index: int) -> str:
         return (
             f"{place_of(self.name, block, index)}: time goes backwards, and this model's lag and creep "
             "depend on the time between samples (cut the log with --rows A:B)"
@@ -67,7 +67,7 @@ class Tally:
     count: int = 0
     first_row: int = 0
 
-    def add(self, count: int, index: int, block: Block) -> None:
+    def add(self, count: int, index: int, block: SampleBlock) -> None:
         """Count what one block had."""
         if count and not self.count:
             self.first_row = int(block.rows[index])
@@ -100,7 +100,7 @@ class ModelStream:
         """What the stream takes in."""
         return self.model.input if self.limits is None else self.model.output
 
-    def feed(self, block: Block, x: FloatArray) -> FloatArray:
+    def feed(self, block: SampleBlock, x: FloatArray) -> FloatArray:
         """Return the output for one block."""
         steps = self.clock.steps(block)
         if self.state is None:
@@ -162,7 +162,7 @@ class ModelStream:
             return self.model.start(first, self.start)
         return self.model.start_compensation(first, self.start, self.limits)
 
-    def _run(self, block: Block, x: FloatArray, steps: Any, state: ModelState) -> Simulated:
+    def _run(self, block: SampleBlock, x: FloatArray, steps: Any, state: ModelState) -> Simulated:
         from dbo_cli.hysteresis.model_state import OutsideError
 
         if self.limits is not None:
@@ -179,17 +179,17 @@ class ModelStream:
 LAG_DEPENDS = "this model's lag, creep or delay depends on it"
 
 
-def ahead(source: SignalLog, role: str, seconds: float) -> Iterator[tuple[Block, FloatArray]]:
+def ahead(source: SignalLog, role: str, seconds: float) -> Iterator[tuple[SampleBlock, FloatArray]]:
     """Return each block with its signal as it will be ``seconds`` later: how an inverse undoes a delay."""
     if seconds == 0.0:
         return ((block, block.values[role]) for block in source.blocks())
-    from dbo_cli.hysteresis.excitation import read_ahead
+    from dbo_cli.hysteresis.delay import read_ahead
 
     blocks = ((block, block.time, block.values[role]) for block in source.blocks() if block.time is not None)
     return read_ahead(blocks, seconds)
 
 
-def place_of(name: str, block: Block, index: int) -> str:
+def place_of(name: str, block: SampleBlock, index: int) -> str:
     """Return where a sample stands, as a message names it: file and line, or row where there are no lines."""
     if block.lines is not None:
         return f"{name}:{int(block.lines[index])}"

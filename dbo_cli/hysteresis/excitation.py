@@ -1,4 +1,4 @@
-"""Drives with a purpose: conditioning, excitation, and a trajectory read ahead by a delay.
+"""Drives with a purpose: conditioning and excitation.
 
 Every drive here is a chain of half-cosine swings between turning points: its speed is zero at each turn, so
 it turns exactly where it says, and a slew limit is a matter of making a swing long enough.
@@ -7,10 +7,9 @@ it turns exactly where it says, and a slew limit is a matter of making a swing l
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 
 Floats = NDArray[np.float64]
-Payload = TypeVar("Payload")
 
 JOINING_TURNS = 30
 MOST_SAMPLES = 100_000_000
@@ -169,38 +167,3 @@ def _excitation_turns(cycles: int) -> list[float]:
     for depth in depths[1::2]:
         turns += [depth, 0.0]
     return turns
-
-
-def read_ahead(
-    blocks: Iterable[tuple[Payload, Floats, Floats]], seconds: float
-) -> Iterator[tuple[Payload, Floats]]:
-    """Shift a signal to earlier by ``seconds``: the value wanted at t + seconds, for every sample at t.
-
-    Takes (payload, time, values) and yields (payload, values) for the same blocks, each as soon as enough of
-    the future is known; interpolates linearly, and the last value holds. The result does not depend on how
-    the signal is cut into blocks; empty blocks are dropped.
-    """
-    waiting: deque[tuple[Payload, Floats, Floats]] = deque()
-    for block in blocks:
-        if block[1].size == 0:
-            continue
-        waiting.append(block)
-        while waiting and block[1][-1] > waiting[0][1][-1] + seconds:
-            yield _shifted(waiting, seconds)
-    while waiting:
-        yield _shifted(waiting, seconds)
-
-
-def _shifted(waiting: deque[tuple[Payload, Floats, Floats]], seconds: float) -> tuple[Payload, Floats]:
-    """Take the first block off and return it shifted, by the blocks that wait behind it."""
-    time = np.concatenate([block[1] for block in waiting])
-    values = np.concatenate([block[2] for block in waiting])
-    payload, own, _ = waiting.popleft()
-    wanted = own + seconds
-    after = np.clip(np.searchsorted(time, wanted, side="left"), 0, time.size - 1)
-    before = np.clip(after - 1, 0, None)
-    gap = time[after] - time[before]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        part = np.where(gap > 0.0, (time[after] - wanted) / gap, 0.0)
-    part = np.where(part < _WHOLE, 0.0, np.where(part > 1.0 - _WHOLE, 1.0, part))
-    return payload, values[after] + part * (values[before] - values[after])

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import (
-    DelayStage,
     MemoryFree,
     ScaleStage,
     Stage,
@@ -31,6 +30,7 @@ from dbo_cli.hysteresis.cascade import (
     slow_output_range,
     through,
 )
+from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.initial_states import StartName, start_drive, start_state
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity, Simulated
 from dbo_cli.hysteresis.operators import (
@@ -259,7 +259,7 @@ class ActuatorModel:
         Parameters
         ----------
         x : array_like
-            The input. An inverse model with a delay gets it read ahead (``waveforms.read_ahead``).
+            The input. An inverse model with a delay gets it read ahead (``delay.read_ahead``).
         state : ModelState
             From ``start``, or from the block before.
         time_step : float or array_like, optional

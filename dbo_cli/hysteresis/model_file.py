@@ -7,6 +7,7 @@ is wrong, spelled as a path: ``stages[0].dx[3]``.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sys
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.cascade import DelayHistory
+from dbo_cli.hysteresis.delay import DelayHistory
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -33,7 +34,12 @@ from dbo_cli.hysteresis.operators import BacklashState
 
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"
-VERSION = 1
+VERSION = 2
+"""Of both files. Version 1 had every width written out, and states that did not know their time."""
+
+MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
+SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
+LINE = 100  # characters, after which the next line of a list begins
 _NOTE_DEPTH = 20
 
 Json = dict[str, Any]
@@ -74,6 +80,28 @@ class _Node:
         if not isinstance(given, list):
             raise self.refuse(key, "is not a list of numbers")
         return [self._finite(f"{key}[{i}]", value) for i, value in enumerate(given)]
+
+    def widths(self, key: str) -> list[float]:
+        """Return a list of finite numbers in which (from version 2 on) a run of equal ones may stand once."""
+        given = self.values[key]
+        if not isinstance(given, list):
+            raise self.refuse(key, "is not a list of numbers")
+        numbers: list[float] = []
+        for place, item in enumerate(given):
+            if not isinstance(item, dict):
+                numbers.append(self._finite(f"{key}[{place}]", item))
+                continue
+            run = self.below(f"{key}[{place}]", item)
+            run.only(("repeat", "value"))
+            count = item["repeat"]
+            if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+                raise run.refuse("repeat", f"{json.dumps(count)} is not a number of times")
+            if len(numbers) + count > MOST_GEARS:
+                raise self.refuse(key, f"has more than {MOST_GEARS:,} entries")
+            numbers.extend([run.number("value")] * count)
+        if len(numbers) > MOST_GEARS:
+            raise self.refuse(key, f"has more than {MOST_GEARS:,} entries")
+        return numbers
 
     def _finite(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -230,14 +258,14 @@ def _backlash(node: _Node) -> Stage:
             raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
         reference, tau, gain = terms.number("reference"), terms.numbers("tau"), terms.numbers("gain")
         relaxation = node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain)))
-    dx, dy, x0, y0 = node.numbers("dx"), node.numbers("dy"), node.number("x0"), node.number("y0")
+    dx, dy, x0, y0 = node.widths("dx"), node.widths("dy"), node.number("x0"), node.number("y0")
     stage: Stage = node.build(lambda: BacklashStage(dx, dy, x0, y0, relaxation, axis))  # type: ignore[arg-type]
     return stage
 
 
 def _point(node: _Node) -> Stage:
     node.only(("type", "x0", "y0", "dx", "dy"))
-    dx, dy, x0, y0 = node.numbers("dx"), node.numbers("dy"), node.number("x0"), node.number("y0")
+    dx, dy, x0, y0 = node.widths("dx"), node.widths("dy"), node.number("x0"), node.number("y0")
     stage: Stage = node.build(lambda: PointStage(dx, dy, x0, y0))
     return stage
 
@@ -290,8 +318,8 @@ def _stage_values(stage: Stage) -> Json:
         "type": "backlash" if isinstance(stage, BacklashStage) else "point",
         "x0": stage.x0,
         "y0": stage.y0,
-        "dx": stage.dx.tolist(),
-        "dy": stage.dy.tolist(),
+        "dx": _with_runs(stage.dx.tolist()),
+        "dy": _with_runs(stage.dy.tolist()),
     }
     if isinstance(stage, BacklashStage) and stage.relaxation is not None:
         terms = stage.relaxation
@@ -304,8 +332,20 @@ def _stage_values(stage: Stage) -> Json:
     return values
 
 
+def _with_runs(widths: list[float]) -> list[float | Json]:
+    """Return widths with every run of equal ones written once."""
+    written: list[float | Json] = []
+    for value, run in itertools.groupby(widths):
+        count = sum(1 for _ in run)
+        if count >= SHORTEST_RUN:
+            written.append({"repeat": count, "value": value})
+        else:
+            written.extend([value] * count)
+    return written
+
+
 def _to_bytes(values: Mapping[str, Any]) -> bytes:
-    """Return JSON with one line for a short object and one for every long list, for people and for diff."""
+    """Return JSON with one line for a short object and filled lines for a long list, for people and diff."""
     return (_layout(values, "") + "\n").encode()
 
 
@@ -313,9 +353,9 @@ def _layout(value: Any, indent: str) -> str:
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
     if not isinstance(value, dict | list) or not value or len(indent) + len(flat) <= 100:
         return flat
-    if isinstance(value, list) and not any(isinstance(item, dict | list) for item in value):
-        return flat
     inner = indent + "  "
+    if isinstance(value, list) and all(_is_short(item) for item in value):
+        return _filled([json.dumps(item, ensure_ascii=False) for item in value], inner, indent)
     if isinstance(value, dict):
         parts = [
             f"{json.dumps(key, ensure_ascii=False)}: {_layout(item, inner)}" for key, item in value.items()
@@ -326,6 +366,23 @@ def _layout(value: Any, indent: str) -> str:
     return opening + "\n" + ",\n".join(inner + part for part in parts) + "\n" + indent + closing
 
 
+def _is_short(item: Any) -> bool:
+    """Tell whether a list's item is a number, or a number that is repeated."""
+    return isinstance(item, int | float) or (isinstance(item, dict) and item.keys() == {"repeat", "value"})
+
+
+def _filled(items: list[str], inner: str, indent: str) -> str:
+    """Return a list as lines of as many items as fit."""
+    lines, line = [], inner
+    for place, item in enumerate(items):
+        piece = item + ("," if place + 1 < len(items) else "")
+        if len(line) + len(piece) > LINE and line != inner:
+            lines.append(line.rstrip())
+            line = inner
+        line += piece + " "
+    return "[\n" + "\n".join([*lines, line.rstrip()]) + "\n" + indent + "]"
+
+
 def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     """Return the state file of a state; it names the gears it belongs to by a digest."""
     values: Json = {
@@ -333,6 +390,7 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         "version": VERSION,
         "model": model.digest,
         "backlash": {"gears": model.backlash.n, **state.backlash.to_json_dict()},
+        "time": state.time,
         "drive": state.drive,
         "delay": None if state.history is None else state.history.to_json_dict(),
     }
@@ -350,7 +408,8 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
         It is not a state, contradicts itself, or belongs to another model.
     """
     root = _load(path, STATE_FORMAT, "state")
-    root.only(("format", "version", "model", "backlash", "drive", "delay"))
+    timed = root.values["version"] > 1
+    root.only(("format", "version", "model", "backlash", *(("time",) if timed else ()), "drive", "delay"))
     if root.text("model") != model.digest:
         raise root.refuse("model", "the state belongs to another model (save it again with this one)")
     node = root.node("backlash")
@@ -365,7 +424,8 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     if memory is not None and len(memory) != terms:
         raise node.refuse("memory", f"has {len(memory)} entries where the model has {terms} relaxation terms")
     drive = None if root.values["drive"] is None else root.number("drive")
-    return ModelState(BacklashState(int(digits, 16), memory), drive, _history(root))
+    time = None if not timed or root.values["time"] is None else root.number("time")
+    return ModelState(BacklashState(int(digits, 16), memory), drive, _history(root), time=time)
 
 
 def _history(root: _Node) -> DelayHistory | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.cascade import DelayHistory
+from dbo_cli.hysteresis.delay import DelayHistory
 from dbo_cli.hysteresis.initial_states import DriveStart
 from dbo_cli.hysteresis.operators import BacklashState
 
@@ -96,12 +96,15 @@ class ModelState:
         What a delay still holds back.
     first : DriveStart, or None
         Of an inverse about to start: its first voltage, and the output of the backlash stage it reaches.
+    time : float, or None
+        When the last sample was (s), where that is known: what comes next may come after a pause.
     """
 
     backlash: BacklashState
     drive: float | None = None
     history: DelayHistory | None = None
     first: DriveStart | None = None
+    time: float | None = None
 
 
 @dataclass(frozen=True)

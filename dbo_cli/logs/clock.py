@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import SECONDS_PER_UNIT
-from dbo_cli.logs.sample_block import Block, FloatArray, Places
+from dbo_cli.logs.sample_block import FloatArray, Places, SampleBlock, joined
 
 _LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
 GAP_STEPS = 1.5
@@ -181,7 +181,7 @@ def require_even(place: str, time: FloatArray, why: str) -> float:
     return step
 
 
-def resampled(place: str, blocks: Iterator[Block], rate: float) -> Iterator[Block]:
+def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterator[SampleBlock]:
     """Interpolate blocks linearly to ``rate`` (Hz), from the first time stamp to the last.
 
     The samples stand at first + k/rate and are computed from the two neighbours alone, so that the result
@@ -194,7 +194,7 @@ def resampled(place: str, blocks: Iterator[Block], rate: float) -> Iterator[Bloc
         There is no time, or it stands still or goes backwards, at the line named.
     """
     start: float | None = None
-    carried: Block | None = None
+    carried: SampleBlock | None = None
     done = 0
     for block in blocks:
         if not len(block):
@@ -205,9 +205,9 @@ def resampled(place: str, blocks: Iterator[Block], rate: float) -> Iterator[Bloc
             )
         if start is None:
             start = float(block.time[0])
-        piece = block if carried is None else _behind(carried, block)
+        piece = block if carried is None else joined([carried, block])
         _require_rising(place, piece)
-        carried = _last_sample(piece)
+        carried = piece.part(len(piece) - 1, len(piece))
         assert piece.time is not None
         reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
         if reached > done:
@@ -215,27 +215,7 @@ def resampled(place: str, blocks: Iterator[Block], rate: float) -> Iterator[Bloc
             done = reached
 
 
-def _behind(carried: Block, block: Block) -> Block:
-    assert carried.time is not None and block.time is not None
-    return Block(
-        np.concatenate([np.asarray(carried.rows), np.asarray(block.rows)]),
-        None if block.lines is None else np.concatenate([np.asarray(carried.lines), np.asarray(block.lines)]),
-        np.concatenate([carried.time, block.time]),
-        {role: np.concatenate([carried.values[role], block.values[role]]) for role in block.values},
-    )
-
-
-def _last_sample(block: Block) -> Block:
-    assert block.time is not None
-    return Block(
-        np.asarray(block.rows)[-1:],
-        None if block.lines is None else np.asarray(block.lines)[-1:],
-        block.time[-1:],
-        {role: values[-1:] for role, values in block.values.items()},
-    )
-
-
-def _require_rising(place: str, block: Block) -> None:
+def _require_rising(place: str, block: SampleBlock) -> None:
     assert block.time is not None
     stuck = np.flatnonzero(np.diff(block.time) <= 0.0)
     if len(stuck):
@@ -247,30 +227,8 @@ def _require_rising(place: str, block: Block) -> None:
         )
 
 
-def _interpolated(block: Block, start: float, rate: float, first: int, last: int) -> Block:
+def _interpolated(block: SampleBlock, start: float, rate: float, first: int, last: int) -> SampleBlock:
     assert block.time is not None
     time = start + np.arange(first, last) / rate
     values = {role: np.interp(time, block.time, values) for role, values in block.values.items()}
-    return Block(range(first + 1, last + 1), None, time, values)
-
-
-def parse_rows(rows: str | None) -> tuple[int, int | None]:
-    """Read ``A:B``: data rows counted from 1, both ends included, either may be left out.
-
-    Raises
-    ------
-    UsageError
-        It is not of that form, or B is before A.
-    """
-    from dbo_cli.errors import UsageError
-
-    if rows is None:
-        return 1, None
-    first, separator, last = rows.strip().partition(":")
-    numbers: Sequence[str] = [text for text in (first, last) if text]
-    if not separator or not all(text.isdecimal() and text.isascii() for text in numbers):
-        raise UsageError(f"`rows` {rows}: give A:B, data rows counted from 1, both ends included")
-    low, high = int(first or 1), int(last) if last else None
-    if low < 1 or (high is not None and high < low):
-        raise UsageError(f"`rows` {rows}: rows are counted from 1, and the last is not before the first")
-    return low, high
+    return SampleBlock(range(first + 1, last + 1), None, time, values)

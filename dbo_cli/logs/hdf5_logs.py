@@ -7,7 +7,7 @@ read the same.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,8 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.cell_grammar import SKIP_REMEDY
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, RawBlock
+from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
 
 _UNIT_ATTRIBUTES = ("units", "unit", "Units", "Unit", "unit_string")
 _RATE_ATTRIBUTES = ("sample_rate", "sample_rate_hz", "sampling_rate", "sampling_frequency", "fs", "rate")
@@ -102,8 +103,8 @@ class Hdf5Table:
         return f"{self.place}: HDF5, {len(self._sources)} column{plural} in {self._node.name}{rate}"
 
     def blocks(
-        self, picks: Sequence[ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int
-    ) -> Iterator[RawBlock]:
+        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
+    ) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of ``block_rows`` rows.
 
         Raises
@@ -111,24 +112,27 @@ class Hdf5Table:
         InputError
             The columns are of unequal length, or a value is not finite (unless ``skip_bad``).
         """
-        sources = [self._sources[pick.number - 1] for pick in picks]
+        sources = [self._sources[pick.number - 1] for pick in picks.values()]
         length = self._common_length(sources)
         end = length if rows[1] is None else min(length, rows[1])
         dropped, first = 0, ""
         for start in range(rows[0] - 1, end, block_rows):
             stop = min(end, start + block_rows)
             try:
-                arrays = [source.read(start, stop) for source in sources]
+                arrays = {
+                    role: source.read(start, stop) for role, source in zip(picks, sources, strict=True)
+                }
             except (OSError, RuntimeError, TypeError, ValueError) as problem:
                 raise InputError(f"{self.place}: damaged HDF5: {_brief(problem)}") from None
-            good = np.logical_and.reduce([np.isfinite(array) for array in arrays])
-            block = RawBlock(range(start + 1, stop + 1), None, arrays)
+            good = np.logical_and.reduce([np.isfinite(array) for array in arrays.values()])
+            block = SampleBlock(range(start + 1, stop + 1), None, None, arrays)
             if not good.all():
                 message = self._complaint(picks, block, int(np.flatnonzero(~good)[0]))
                 if not skip_bad:
                     raise InputError(f"{message} {SKIP_REMEDY}")
                 dropped, first = dropped + int((~good).sum()), first or message
-                block = RawBlock(np.asarray(block.rows)[good], None, [array[good] for array in arrays])
+                kept = {role: array[good] for role, array in arrays.items()}
+                block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
             yield block
         if dropped:
             more = f" and {dropped - 1} more: {dropped} rows dropped" if dropped > 1 else ": 1 row dropped"
@@ -200,8 +204,9 @@ class Hdf5Table:
             raise InputError(f"{self.place}: the columns are of unequal length: {told}")
         return lengths[0]
 
-    def _complaint(self, picks: Sequence[ColumnInfo], block: RawBlock, index: int) -> str:
-        for pick, array in zip(picks, block.arrays, strict=True):
+    def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int) -> str:
+        for role, pick in picks.items():
+            array = block.values[role]
             if not np.isfinite(array[index]):
                 value = repr(str(float(array[index])))
                 return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"

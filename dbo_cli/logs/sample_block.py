@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,29 +27,12 @@ class ColumnInfo:
 
 
 @dataclass(frozen=True)
-class RawBlock:
-    """Parsed rows before any meaning is given to them.
-
-    ``rows`` are data row numbers from 1 (a gap where bad rows were dropped), ``lines`` the line numbers in
-    the file (None for HDF5, which has none), ``arrays`` one float64 array a requested column.
-    """
-
-    rows: Places
-    lines: Places | None
-    arrays: list[FloatArray]
-
-    def part(self, start: int, stop: int) -> RawBlock:
-        """Rows ``start`` to ``stop`` (counted from 0, ``stop`` not included) as a block of views."""
-        lines = None if self.lines is None else self.lines[start:stop]
-        return RawBlock(self.rows[start:stop], lines, [array[start:stop] for array in self.arrays])
-
-
-@dataclass(frozen=True)
-class Block:
+class SampleBlock:
     """Consecutive samples of a log.
 
-    ``time`` is in seconds, or None where the log has neither a time column nor a sample rate; ``values``
-    holds one float64 array of the same length a role; ``rows`` and ``lines`` say where each sample stands.
+    ``rows`` are data row numbers from 1 (a gap where bad rows were dropped), ``lines`` the line numbers in
+    the file (None for formats that have none); ``time`` is in seconds, None where it is not known or not yet
+    told from the other columns; ``values`` holds one float64 array of the same length a role.
     """
 
     rows: Places
@@ -57,17 +40,43 @@ class Block:
     time: FloatArray | None
     values: Mapping[str, FloatArray]
 
-    @property
-    def first_row(self) -> int:
-        """The data row, counted from 1, of the block's first sample (0 for an empty block)."""
-        return int(self.rows[0]) if len(self.rows) else 0
-
     def __len__(self) -> int:
         """Count the samples."""
         return len(self.rows)
 
+    def part(self, start: int, stop: int) -> SampleBlock:
+        """Return samples ``start`` to ``stop`` (from 0, ``stop`` not included) as a block of views."""
+        if start <= 0 and stop >= len(self):
+            return self
+        return SampleBlock(
+            self.rows[start:stop],
+            None if self.lines is None else self.lines[start:stop],
+            None if self.time is None else self.time[start:stop],
+            {role: values[start:stop] for role, values in self.values.items()},
+        )
 
-def join_places(parts: list[Places]) -> Places:
+    def place(self, name: str, index: int) -> str:
+        """Return where a sample stands: file and line, or row where there are no lines."""
+        if self.lines is not None:
+            return f"{name}:{int(self.lines[index])}"
+        return f"{name}: row {int(self.rows[index])}"
+
+
+def joined(parts: Sequence[SampleBlock]) -> SampleBlock:
+    """Put consecutive blocks of one log together."""
+    if len(parts) == 1:
+        return parts[0]
+    lines = [part.lines for part in parts if part.lines is not None]
+    times = [part.time for part in parts if part.time is not None]
+    return SampleBlock(
+        join_places([part.rows for part in parts]),
+        join_places(lines) if lines else None,
+        np.concatenate(times) if times else None,
+        {role: np.concatenate([part.values[role] for part in parts]) for role in parts[0].values},
+    )
+
+
+def join_places(parts: Sequence[Places]) -> Places:
     """Concatenate runs of row or line numbers; a range where they are gapless."""
     if not parts:
         return range(1, 1)

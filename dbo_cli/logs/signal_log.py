@@ -14,16 +14,16 @@ from typing import Protocol
 
 import numpy as np
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import HDF5_SIGNATURE, Address, parse_address
-from dbo_cli.logs.clock import TimeCheck, parse_rows, resampled, to_seconds
+from dbo_cli.logs.clock import TimeCheck, resampled, to_seconds
 from dbo_cli.logs.columns import TIME_GUESSES, ColumnWish, choose_columns, find_column, guess_columns
 from dbo_cli.logs.provenance import InputRecord, input_record
-from dbo_cli.logs.sample_block import Block, ColumnInfo, RawBlock, join_places
-from dbo_cli.logs.text_dialect import DialectOptions
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
 from dbo_cli.logs.text_logs import TextTable
 
-BLOCK_ROWS = 1 << 16
+_TIME = "the clock"  # its place among the roles; no quantity of a model is called so
 
 
 class Table(Protocol):
@@ -38,8 +38,8 @@ class Table(Protocol):
         """Tell in one line how the log is written."""
 
     def blocks(
-        self, picks: Sequence[ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int
-    ) -> Iterator[RawBlock]:
+        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
+    ) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks."""
 
     @property
@@ -76,10 +76,7 @@ class SignalLog:
         columns: dict[str, ColumnInfo],
         time: ColumnInfo | None,
         sample_rate: float | None,
-        rows: tuple[int, int | None],
-        skip_bad: bool,
-        block_rows: int,
-        resample: float | None = None,
+        options: ReadingOptions,
     ) -> None:
         self.name = table.place
         self._address = address
@@ -87,12 +84,9 @@ class SignalLog:
         self.time = time
         self.sample_rate = sample_rate
         self.notes = table.notes
-        self._table = table
-        self._rows = rows
-        self._skip_bad = skip_bad
-        self._block_rows = max(1, block_rows)
-        self._resample = resample
         self.rows_read = 0
+        self._table = table
+        self._options = options
 
     def __enter__(self) -> SignalLog:
         """Use the log as a context manager that closes it."""
@@ -103,6 +97,18 @@ class SignalLog:
     ) -> None:
         """Close the log."""
         self.close()
+
+    @property
+    def even_rate(self) -> float | None:
+        """Samples a second (Hz) where they are evenly spaced by definition: resampled, or without a clock."""
+        if self._options.resample is not None:
+            return self._options.resample
+        return None if self._options.skip_bad else self.sample_rate
+
+    @property
+    def stated_rate(self) -> float | None:
+        """Samples a second (Hz) as asked for or as known, rows that were dropped aside."""
+        return self._options.resample or self.sample_rate
 
     @property
     def has_time(self) -> bool:
@@ -130,7 +136,7 @@ class SignalLog:
                 "(`time` COLUMN or `sample_rate` HZ)"
             )
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[SampleBlock]:
         """Read the samples in blocks; the blocks may be of any length, their samples always the same.
 
         Raises
@@ -139,23 +145,12 @@ class SignalLog:
             A bad row, or no data row at all.
         """
         blocks = self._as_recorded()
-        return blocks if self._resample is None else resampled(self.name, blocks, self._resample)
+        rate = self._options.resample
+        return blocks if rate is None else resampled(self.name, blocks, rate)
 
-    def read(self) -> Block:
+    def read(self) -> SampleBlock:
         """Read all samples as one block."""
-        parts = list(self.blocks())
-        if len(parts) == 1:
-            return parts[0]
-        time = (
-            None
-            if parts[0].time is None
-            else np.concatenate([part.time for part in parts if part.time is not None])
-        )
-        values = {role: np.concatenate([part.values[role] for part in parts]) for role in self.columns}
-        lines = [part.lines for part in parts if part.lines is not None]
-        return Block(
-            join_places([part.rows for part in parts]), join_places(lines) if lines else None, time, values
-        )
+        return joined(list(self.blocks()))
 
     def close(self) -> None:
         """Close the file."""
@@ -165,13 +160,16 @@ class SignalLog:
         """Record this log for a model's provenance, once it has been read (a stream: with ``digest``)."""
         return input_record(self._address, self.rows_read, self._table.sha256)
 
-    def _as_recorded(self) -> Iterator[Block]:
-        picks = [*self.columns.values(), *([self.time] if self.time is not None else [])]
+    def _as_recorded(self) -> Iterator[SampleBlock]:
+        picks = dict(self.columns)
+        if self.time is not None:
+            picks[_TIME] = self.time
         check: TimeCheck | None = None
         empty = True
-        for raw in self._table.blocks(picks, self._rows, self._skip_bad, self._block_rows):
-            for start in range(0, len(raw.rows), self._block_rows):
-                block = self._block(raw.part(start, start + self._block_rows))
+        most = self._options.block_rows
+        for raw in self._table.blocks(picks, self._options.rows, self._options.skip_bad, most):
+            for start in range(0, len(raw.rows), most):
+                block = self._with_time(raw.part(start, start + most))
                 if self.time is not None and block.time is not None:
                     check = check or TimeCheck(self.name, has_lines=block.lines is not None)
                     check.feed(block.time, block.rows, block.lines)
@@ -184,34 +182,29 @@ class SignalLog:
             raise InputError(f"{self.name}: {self._nothing()}")
 
     def _nothing(self) -> str:
-        if self._rows != (1, None):
-            return f"`rows` {self._rows[0]}:{self._rows[1] or ''} is beyond the last data row"
-        return "no good data row" if self._skip_bad else "no data rows"
+        first, last = self._options.rows
+        if (first, last) != ALL_ROWS:
+            return f"`rows` {first}:{last or ''} is beyond the last data row"
+        return "no good data row" if self._options.skip_bad else "no data rows"
 
-    def _block(self, raw: RawBlock) -> Block:
-        values = dict(zip(self.columns, raw.arrays, strict=False))
+    def _with_time(self, raw: SampleBlock) -> SampleBlock:
+        """Take the time out of the columns, or make it from the sample rate."""
+        values = dict(raw.values)
         time = None
         if self.time is not None:
-            time = to_seconds(raw.arrays[-1], self.time.unit)
+            time = to_seconds(values.pop(_TIME), self.time.unit)
         elif self.sample_rate is not None:
             time = (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
-        return Block(raw.rows, raw.lines, time, values)
+        return SampleBlock(raw.rows, raw.lines, time, values)
 
 
 def open_log(
     address: str,
     want: Mapping[str, ColumnWish],
+    options: ReadingOptions | None = None,
     *,
-    time: str | None = None,
-    sample_rate: float | None = None,
-    rows: str | None = None,
-    skip_bad: bool = False,
-    format: str | None = None,
-    dialect: DialectOptions | None = None,
-    block_rows: int = BLOCK_ROWS,
     live: bool = False,
     digest: bool = False,
-    resample: float | None = None,
 ) -> SignalLog:
     """Open a log and find the columns that are wished for.
 
@@ -221,60 +214,40 @@ def open_log(
         A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input.
     want
         Role to wish.
-    time
-        The time column's name or number; None guesses.
-    sample_rate
-        Samples a second (Hz), for a log without a time column; it replaces a guessed one.
-    rows
-        ``A:B``, data rows counted from 1, both ends included.
-    skip_bad
-        Drop and count rows with bad cells instead of refusing them.
-    format
-        ``csv``, ``tsv`` or ``hdf5``, where the name does not tell.
-    dialect
-        What is forced about a text log.
-    block_rows
-        The most rows in a block.
+    options
+        How the log is to be read.
     live
         Give each row as it arrives (for ``tail -f``).
     digest
         Hash what is read from standard input, for the provenance record.
-    resample
-        Interpolate linearly to this rate (Hz).
 
     Raises
     ------
     InputError
         The log or a column is absent, unreadable or empty.
     UsageError
-        The options contradict each other.
+        The address or a column's number is none.
     """
-    if sample_rate is not None and not (np.isfinite(sample_rate) and sample_rate > 0.0):
-        raise UsageError(f"`sample_rate` {sample_rate:g}: give a positive number of samples a second")
-    if resample is not None and not (np.isfinite(resample) and resample > 0.0):
-        raise UsageError(f"`resample` {resample:g}: give a positive number of samples a second")
-    if time is not None and sample_rate is not None:
-        raise UsageError(
-            "`time` and `sample_rate` exclude each other: the log has the one or needs the other"
-        )
-    limits = parse_rows(rows)
-    named = [wish.selector for wish in want.values() if wish.selector] + ([time] if time else [])
-    table = _open_table(parse_address(address, format), dialect or DialectOptions(), live, digest, named)
+    options = options or ReadingOptions()
+    named = [wish.selector for wish in want.values() if wish.selector]
+    if options.time:
+        named.append(options.time)
+    table = _open_table(parse_address(address, options.format), options, live, digest, named)
     try:
-        clock, notes = _find_time(table, time, sample_rate, want)
+        clock, notes = _find_time(table, options.time, options.sample_rate, want)
         columns = choose_columns(table.place, table.columns, want, [clock] if clock else [])
     except BaseException:
         table.close()
         raise
     table.notes.extend(notes)
-    rate = sample_rate if sample_rate is not None else (None if clock else table.sample_rate)
-    if sample_rate is not None:
+    if options.sample_rate is not None:
         clock = None
-    return SignalLog(address, table, columns, clock, rate, limits, skip_bad, block_rows, resample)
+    rate = options.sample_rate or (None if clock else table.sample_rate)
+    return SignalLog(address, table, columns, clock, rate, options)
 
 
 def _open_table(
-    address: Address, dialect: DialectOptions, live: bool, digest: bool, named: Sequence[str]
+    address: Address, options: ReadingOptions, live: bool, digest: bool, named: Sequence[str]
 ) -> Table:
     kind = address.kind
     if not address.is_stream and os.path.isfile(address.path) and os.access(address.path, os.R_OK):
@@ -285,7 +258,7 @@ def _open_table(
         from dbo_cli.logs.hdf5_logs import Hdf5Table
 
         return Hdf5Table(address, named)
-    return TextTable(address, dialect, live=live, digest=digest)
+    return TextTable(address, options, live=live, digest=digest)
 
 
 def _find_time(

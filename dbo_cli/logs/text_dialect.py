@@ -12,32 +12,14 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
 from dbo_cli.logs.columns import is_known_unit
+from dbo_cli.logs.reading_options import ReadingOptions
 
-DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
-DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 COMMENTS = "#%"
 _SAMPLE_LINES = 40
-
-
-@dataclass(frozen=True)
-class DialectOptions:
-    """What the user forces about a text log; None means: detect.
-
-    ``delimiter`` is one of DELIMITERS or a single character; ``decimal`` ``point`` or ``comma``; ``comment``
-    the characters that start a comment line; ``skip_lines`` the count of junk lines before the header;
-    ``header_lines`` 0 (no header), 1 (names) or 2 (names, then units); ``encoding`` a codec name.
-    """
-
-    delimiter: str | None = None
-    decimal: str | None = None
-    comment: str | None = None
-    skip_lines: int | None = None
-    header_lines: int | None = None
-    encoding: str | None = None
 
 
 @dataclass(frozen=True)
@@ -74,48 +56,13 @@ def is_comment(line: str, comments: str) -> bool:
     return not stripped or stripped[0] in comments
 
 
-def chosen_delimiter(options: DialectOptions) -> str | None:
-    """Resolve the delimiter that the user forced.
-
-    Raises
-    ------
-    UsageError
-        It is neither a known name nor a single character.
-    """
-    if options.delimiter is None:
-        return None
-    found = DELIMITERS.get(options.delimiter.lower(), options.delimiter.replace("\\t", "\t"))
-    if len(found) != 1 or found.isalnum() or found in '."\n\r':
-        names = ", ".join(DELIMITERS)
-        raise UsageError(f"`delimiter` {options.delimiter}: give a single character or one of {names}")
-    return found
-
-
-def chosen_decimal(options: DialectOptions) -> str | None:
-    """Resolve the decimal sign that the user forced.
-
-    Raises
-    ------
-    UsageError
-        It is neither ``point`` nor ``comma``.
-    """
-    if options.decimal is None:
-        return None
-    found = DECIMALS.get(options.decimal.lower())
-    if found is None:
-        raise UsageError(f"`decimal` {options.decimal}: give point or comma")
-    return found
-
-
-def detect(place: str, head: bytes, options: DialectOptions) -> Dialect:
+def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     """Find out how a log is written from its first lines.
 
     Raises
     ------
     InputError
         There is no line of numbers.
-    UsageError
-        A forced option is senseless.
     """
     lines = [decode_line(line.removesuffix(b"\r")) for line in head.split(b"\n")]
     if lines and not lines[-1]:
@@ -155,8 +102,8 @@ class _Shape:
     whole_numbers: bool
 
 
-def _shapes(lines: list[str], candidates: list[int], options: DialectOptions) -> list[_Shape]:
-    delimiter, decimal = chosen_delimiter(options), chosen_decimal(options)
+def _shapes(lines: list[str], candidates: list[int], options: ReadingOptions) -> list[_Shape]:
+    delimiter, decimal = options.delimiter_character, options.decimal_sign
     sample = [lines[number] for number in candidates[-_SAMPLE_LINES:]]
     delimiters = [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]
     shapes = []
@@ -208,7 +155,7 @@ class _Layout:
 
 
 def _layout(
-    lines: list[str], candidates: list[int], shape: _Shape, comments: str, options: DialectOptions
+    lines: list[str], candidates: list[int], shape: _Shape, comments: str, options: ReadingOptions
 ) -> _Layout:
     if options.header_lines is not None or options.skip_lines is not None:
         return _forced_layout(lines, candidates, shape, options)
@@ -322,7 +269,7 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
 
 
 def _forced_layout(
-    lines: list[str], candidates: list[int], shape: _Shape, options: DialectOptions
+    lines: list[str], candidates: list[int], shape: _Shape, options: ReadingOptions
 ) -> _Layout:
     count = options.header_lines
     if count is None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.background_io import one_ahead
 from dbo_cli.logs.byte_source import ByteSource, LineBlocks
 from dbo_cli.logs.cell_grammar import decode_line, is_number, split_cells
 from dbo_cli.logs.columns import column_info
-from dbo_cli.logs.sample_block import ColumnInfo, RawBlock
-from dbo_cli.logs.text_dialect import COMMENTS, DialectOptions, chosen_delimiter, detect, is_comment
+from dbo_cli.logs.reading_options import ReadingOptions, Rows
+from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock
+from dbo_cli.logs.text_dialect import COMMENTS, detect, is_comment
 from dbo_cli.logs.text_parsing import PLAIN_BYTES, BlockParser
 
 _LARGEST_BLOCK = 1 << 23
@@ -37,7 +38,7 @@ class TextTable:
     """
 
     def __init__(
-        self, address: Address, options: DialectOptions, *, live: bool = False, digest: bool = False
+        self, address: Address, options: ReadingOptions, *, live: bool = False, digest: bool = False
     ) -> None:
         self.place = address.name
         self.sample_rate: float | None = None
@@ -62,8 +63,8 @@ class TextTable:
         return f"{self.place}: {self.dialect.describe()}"
 
     def blocks(
-        self, picks: Sequence[ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int
-    ) -> Iterator[RawBlock]:
+        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
+    ) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of about ``block_rows`` rows.
 
         Raises
@@ -106,9 +107,9 @@ class TextTable:
         return [column_info(name, number, unit) for number, (name, unit) in enumerate(described, start=1)]
 
 
-def _has_data(text: bytes, options: DialectOptions) -> bool:
+def _has_data(text: bytes, options: ReadingOptions) -> bool:
     """Tell whether a line of numbers has arrived, so that a live log can begin."""
-    forced = chosen_delimiter(options)
+    forced = options.delimiter_character
     comments = COMMENTS if options.comment is None else options.comment
     for raw in text.split(b"\n")[-2::-1]:
         line = decode_line(raw)

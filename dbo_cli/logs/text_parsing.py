@@ -8,7 +8,7 @@ take a block only when every line is a row of the usual width and every wanted c
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,8 @@ from dbo_cli.logs.cell_grammar import (
 )
 from dbo_cli.logs.columns import column_label
 from dbo_cli.logs.interrupts import keep_interrupts
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, RawBlock
+from dbo_cli.logs.reading_options import ALL_ROWS, Rows
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.text_dialect import Dialect, is_comment
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
@@ -41,15 +42,15 @@ class BlockParser:
 
     place: str
     dialect: Dialect
-    picks: Sequence[ColumnInfo]
-    rows: tuple[int, int | None] = (1, None)
+    picks: Mapping[str, ColumnInfo]
+    rows: Rows = ALL_ROWS
     skip_bad: bool = False
     dropped: int = 0
     first_dropped: str = ""
     next_row: int = 1
     next_line: int = 1
 
-    def parse(self, blocks: Iterator[bytes], small: bool) -> Iterator[RawBlock]:
+    def parse(self, blocks: Iterator[bytes], small: bool) -> Iterator[SampleBlock]:
         """Parse blocks of whole lines, starting with the first data row.
 
         Raises
@@ -63,12 +64,12 @@ class BlockParser:
             if block:
                 yield self._in_range(self._parse_block(block, small))
 
-    def _parse_block(self, block: bytes, small: bool) -> RawBlock:
+    def _parse_block(self, block: bytes, small: bool) -> SampleBlock:
         # numpy counts what is frequent five times faster than bytes.count
         lines = int(np.count_nonzero(np.frombuffer(block, dtype=np.uint8) == 10)) + (
             not block.endswith(b"\n")
         )
-        columns = [pick.number - 1 for pick in self.picks]
+        columns = [pick.number - 1 for pick in self.picks.values()]
         regular = self._regular(block)
         arrays = None
         if regular is not None:
@@ -77,8 +78,11 @@ class BlockParser:
             arrays = read(regular, lines, columns, self.dialect)
         if arrays is None:
             return self._parse_slowly(block)
-        found = RawBlock(
-            range(self.next_row, self.next_row + lines), range(self.next_line, self.next_line + lines), arrays
+        found = SampleBlock(
+            range(self.next_row, self.next_row + lines),
+            range(self.next_line, self.next_line + lines),
+            None,
+            dict(zip(self.picks, arrays, strict=True)),
         )
         self.next_row += lines
         self.next_line += lines
@@ -87,13 +91,15 @@ class BlockParser:
     def _regular(self, block: bytes) -> bytes | None:
         """Bring a block into the form that the fast readers take; None where only careful reading will do."""
         mark = self.dialect.delimiter
+        if not mark.isascii():
+            return None  # the fast readers know single bytes only
         if any(comment.encode() in block for comment in self.dialect.comments):
             return None
         if b"\r" in block:
             block = block.replace(b"\r\n", b"\n")
         if mark == BLANKS:
             return None if b'"' in block else _single_blanks(block)
-        if b" " in block and mark.isascii():
+        if b" " in block:
             delimiter = mark.encode()
             while b" " + delimiter in block:
                 block = block.replace(b" " + delimiter, delimiter)
@@ -101,7 +107,7 @@ class BlockParser:
                 block = block.replace(b" \n", b"\n")
         return block
 
-    def _parse_slowly(self, block: bytes) -> RawBlock:
+    def _parse_slowly(self, block: bytes) -> SampleBlock:
         rows: list[int] = []
         lines: list[int] = []
         values: list[list[float]] = []
@@ -119,8 +125,8 @@ class BlockParser:
                 self.next_row += 1
             self.next_line += 1
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
-        arrays = [np.ascontiguousarray(table[:, column]) for column in range(len(self.picks))]
-        return RawBlock(np.array(rows, dtype=np.int64), np.array(lines, dtype=np.int64), arrays)
+        columns = {role: np.ascontiguousarray(table[:, number]) for number, role in enumerate(self.picks)}
+        return SampleBlock(np.array(rows, dtype=np.int64), np.array(lines, dtype=np.int64), None, columns)
 
     def _parse_row(self, line: str) -> list[float] | None:
         """Read the wanted cells of one line; None for a row that is out of range or dropped."""
@@ -131,7 +137,7 @@ class BlockParser:
         problem, help = _wrong_width(cells, self.dialect.width), SKIP_REMEDY
         row: list[float] = []
         if not problem:
-            for pick in self.picks:
+            for pick in self.picks.values():
                 cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
                 value = to_number(cell, self.dialect.decimal)
                 if value is None:
@@ -148,7 +154,7 @@ class BlockParser:
         self.first_dropped = self.first_dropped or message
         return None
 
-    def _in_range(self, block: RawBlock) -> RawBlock:
+    def _in_range(self, block: SampleBlock) -> SampleBlock:
         first, last = self.rows
         if len(block.rows) == 0 or (block.rows[0] >= first and (last is None or block.rows[-1] <= last)):
             return block

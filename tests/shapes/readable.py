@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dbo_cli.logs.text_dialect import DialectOptions
+from dbo_cli.logs.reading_options import ReadingOptions
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Shape:
     units: tuple[str | None, str | None] = (None, None)
     ask: dict[str, str] = field(default_factory=dict)  # role to selector; "time" too
     sample_rate: float | None = None
-    options: DialectOptions = field(default_factory=DialectOptions)
+    options: ReadingOptions = field(default_factory=ReadingOptions)
     ending: str = ".csv"
     first_line: int = 2
 
@@ -174,7 +174,7 @@ READABLE = [
         _text("X,CH1,CH2,Start,Increment,", "Sequence,Volt,Volt,0.000000e+00,1.000000e-03", "0,0.00e+00,1.025e+01,,",
               "1,1.50e+00,1.100e+01,,", "2,-2.50e+00,9.125e+00,,"),
         V3, D3, (0.0, 0.01, 0.02), ask={"voltage": "2", "displacement": "3"}, sample_rate=100.0,
-        options=DialectOptions(skip_lines=2, header_lines=0), first_line=3,
+        options=ReadingOptions(skip_lines=2, header_lines=0), first_line=3,
     ),
     Shape(
         "Tektronix: settings beside the first rows, by number",
@@ -314,16 +314,16 @@ READABLE = [
     Shape(
         "! comments, told by the option",
         _text("! bench 4", "! 2024", "time_s voltage_V displacement_um", "0 0 10.25", "0.001 1.5 11", "0.002 -2.5 9.125"),
-        V3, D3, T3, VUM, options=DialectOptions(comment="!"), ending=".dat", first_line=4,
+        V3, D3, T3, VUM, options=ReadingOptions(comment="!"), ending=".dat", first_line=4,
     ),
     Shape(
         "a delimiter of its own, told by the option",
         _text("time_s:voltage_V:displacement_um", "0:0:10.25", "0.001:1.5:11", "0.002:-2.5:9.125"),
-        V3, D3, T3, VUM, options=DialectOptions(delimiter=":"),
+        V3, D3, T3, VUM, options=ReadingOptions(delimiter=":"),
     ),
     Shape(
         "a numeric header, told by the option",
         _text("1,2,3", "0,0,10.25", "0.001,1.5,11", "0.002,-2.5,9.125"),
-        V3, D3, T3, ask={"time": "1", "voltage": "2", "displacement": "3"}, options=DialectOptions(header_lines=1),
+        V3, D3, T3, ask={"time": "1", "voltage": "2", "displacement": "3"}, options=ReadingOptions(header_lines=1),
     ),
 ]  # fmt: skip

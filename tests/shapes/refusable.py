@@ -9,8 +9,6 @@ import gzip
 from dataclasses import dataclass, field
 from typing import Any
 
-from dbo_cli.logs.text_dialect import DialectOptions
-
 
 @dataclass(frozen=True)
 class Refusal:
@@ -97,9 +95,9 @@ REFUSABLE = [
     Refusal("rows back to front", HEAD + GOOD, "`rows` 9:7: rows are counted from 1, and the last is not before the first", call={"rows": "9:7"}, code=2),
     Refusal("rows that are no range", HEAD + GOOD, "`rows` 5: give A:B, data rows counted from 1, both ends included", call={"rows": "5"}, code=2),
     Refusal("nothing left after dropping", HEAD + b"0,x,1\n1,y,2\n", "{log}: no good data row", call={"skip_bad": True}),
-    Refusal("an unknown delimiter", HEAD + GOOD, "`delimiter` colons: give a single character or one of comma, semicolon, tab, blanks, space, pipe", call={"dialect": DialectOptions(delimiter="colons")}, code=2),
-    Refusal("an unknown decimal sign", HEAD + GOOD, "`decimal` dot: give point or comma", call={"dialect": DialectOptions(decimal="dot")}, code=2),
-    Refusal("an unknown encoding", HEAD + GOOD, "`encoding` klingon: there is no such text encoding", call={"dialect": DialectOptions(encoding="klingon")}, code=2),
+    Refusal("an unknown delimiter", HEAD + GOOD, "`delimiter` colons: give a single character or one of comma, semicolon, tab, blanks, space, pipe", call={"delimiter": "colons"}, code=2),
+    Refusal("an unknown decimal sign", HEAD + GOOD, "`decimal` dot: give point or comma", call={"decimal": "dot"}, code=2),
+    Refusal("an unknown encoding", HEAD + GOOD, "`encoding` klingon: there is no such text encoding", call={"encoding": "klingon"}, code=2),
     Refusal("an unknown format", HEAD + GOOD, "`format` xml: the formats are csv, tsv, txt, dat, h5, hdf5", call={"format": "xml"}, code=2),
     Refusal("an Excel workbook", b"PK\x03\x04rest", "{log}: this is not a text log but a zip archive or an Excel workbook: export it as CSV"),
     Refusal("an old MATLAB file", b"MATLAB 5.0 MAT-file, Platform", "{log}: this is not a text log but a MATLAB file before version 7.3: save it with -v7.3", ending=".dat"),

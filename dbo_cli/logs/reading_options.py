@@ -1,0 +1,160 @@
+"""How logs are to be read, as far as somebody had to say it; checked once, when the value is made."""
+
+from __future__ import annotations
+
+import codecs
+import math
+from dataclasses import dataclass
+
+from dbo_cli.errors import UsageError
+from dbo_cli.logs.addresses import FORMATS
+from dbo_cli.logs.cell_grammar import BLANKS
+
+Rows = tuple[int, int | None]
+"""The first and the last data row that take part, counted from 1; None: to the end."""
+
+ALL_ROWS: Rows = (1, None)
+BLOCK_ROWS = 1 << 16
+
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
+DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """How a log is to be read; what is None is detected.
+
+    Attributes
+    ----------
+    time : str, optional
+        The time column: a header name, a dataset path, or a number counted from 1.
+    sample_rate : float, optional
+        Samples a second (Hz) of a log without a time column; replaces a column that was only guessed.
+    rows : tuple of int
+        The first and the last data row to take, counted from 1 (last None: to the end).
+    skip_bad : bool
+        Drop and count rows with bad cells instead of refusing them.
+    resample : float, optional
+        Interpolate linearly to this rate (Hz).
+    format : str, optional
+        ``csv``, ``tsv`` or ``hdf5``, where no file name tells.
+    delimiter, decimal, comment : str, optional
+        Of text: a name of ``DELIMITERS`` or a single character; ``point`` or ``comma``; the characters that
+        start a comment line.
+    skip_lines, header_lines : int, optional
+        Of text: lines of junk above the header; 0 (no header), 1 (names) or 2 (names, then units).
+    encoding : str, optional
+        Of text: a codec's name.
+    block_rows : int
+        The most rows held at a time; changes no digit.
+
+    Raises
+    ------
+    UsageError
+        An option is senseless, or two exclude each other.
+    """
+
+    time: str | None = None
+    sample_rate: float | None = None
+    rows: Rows = ALL_ROWS
+    skip_bad: bool = False
+    resample: float | None = None
+    format: str | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    comment: str | None = None
+    skip_lines: int | None = None
+    header_lines: int | None = None
+    encoding: str | None = None
+    block_rows: int = BLOCK_ROWS
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be meant."""
+        for name in ("sample_rate", "resample"):
+            rate = getattr(self, name)
+            if rate is not None and not (math.isfinite(rate) and rate > 0.0):
+                raise UsageError(f"`{name}` {rate:g}: give a positive number of samples a second")
+        if self.time is not None and self.sample_rate is not None:
+            raise UsageError(
+                "`time` and `sample_rate` exclude each other: the log has the one or needs the other"
+            )
+        if self.format is not None and self.format not in FORMATS:
+            raise UsageError(f"`format` {self.format}: the formats are {', '.join(FORMATS)}")
+        if self.header_lines is not None and self.header_lines not in (0, 1, 2):
+            raise UsageError(f"`header_lines`: '{self.header_lines}' is none of 0, 1, 2")
+        for name, least in (("skip_lines", 0), ("block_rows", 1)):
+            count = getattr(self, name)
+            if count is not None and count < least:
+                raise UsageError(f"`{name}`: must be at least {least}, not {count}")
+        check_rows(self.rows)
+        self.delimiter_character  # noqa: B018 - refuses what is none
+        self.decimal_sign  # noqa: B018
+        if self.encoding is not None:
+            check_encoding(self.encoding)
+
+    @property
+    def delimiter_character(self) -> str | None:
+        """The delimiter asked for, or None where it is to be detected.
+
+        Raises
+        ------
+        UsageError
+            It is neither a known name nor a single character.
+        """
+        if self.delimiter is None:
+            return None
+        found = DELIMITERS.get(self.delimiter.lower(), self.delimiter.replace("\\t", "\t"))
+        if len(found) != 1 or found.isalnum() or found in '."\n\r':
+            names = ", ".join(DELIMITERS)
+            raise UsageError(f"`delimiter` {self.delimiter}: give a single character or one of {names}")
+        return found
+
+    @property
+    def decimal_sign(self) -> str | None:
+        """The decimal sign asked for, or None where it is to be detected.
+
+        Raises
+        ------
+        UsageError
+            It is neither ``point`` nor ``comma``.
+        """
+        if self.decimal is None:
+            return None
+        found = DECIMALS.get(self.decimal.lower())
+        if found is None:
+            raise UsageError(f"`decimal` {self.decimal}: give point or comma")
+        return found
+
+
+def parse_rows(text: str) -> Rows:
+    """Read ``A:B``: data rows counted from 1, both ends included, either may be left out.
+
+    Raises
+    ------
+    UsageError
+        It is not of that form, or B is before A.
+    """
+    first, separator, last = text.strip().partition(":")
+    numbers = [part for part in (first, last) if part]
+    if not separator or not all(part.isdecimal() and part.isascii() and len(part) < 19 for part in numbers):
+        raise UsageError(f"`rows` {text}: give A:B, data rows counted from 1, both ends included")
+    rows = int(first or 1), int(last) if last else None
+    if rows[0] < 1 or (rows[1] is not None and rows[1] < rows[0]):
+        raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
+    return rows
+
+
+def check_rows(rows: Rows) -> None:
+    """Refuse rows that are none (UsageError)."""
+    first, last = rows
+    if first < 1 or (last is not None and last < first):
+        text = f"{first}:{'' if last is None else last}"
+        raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
+
+
+def check_encoding(name: str) -> None:
+    """Refuse an encoding that does not exist (UsageError)."""
+    try:
+        codecs.lookup(name)
+    except (LookupError, ValueError):
+        raise UsageError(f"`encoding` {name}: there is no such text encoding") from None
