@@ -613,6 +613,44 @@ double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, doub
     return y;
 }
 
+/* ---- a state to begin with --------------------------------------------------------------------------- */
+
+/* The gears stop flipping from the highest to the lowest. With those up to k spanning [low, high], gear k
+ * stays 1 where the drive is as far from low as from high or farther; a tolerance decides a tie. */
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, double drive) {
+    const int on_output = op->memory_on_output;
+    const double target = drive - (on_output ? op->y0 : op->x0);
+    double low = 0.0, high = 0.0, slack;
+    walk w = begin(op, state, op->grouped);
+    for (size_t k = 0; k < (op->n + 63) / 64; k++) state->words[k] = 0;
+    for (size_t i = 0; i < covered; i++) {
+        const dbo_gear *gear = op->gears + row_of(&w, i);
+        high += on_output ? gear->dy : gear->dx;
+    }
+    slack = 1e-9 * high;
+    for (size_t i = covered; i-- > 0 && target > 0.0;) {
+        const dbo_gear *gear = op->gears + row_of(&w, i);
+        const double width = on_output ? gear->dy : gear->dx;
+        if (target - low >= (high - target) - slack) {
+            state->words[i >> 6] |= (uint64_t)1 << (i & 63);
+            low += width;
+        } else {
+            high -= width;
+        }
+    }
+    for (size_t j = 0; j < op->terms; j++) state->memory[j] = drive - op->reference;
+    state->last = drive;
+    dbo_backlash_load(op, state);
+    w = begin(op, state, op->grouped);
+    if (on_output) {
+        follow_output(&w, target, target >= w.y, 0);
+    } else {
+        const int rising = target >= w.x;
+        pass_gears(&w, target, 0.0, rising ? ENDLESS : -ENDLESS, rising, 0);
+    }
+    finish(&w, state);
+}
+
 /* ---- features for identification -------------------------------------------------------------------- */
 
 /* `crossed` counts the crossed gears of each column; counts are whole numbers, so there is no drift. */
