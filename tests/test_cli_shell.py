@@ -13,7 +13,7 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app
-from dbo_cli.cli.commands import COMMANDS
+from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -155,7 +155,7 @@ BAD_INPUT = {
     "depends on it (--time COLUMN or --sample-rate HZ)",
     "invert drive.csv": "drive.csv:1: is not JSON: ",
     "invert other.json": 'other.json: is not a model file ("format" must be "dbo-model")',
-    "invert newer.json": "newer.json: version: 2 is newer than this program reads, 1; upgrade dbo-cli",
+    "invert newer.json": "newer.json: version: 3 is newer than this program reads, 2; upgrade dbo-cli",
     "invert uneven.json": "uneven.json: stages[0].d",
     "invert negative.json": "negative.json: stages[0].dx[1]: ",
     "invert unknown.json": "unknown.json: colour: is not a known key",
@@ -190,7 +190,7 @@ def bench(dbo: Any, model_file: Path) -> Any:
     write("nano.csv", "time_s,voltage_mV\n0,0\n0.1,1\n")
     write("lagging.json", json.dumps(lagging_model()))
     write("other.json", '{"format": "something"}')
-    write("newer.json", json.dumps(SMALL_MODEL | {"version": 2}))
+    write("newer.json", json.dumps(SMALL_MODEL | {"version": 3}))
     write("uneven.json", json.dumps(with_stage(dx=[1.0, 2.0])))
     write("negative.json", json.dumps(with_stage(dx=[1.0, -2.0, 3.0, 4.0])))
     write("unknown.json", json.dumps(SMALL_MODEL | {"colour": "red"}))
@@ -239,7 +239,7 @@ def test_compensate_then_simulate_is_the_identity(dbo: Any) -> None:
     rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), wanted.tolist(), strict=True))
     write("wanted.csv", f"time_s,displacement_um\n{rows}")
     assert dbo("compensate", "model.json", "wanted.csv", "-o", "drive.csv") == (0, "", "")
-    assert Path("drive.csv").read_text().startswith("time_s,displacement_um,voltage_V\n")
+    assert Path("drive.csv").read_text().startswith("time_s,desired_um,voltage_V\n")
     assert dbo("simulate", "model.json", "drive.csv", "-o", "back.csv").code == 0
     back = np.loadtxt("back.csv", delimiter=",", skiprows=1)[:, 2]
     assert np.abs(back - wanted).max() < 1e-10 * 8.0
@@ -333,4 +333,5 @@ def test_an_inverse_model_looks_ahead_as_compensate_does(dbo: Any) -> None:
     write("wanted.csv", "time_s,displacement_um\n" + rows)
     assert dbo("invert", "delayed.json", "-o", "inverse.json").code == 0
     drive = dbo("compensate", "delayed.json", "wanted.csv", "--state", "empty").out
-    assert dbo("simulate", "inverse.json", "wanted.csv", "--state", "empty").out == drive
+    simulated = dbo("simulate", "inverse.json", "wanted.csv", "--state", "empty").out
+    assert simulated.replace("displacement_um", "desired_um", 1) == drive

@@ -64,20 +64,9 @@ def run() -> None:
 
 def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
-    import typer
+    from dbo_cli.cli.typer_adapter import run as run_command
 
-    from dbo_cli.cli.bundles import COMMAND_LINE
-    from dbo_cli.cli.commands import root_command
-
-    COMMAND_LINE.set(tuple(words))
-    command = root_command()
-    try:
-        # Not command.main(): it words errors its own way and turns an interrupt into something else.
-        with command.make_context("dbo", words) as context:
-            command.invoke(context)
-    except typer.Exit as leaving:
-        return int(leaving.exit_code)
-    return 0
+    return run_command(words)
 
 
 def _tell(problem: Exception, words: list[str]) -> int:
@@ -85,11 +74,12 @@ def _tell(problem: Exception, words: list[str]) -> int:
     if isinstance(problem, DboError):
         _say(f"error: {problem}")
         return problem.exit_code
-    wording = getattr(problem, "format_message", None)
-    if wording is not None:  # the command-line library's own complaints, whatever their class is called
-        text = str(wording()).rstrip(".")
-        _say(f"error: {text[:1].lower()}{text[1:]}{_where_to_look(words)}")
-        return int(getattr(problem, "exit_code", 2))
+    from dbo_cli.cli.typer_adapter import complaint
+
+    told = complaint(problem)
+    if told is not None:
+        _say(f"error: {told[0]}{_where_to_look(words)}")
+        return told[1]
     if isinstance(problem, OSError):
         place = f"{problem.filename}: " if problem.filename else ""
         _say(f"error: {place}{problem.strerror or problem}")
@@ -105,7 +95,7 @@ def _tell(problem: Exception, words: list[str]) -> int:
 
 def _where_to_look(words: list[str]) -> str:
     """Return the remedy for a wrong command line: where the options are listed."""
-    from dbo_cli.cli.commands import COMMANDS
+    from dbo_cli.cli.typer_adapter import COMMANDS
 
     command = "".join(f" {word}" for word in words[:1] if word in COMMANDS)
     return f" (dbo{command} --help lists what there is)"

@@ -413,9 +413,18 @@ class ActuatorModel:
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits
     ) -> ModelState:
-        """Return the state of ``compensate`` in which ``simulate`` of its output starts."""
+        """Return the state of ``compensate`` in which ``simulate`` of its output starts.
+
+        An actuator that starts ``empty`` or ``full`` stands at that end of the drive's range, so a slew limit
+        holds from the first sample on.
+        """
         self.require("forward")
-        return self._inverted.start(first_desired, state, limits)
+        begun = self._inverted.start(first_desired, state, limits)
+        inner = self._inverted._inner_limits(limits)
+        if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
+            drive = self._core.x_range[0 if state == "empty" else 1]
+            begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
+        return begun
 
     @cached_property
     def _inverted(self) -> ActuatorModel:

@@ -72,3 +72,8 @@ def _kind(path: str, format: str | None) -> str | None:
     if lower.endswith(HDF5_ENDINGS):
         return "hdf5"
     return "text" if lower.endswith(TEXT_ENDINGS) else None
+
+
+def format_for(address: str, named: str | None) -> str | None:
+    """Return the format that was asked for where an address's own name does not tell it, else None."""
+    return named if named is not None and parse_address(address).kind is None else None

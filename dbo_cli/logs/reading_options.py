@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -91,6 +92,18 @@ class ReadingOptions:
         self.decimal_sign  # noqa: B018
         if self.encoding is not None:
             check_encoding(self.encoding)
+
+    def chosen(self) -> dict[str, object]:
+        """Return what was said, under its parameter's name; how many rows are held changes nothing."""
+        said: dict[str, object] = {}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value != field.default and field.name != "block_rows":
+                said[field.name] = value
+        if "rows" in said:
+            first, last = self.rows
+            said["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
+        return said
 
     @property
     def delimiter_character(self) -> str | None:
