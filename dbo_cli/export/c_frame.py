@@ -39,7 +39,7 @@ class SourceParts:
     step : str
         Statements that turn ``x`` into the output.
     lowest, highest : str
-        Inputs beyond these, or that are not numbers, are ignored.
+        Inputs beyond these, or that are not numbers, are ignored; None where every input is a number.
     first_output : str
         What is returned for an input that is ignored before there was any other.
     drive_is_output : bool
@@ -54,8 +54,8 @@ class SourceParts:
     initialise: str
     start: str
     step: str
-    lowest: str
-    highest: str
+    lowest: str | None
+    highest: str | None
     first_output: str
     drive_is_output: bool
     macros: list[tuple[str, str, str]]
@@ -89,8 +89,7 @@ void ${name}_init(${name}_state *state);
 /* The start of an actuator that was switched on and trimmed to this drive, and rests there. */
 void ${name}_reset(${name}_state *state, $number drive);
 
-/* One sample: $what. An input that is not a number is ignored: the last
- * output comes again. */
+/* One sample: $what. $ignored */
 $number ${name}_step(${name}_state *state, $number input);
 
 #ifdef __cplusplus
@@ -120,8 +119,7 @@ $start
 
 $number ${name}_step(${name}_state *state, $number input) {
     $number x = input;
-    if (!(x >= $lowest && x <= $highest)) return state->output;
-$step
+$guard$step
     state->output = x;
     return x;
 }
@@ -156,7 +154,7 @@ static unsigned play(const char *label, ${name}_state *state, const $number *inp
         wanted.value = expected[k];
         if (got.bits == wanted.bits) continue;
 #ifndef DBO_NO_MAIN
-        if (wrong < 10)
+        if (wrong < 10U)
             printf("$name: %s, sample %u: $format where $format is expected\\n", label, k + 1U, $shown);
 #endif
         wrong++;
@@ -195,6 +193,9 @@ def header(name: str, title: str, origin: str, parts: SourceParts, what: str) ->
     return _HEADER.substitute(
         title=title, origin=origin, name=name, guard=name.upper(), macros=macros + parts.declarations,
         members="\n".join(f"    {member}" for member in parts.members), number=parts.number, what=what,
+        ignored="Every input is a number." if parts.lowest is None else (
+            "An input that is not a number is ignored:\n * the last output comes again."
+        ),
     )  # fmt: skip
 
 
@@ -203,7 +204,10 @@ def source(name: str, title: str, origin: str, parts: SourceParts) -> str:
     return _SOURCE.substitute(
         title=title, origin=origin, name=name, tables=parts.tables, initialise=parts.initialise,
         start=parts.start, step=parts.step, number=parts.number, first_output=parts.first_output,
-        drive_is_output="\n    state->output = drive;" if parts.drive_is_output else "", lowest=parts.lowest, highest=parts.highest,
+        drive_is_output="\n    state->output = drive;" if parts.drive_is_output else "",
+        guard="" if parts.lowest is None else (
+            f"    if (!(x >= {parts.lowest} && x <= {parts.highest})) return state->output;\n"
+        ),
     )  # fmt: skip
 
 

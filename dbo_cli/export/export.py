@@ -7,7 +7,7 @@ import json
 from importlib import resources
 from typing import Literal
 
-from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.errors import UsageError
 from dbo_cli.export import project_files
 from dbo_cli.export.c_frame import SourceParts, header, self_test, source
 from dbo_cli.export.c_text import check_name
@@ -15,6 +15,7 @@ from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade
 from dbo_cli.export.double_code import double_parts
 from dbo_cli.export.export_folder import FORMAT, MANIFEST, check_folder, write_folder
 from dbo_cli.export.fewer_gears import with_fewer_gears
+from dbo_cli.export.single_code import single_parts
 from dbo_cli.export.summary import ExportSummary
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 
@@ -124,7 +125,7 @@ def _limits(
 def _parts(plan: CascadePlan, arithmetic: Arithmetic) -> tuple[SourceParts, int, dict[str, float]]:
     if arithmetic == "double":
         return *double_parts(plan), {}
-    raise ModelError(f"{arithmetic} is not there yet")
+    return single_parts(plan, arithmetic == "q31")
 
 
 def _title(plan: CascadePlan) -> str:

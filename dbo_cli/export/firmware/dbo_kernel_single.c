@@ -28,8 +28,6 @@ static uint32_t count_ones(uint32_t word) {
 
 /* ---- what differs between the arithmetics ------------------------------------------------------------ */
 
-#if defined(DBO_Q31)
-
 #define FARTHEST ((dbo_position)1 << 60)
 
 /* value / 2^shift, rounded to nearest. The right shift of a negative number is written out: what it does
@@ -44,30 +42,34 @@ static int64_t within(int64_t value, int64_t low, int64_t high) {
     return value < low ? low : value > high ? high : value;
 }
 
+int32_t dbo_counts_of(int64_t value, uint32_t shift) {
+    return (int32_t)within(scaled_down(value, shift), INT32_MIN, INT32_MAX);
+}
+
+#if defined(DBO_Q31)
+
 /* slope x way / 2^shift; a way beyond 32 bits, outside of the gears, loses its last 16 bits first. */
-static dbo_position along(dbo_width slope, dbo_position way, uint32_t shift) {
+static dbo_signal along(dbo_number slope, dbo_position way, uint32_t shift) {
     if (way >= INT32_MIN && way <= INT32_MAX) return scaled_down((int64_t)slope * way, shift);
     return scaled_down((int64_t)slope * within(scaled_down(way, 16U), INT32_MIN, INT32_MAX), shift - 16U);
 }
 
-static dbo_position crossed_at(dbo_width width, dbo_width tolerance) {
-    return width - (width >> tolerance);
+static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_position way) {
+    return along(slope, way, op->slope_shift);
 }
 
-static dbo_position times(uint32_t count, dbo_width width) { return (dbo_position)count * width; }
-
-#define SLOPE_SHIFT(op) ((op)->slope_shift)
-
-int32_t dbo_counts_of(dbo_position value, uint32_t shift) {
-    return (int32_t)within(scaled_down(value, shift), INT32_MIN, INT32_MAX);
+static dbo_position position_of(dbo_signal signal, uint32_t shift) {
+    (void)shift;
+    return signal;
 }
 
 /* The remembered signal as the memories hold it. */
 static int64_t drive_of(const dbo_backlash *op, dbo_position value) {
-    return within((int64_t)dbo_counts_of(value, op->drive_shift) + op->drive_offset, INT32_MIN, INT32_MAX);
+    const uint32_t shift = op->memory_on_output ? op->y_shift : op->x_shift;
+    return within((int64_t)dbo_counts_of(value, shift) + op->drive_offset, INT32_MIN, INT32_MAX);
 }
 
-static dbo_position recalled(const dbo_term *term, const dbo_memory *memory) {
+static dbo_signal recalled(const dbo_term *term, const dbo_memory *memory) {
     return scaled_down((int64_t)term->carried * scaled_down(*memory, 24U), term->carried_shift);
 }
 
@@ -82,24 +84,26 @@ typedef int64_t remembered_drive;
 
 #else
 
-#define FARTHEST FLT_MAX
+#define MOST_COUNTS 2147483520.0F /* the greatest float32 below 2^31 */
 
-static dbo_position along(dbo_width slope, dbo_position way, uint32_t shift) {
-    (void)shift;
-    return slope * way;
+/* A number of counts as positions; what is beyond 32 bits, or no number, is brought to the end. */
+static dbo_position position_of(dbo_signal counts, uint32_t shift) {
+    if (!(counts > -MOST_COUNTS)) counts = -MOST_COUNTS;
+    if (counts > MOST_COUNTS) counts = MOST_COUNTS;
+    return (dbo_position)(int32_t)counts * ((dbo_position)1 << shift);
 }
 
-static dbo_position crossed_at(dbo_width width, dbo_width tolerance) {
-    return width - width * tolerance;
+static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_position way) {
+    if (way >= INT32_MIN && way <= INT32_MAX)
+        return position_of(slope * (float)(int32_t)way, 0U);
+    return position_of(slope * (float)dbo_counts_of(way, op->y_shift), op->y_shift);
 }
 
-static dbo_position times(uint32_t count, dbo_width width) { return (float)count * width; }
+static float drive_of(const dbo_backlash *op, dbo_position value) {
+    return (float)dbo_counts_of(value, op->memory_on_output ? op->y_shift : op->x_shift) + op->drive_offset;
+}
 
-#define SLOPE_SHIFT(op) 0U
-
-static float drive_of(const dbo_backlash *op, dbo_position value) { return value + op->drive_offset; }
-
-static dbo_position recalled(const dbo_term *term, const dbo_memory *memory) {
+static dbo_signal recalled(const dbo_term *term, const dbo_memory *memory) {
     return term->carried * memory->value;
 }
 
@@ -118,6 +122,12 @@ static void rest_at(dbo_memory *memory, float drive) {
 typedef float remembered_drive;
 
 #endif
+
+static dbo_position crossed_at(int32_t width, uint32_t tolerance) {
+    return width - (width >> tolerance);
+}
+
+static dbo_position times(uint32_t count, int32_t width) { return (dbo_position)count * width; }
 
 /* ---- the state's bits -------------------------------------------------------------------------------- */
 
@@ -256,7 +266,7 @@ static dbo_position solve(const dbo_backlash *op, dbo_backlash_state *s, dbo_pos
     uint32_t next = rising ? s->zero : s->set;
     const dbo_position d = u - s->x;
     if (last < op->n && (rising ? d < 0 : d > 0)) next = last; /* crossed by the tolerance */
-    return s->y + along(gear_at(op, next < op->n ? next : op->n - 1U)->slope, d, SLOPE_SHIFT(op));
+    return s->y + along_gear(op, gear_at(op, next < op->n ? next : op->n - 1U)->slope, d);
 }
 
 /* The output within low ... high, the state that of the exchanged operator driven by it. */
@@ -280,12 +290,13 @@ static dbo_position solve_within(const dbo_backlash *op, dbo_backlash_state *s, 
     return y;
 }
 
-dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *s, dbo_position u,
+dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *s, dbo_signal u,
                                const dbo_limits *limits) {
-    dbo_position remembered = 0, y, low, high;
+    dbo_signal remembered = 0;
+    dbo_position x, y, low, high;
     remembered_drive drive;
     if (!op->memory_on_output) {
-        drive = drive_of(op, u);
+        drive = drive_of(op, position_of(u, op->x_shift));
         for (uint32_t j = 0U; j < op->term_count; j++) {
             remember(op->terms + j, s->memory + j, drive);
             remembered += recalled(op->terms + j, s->memory + j);
@@ -294,11 +305,9 @@ dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *s, db
         for (uint32_t j = 0U; j < op->term_count; j++) remembered += recalled(op->terms + j, s->memory + j);
         u -= remembered;
     }
-#if defined(DBO_Q31)
-    u = within(u, op->least, op->most);
-#endif
+    x = within(position_of(u, op->x_shift), op->least, op->most);
     if (limits == NULL) {
-        y = solve(op, s, u, -FARTHEST, FARTHEST);
+        y = solve(op, s, x, -FARTHEST, FARTHEST);
     } else {
         low = limits->low;
         high = limits->high;
@@ -307,48 +316,54 @@ dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *s, db
             low = least < low ? low : least > high ? high : least;
             high = most > high ? high : most < limits->low ? limits->low : most;
         }
-        y = solve_within(op, s, u, low, high);
+        y = solve_within(op, s, x, low, high);
     }
     s->last = y;
-    if (!op->memory_on_output) return y + remembered;
+    if (!op->memory_on_output) return y + position_of(remembered, op->y_shift);
     drive = drive_of(op, y);
     for (uint32_t j = 0U; j < op->term_count; j++) remember(op->terms + j, s->memory + j, drive);
     return y;
 }
 
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *s, uint32_t covered,
-                         dbo_position drive) {
+                         dbo_signal drive) {
+    const dbo_position target = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
     dbo_position low = 0, high = 0, slack;
     for (uint32_t k = 0U; 32U * k < op->n; k++) s->words[k] = 0U;
     for (uint32_t i = 0U; i < covered; i++)
         high += op->memory_on_output ? gear_at(op, i)->height : gear_at(op, i)->width;
     slack = high / 1048576; /* a tie, as with even gears halfway, stays 1 */
-    for (uint32_t i = covered; i > 0U && drive > 0; i--) {
+    for (uint32_t i = covered; i > 0U && target > 0; i--) {
         const dbo_gear *gear = gear_at(op, i - 1U);
         const dbo_position width = op->memory_on_output ? gear->height : gear->width;
-        if (drive - low >= (high - drive) - slack) {
+        if (target - low >= (high - target) - slack) {
             s->words[(i - 1U) >> 5] |= (uint32_t)1 << ((i - 1U) & 31U);
             low += width;
         } else {
             high -= width;
         }
     }
-    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(s->memory + j, drive_of(op, drive));
+    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(s->memory + j, drive_of(op, target));
     dbo_backlash_load(op, s);
     if (op->memory_on_output)
-        follow_output(op, s, drive, drive >= s->y);
+        follow_output(op, s, target, target >= s->y);
     else
-        (void)pass_gears(op, s, drive, drive >= s->x ? FARTHEST : -FARTHEST, drive >= s->x);
-    s->last = drive;
+        (void)pass_gears(op, s, target, target >= s->x ? FARTHEST : -FARTHEST, target >= s->x);
+    s->last = target;
 }
 
 /* ---- points and scales, folded into one piecewise linear function ------------------------------------ */
 
-dbo_position dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
-                               uint32_t *segment, dbo_number u) {
+dbo_signal dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
+                             uint32_t *segment, dbo_number u) {
     uint32_t c = *segment;
     while (c + 1U < count && u >= segments[c + 1U].x) c++;
     while (c > 0U && u < segments[c].x) c--;
     *segment = c;
+#if defined(DBO_Q31)
     return segments[c].y + along(segments[c].slope, (dbo_position)u - segments[c].x, shift);
+#else
+    (void)shift;
+    return segments[c].y + segments[c].slope * (u - segments[c].x);
+#endif
 }

@@ -5,9 +5,10 @@
  * immediate part kappa of the output is in the gears' widths already, and everything that a fixed time step
  * makes constant is a table. (1) to (18) are the equations of Aye and Ang (2018).
  *
- * DBO_Q31: positions are 64-bit whole numbers, so that sums are exact; widths and slopes are 32-bit ones,
- * and a product is 32 x 32 to 64 bits. Nothing overflows: inputs are limited to one range beyond either end.
- * DBO_FLOAT: widths are whole multiples of one power of two, so that X_B and Y_B are exact as well.
+ * Positions along either axis are whole numbers, so that (2)-(3) hold exactly and for ever: a range is 2^30
+ * counts, and a count some 2^10 positions. DBO_Q31: all other numbers are whole as well; a product is
+ * 32 x 32 to 64 bits, and what goes beyond the range saturates. DBO_FLOAT: slopes, memories, points and
+ * what goes in and out are float32.
  */
 #ifndef DBO_KERNEL_H
 #define DBO_KERNEL_H
@@ -16,31 +17,31 @@
 
 /* the arithmetic: DBO_FLOAT or DBO_Q31 */
 
-#if defined(DBO_Q31)
 typedef int64_t dbo_position; /* along the input or the output axis */
-typedef int32_t dbo_width;
-typedef int32_t dbo_number; /* what goes in and comes out */
-typedef int64_t dbo_memory; /* L_j in 2^-24 of a count */
+
+#if defined(DBO_Q31)
+typedef int32_t dbo_number;   /* what goes in and comes out, and factors */
+typedef int64_t dbo_signal;   /* what points and scales give: positions */
+typedef int64_t dbo_memory;   /* L_j in 2^-24 of a count */
 #else
-typedef float dbo_position;
-typedef float dbo_width;
 typedef float dbo_number;
+typedef float dbo_signal; /* counts */
 typedef struct {
-    float value;
-    float lost; /* what adding to the value rounded off: without it slow memories would stand still */
+    float value; /* L_j in counts */
+    float lost;  /* what adding to the value rounded off: without it slow memories would stand still */
 } dbo_memory;
 #endif
 
 typedef struct {
-    dbo_width width;  /* on the input, kappa x height included */
-    dbo_width height; /* on the output */
-    dbo_width slope;  /* height / width; q31: times 2^slope_shift */
+    int32_t width;    /* on the input, kappa x height included */
+    int32_t height;   /* on the output */
+    dbo_number slope; /* height / width; q31: times 2^slope_shift */
 } dbo_gear;
 
 /* One relaxation term. q31: factors are times 2 to the power of their shift. */
 typedef struct {
-    dbo_width carried; /* c_j a_j where memory follows the output, c_j where it follows the input */
-    dbo_width rest;    /* 1 - a_j */
+    dbo_number carried; /* c_j a_j where memory follows the output, c_j where it follows the input */
+    dbo_number rest;    /* 1 - a_j */
 #if defined(DBO_Q31)
     uint8_t carried_shift;
     uint8_t rest_shift;
@@ -54,17 +55,16 @@ typedef struct {
     uint32_t run;
     uint32_t row_factor;
     uint32_t row_shift;
-    dbo_width tolerance; /* so much of a gear may be missing when it counts as crossed; q31: 2^-tolerance */
+    uint32_t tolerance; /* a gear counts as crossed when all but 2^-tolerance of it is travelled */
     const dbo_term *terms;
     uint32_t term_count;
-    int memory_on_output;  /* 0: memory follows the input (forward); 1: the output (inverse) */
-    dbo_width drive_offset; /* position of (X_0, Y_0) on the remembered axis; q31: counts */
-#if defined(DBO_Q31)
-    uint32_t slope_shift;
-    uint32_t drive_shift; /* a count of the remembered axis is 2^drive_shift positions */
-    dbo_position least;   /* inputs are kept within least ... most */
+    int memory_on_output;    /* 0: memory follows the input (forward); 1: the output (inverse) */
+    dbo_number drive_offset; /* (X_0, Y_0) on the remembered axis, from the reference on, in counts */
+    uint32_t slope_shift;    /* q31 */
+    uint32_t x_shift;        /* a count is 2^shift positions */
+    uint32_t y_shift;
+    dbo_position least; /* inputs are kept within least ... most */
     dbo_position most;
-#endif
 } dbo_backlash;
 
 typedef struct {
@@ -87,29 +87,27 @@ typedef struct {
 /* One segment of a piecewise linear function: from x on, y + slope (u - x). q31: slope times 2^shift. */
 typedef struct {
     dbo_number x;
-    dbo_position y;
-    dbo_width slope;
+    dbo_signal y;
+    dbo_number slope;
 } dbo_segment;
 
 /* X_B, Y_B, S and Z from the words. */
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
 
-/* The state of an actuator that was switched on and trimmed to `drive` (a position) and rests there;
+/* The state of an actuator that was switched on and trimmed to `drive` and rests there;
  * `covered` gears take part. */
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
-                         dbo_position drive);
+                         dbo_signal drive);
 
 /* One sample; limits may be NULL, and must be where memory follows the input. */
-dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
+dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, dbo_signal u,
                                const dbo_limits *limits);
 
 /* The segments' value at u; `segment` is the one found last. `shift` is of the slopes (q31). */
-dbo_position dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
-                               uint32_t *segment, dbo_number u);
+dbo_signal dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
+                             uint32_t *segment, dbo_number u);
 
-#if defined(DBO_Q31)
-/* A position in counts of 2^shift positions each, rounded, kept within the 32-bit numbers. */
-int32_t dbo_counts_of(dbo_position value, uint32_t shift);
-#endif
+/* value / 2^shift, rounded, kept within the 32-bit numbers: a position in counts. */
+int32_t dbo_counts_of(int64_t value, uint32_t shift);
 
 #endif
