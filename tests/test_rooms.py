@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parent.parent / "dbo_cli"
-ORDER = ["errors", "hysteresis", "logs", "reports", "runs", "cli"]
+ORDER = ["errors", "hysteresis", "logs", "reports", "export", "runs", "cli"]
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}
 COMMANDS = ["identify", "invert", "simulate", "compensate", "report", "excite"]

@@ -83,9 +83,7 @@ def export_model(
     loss: dict[str, float] = {}
     if gears is not None:
         model, loss = with_fewer_gears(model, gears)
-    plan = plan_cascade(
-        model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew)
-    )
+    plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
     parts, table_bytes, bounds = _parts(plan, arithmetic)
     title, origin = _title(plan), _origin(model)
     run = plan.backlash.equal_run
@@ -170,7 +168,9 @@ def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
             " the trajectory is not known in advance, the actuator lags by that time."
         )
     if plan.limits is not None:
-        slew = "" if plan.limits.max_slew is None else f", changing by at most {plan.limits.max_slew!r} a second"
+        slew = (
+            "" if plan.limits.max_slew is None else f", changing by at most {plan.limits.max_slew!r} a second"
+        )
         notes.append(
             f"The drive is kept within {plan.limits.v_min!r} ... {plan.limits.v_max!r}{unit}{slew}; the range wins"
             " over the slew limit. Where a limit binds, the state is that of the actuator as it is driven."
@@ -248,6 +248,7 @@ def _units(plan: CascadePlan, name: str, arithmetic: str) -> str:
     if arithmetic != "q31":
         return "; ".join(parts) + "; beyond the range the last slope goes on."
     return (
-        "; ".join(parts) + f". As 32-bit counts: the middle of a range is 0, its ends are ±2^30; `{name.upper()}_IN(x)`"
+        "; ".join(parts)
+        + f". As 32-bit counts: the middle of a range is 0, its ends are ±2^30; `{name.upper()}_IN(x)`"
         f" and `{name.upper()}_OUT(y)` convert constants and results."
     )

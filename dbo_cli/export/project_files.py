@@ -108,7 +108,10 @@ def readme(
     """Return README.md."""
     double = summary.arithmetic == "double"
     rows = [
-        ("gears", f"{summary.gears}, in {summary.table_rows} rows of the table ({summary.run} equal ones a row)"),
+        (
+            "gears",
+            f"{summary.gears}, in {summary.table_rows} rows of the table ({summary.run} equal ones a row)",
+        ),
         ("constant tables (flash)", f"{summary.table_bytes} bytes"),
         ("state (RAM)", f"{summary.state_bytes} bytes on a 32-bit chip"),
         (
@@ -143,7 +146,9 @@ def _start_text(plan: CascadePlan, name: str) -> str:
 
 def _bounds_text(summary: ExportSummary) -> str:
     if not summary.bounds:
-        return "\nThe output is that of `dbo compensate` (or `dbo simulate`) from the same state, bit for bit.\n"
+        return (
+            "\nThe output is that of `dbo compensate` (or `dbo simulate`) from the same state, bit for bit.\n"
+        )
     lines = [f"- {key}: {value:.3g}" for key, value in summary.bounds.items()]
     return (
         "\n**Error against the float64 model**, derived from the tables, not measured (output's unit, or % of"

@@ -136,7 +136,10 @@ def single_parts(plan: CascadePlan, q31: bool) -> tuple[SourceParts, int, dict[s
 def to_counts(plan: CascadePlan, value: float, which: str) -> int:
     """Return a value of the model's input or output in counts of q31, saturating."""
     quantity = plan.model.input if which == "input" else plan.model.output
-    middle, unit = 0.5 * (quantity.minimum + quantity.maximum), counts_unit(quantity.minimum, quantity.maximum)
+    middle, unit = (
+        0.5 * (quantity.minimum + quantity.maximum),
+        counts_unit(quantity.minimum, quantity.maximum),
+    )
     return clamped(round((value - middle) / unit))
 
 
