@@ -70,7 +70,7 @@ def compiled(folder: Path, name: str, arithmetic: str, gears: int, flags: tuple[
 def made_model(
     seed: int, gears: int = 288, slopes: int = 48, terms: int = 3, points: int = 4, bend: bool = True
 ) -> ActuatorModel:
-    """Return a model as identification makes them: even gears in runs of one slope, terms, points, a scale."""
+    """Return a model as identification makes them: even gears in runs of one slope, terms, points, scale."""
     rng = np.random.default_rng(seed)
     top = float(rng.choice([1.0, 10.0, 100.0, 150.0]))
     growing = np.sort(rng.uniform(0.4, 1.6, slopes))

@@ -19,7 +19,7 @@ from dbo_cli.export.cascade_plan import plan_cascade
 from dbo_cli.export.single_code import row_shift
 from dbo_cli.export.single_tables import counts_unit, fold
 from dbo_cli.hysteresis.cascade import through
-from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, DriveLimits, ModelState, Relaxation
+from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, DriveLimits, ModelState, Quantity, Relaxation
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
 
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
@@ -56,11 +56,10 @@ def test_the_self_test_passes(arithmetic: Any, direction: Any, seed: int, tmp_pa
         model, str(tmp_path / "out"), name="stage", direction=direction, arithmetic=arithmetic,
         sample_rate=RATE, max_slew=slew,
     )  # fmt: skip
-    for compiler in COMPILERS:
-        done = compile_and_run(tmp_path / "out", "stage", compiler, ["-O2"])
-        assert (done.returncode, done.stdout) == (0, "stage: 526 samples, every bit as expected\n")
-    small = ["-DDBO_SMALL", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
-    assert compile_and_run(tmp_path / "out", "stage", COMPILERS[0], small).returncode == 0
+    # All of it for every compiler would be 54 compilations; each way of compiling meets each arithmetic.
+    ways = ["-O2"], ["-O1"], ["-DDBO_SMALL", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
+    done = compile_and_run(tmp_path / "out", "stage", COMPILERS[-1 if seed == 1 else 0], ways[seed])
+    assert (done.returncode, done.stdout) == (0, "stage: 526 samples, every bit as expected\n")
 
 
 @needs_compiler
@@ -124,31 +123,33 @@ def test_double_forward_gives_the_bits_of_simulate(tmp_path: Path) -> None:
 def test_errors_stay_within_the_derived_bounds(arithmetic: Any, direction: Any, tmp_path: Path) -> None:
     """benchmarks/export_bounds.py does the same over 10^6 samples on ten models."""
     judged = 0
-    for seed in range(4):
-        model = made_model(seed, gears=(8, 64, 288, 1152)[seed], slopes=(8, 32, 48, 64)[seed], terms=seed)
+    for seed in range(3):
+        model = made_model(seed, gears=(8, 64, 1152)[seed], slopes=(8, 32, 64)[seed], terms=seed)
         turned = model.inverse() if direction == "inverse" else model
         source, result = turned.input, turned.output
-        moves = random_moves(np.random.default_rng(seed), source.minimum, source.maximum, 20_000)
-        given, seen = as_given(moves, source, arithmetic)
-        outputs, crossed = [], []
-        for kind, x in (("double", seen), (arithmetic, given)):
+        play = {}
+        for kind in ("double", arithmetic):
             folder = tmp_path / f"{kind}{seed}"
             summary = export_model(
                 model, str(folder), name="x", direction=direction, arithmetic=kind, sample_rate=RATE
             )
-            y, gears = compiled(folder, "x", kind, summary.gears)(x)
-            outputs.append(y)
-            crossed.append(gears)
-        error = np.abs(in_units(outputs[1], result, arithmetic) - outputs[0])
-        always = np.logical_and.accumulate(crossed[0] == crossed[1])
-        judged += int(always.sum())
-        assert error[always].max() <= summary.bounds["same_gears"]
-        assert error.max() <= summary.bounds["after_close_turn"]
-    assert judged > 20_000
+            play[kind] = compiled(folder, "x", kind, summary.gears)
+        for run in range(30):
+            moves = random_moves(np.random.default_rng(run), source.minimum, source.maximum, 700)
+            given, seen = as_given(moves, source, arithmetic)
+            (exact, gears), (y, others) = play["double"](seen), play[arithmetic](given)
+            error = np.abs(in_units(y, result, arithmetic) - exact)
+            always = np.logical_and.accumulate(gears == others)
+            judged += int(always.sum())
+            assert error[always].max() <= summary.bounds["same_gears"]
+            assert error.max() <= summary.bounds["after_close_turn"]
+    assert judged > 30_000
 
 
 def as_given(moves: Any, quantity: Any, arithmetic: str) -> tuple[Any, Any]:
     """Return moves as the arithmetic takes them, and what they then are."""
+    if arithmetic == "double":
+        return moves, moves
     if arithmetic == "float":
         given = moves.astype(np.float32)
         return given, given.astype(np.float64)
@@ -192,7 +193,8 @@ def test_anything_may_come_in(arithmetic: Any, tmp_path: Path) -> None:
         '    x_reset(&s, in[1]);\n    printf("%.17g\\n", (double)x_step(&s, in[2]));\n    return 0;\n}\n'
     )
     subprocess.run(
-        [COMPILERS[0], "-std=c99", "-ffp-contract=off", *SANITIZERS, "flood.c", "x.c", "dbo_kernel.c", "-o", "flood"],
+        [COMPILERS[0], "-std=c99", "-ffp-contract=off", *SANITIZERS, "flood.c", "x.c", "dbo_kernel.c",
+         "-o", "flood"],
         cwd=folder, check=True,
     )  # fmt: skip
     done = subprocess.run(["./flood"], cwd=folder, capture_output=True, text=True, check=True)
@@ -275,7 +277,8 @@ def test_arduino_layout(tmp_path: Path) -> None:
     assert (folder / "library.properties").read_text().startswith("name=stage\nversion=")
     assert "stage_step(&state, input)" in (folder / "examples" / "stage" / "stage.ino").read_text()
     subprocess.run(
-        [COMPILERS[0], *WARNINGS, "-Isrc", "extras/stage_test.c", "src/stage.c", "src/dbo_kernel.c", "-o", "t"],
+        [COMPILERS[0], *WARNINGS, "-Isrc", "extras/stage_test.c", "src/stage.c", "src/dbo_kernel.c",
+         "-o", "t"],
         cwd=folder, check=True,
     )  # fmt: skip
     subprocess.run(["./t"], cwd=folder, check=True, capture_output=True)
@@ -337,7 +340,7 @@ REFUSED: list[tuple[dict[str, Any], type[DboError], str]] = [
     (
         {"direction": "forward", "max_slew": 1.0},
         UsageError,
-        "limits on the drive (`v_min`, `v_max`, `max_slew`)",
+        "limits on the drive (`v_min`, `v_max`",
     ),
     ({"v_min": 5.0, "v_max": 4.0}, ModelError, "the lower voltage limit, 5.0, is not below the upper, 4.0"),
     ({"arithmetic": "q31", "v_max": 1e6}, ModelError, "`v_min`, `v_max`: beyond twice the model's range"),
@@ -345,7 +348,7 @@ REFUSED: list[tuple[dict[str, Any], type[DboError], str]] = [
     (
         {"arithmetic": "q31", "sample_rate": 1e14},
         ModelError,
-        "relaxation.tau: a memory this slow at this rate",
+        "relaxation.tau: a memory this slow at",
     ),
     ({"sample_rate": 1e300}, ModelError, "relaxation.tau: "),
 ]
@@ -371,11 +374,14 @@ def test_reserved_words_are_no_names() -> None:
 
 
 def test_gears_too_narrow_for_float(tmp_path: Path) -> None:
-    model = made_model(1, gears=40_000, slopes=4, terms=0)
-    with pytest.raises(
-        ModelError, match=r"^40000 gears are too narrow for this arithmetic: its rounding is "
-    ):
-        export_model(model, str(tmp_path / "out"), name="x", arithmetic="float")
+    """A range of 1 V at 1000 V: float32 resolves 7 % of a gear there, q31 counts from the range's middle."""
+    model = ActuatorModel(
+        "forward", Quantity("voltage", "V", 1000.0, 1001.0), Quantity("displacement", "um", 0.0, 1.0),
+        (DiscreteBacklashOperator(np.full(1152, 1 / 1152), np.full(1152, 1 / 1152), 1000.0, 0.0),),
+    )  # fmt: skip
+    with pytest.raises(ModelError, match=r"^1152 gears are too narrow for this arithmetic: its rounding is "):
+        export_model(model, str(tmp_path / "out"), name="x", arithmetic="float", direction="forward")
+    export_model(model, str(tmp_path / "out"), name="x", arithmetic="q31", direction="forward")
 
 
 def test_folders(tmp_path: Path) -> None:
@@ -387,7 +393,7 @@ def test_folders(tmp_path: Path) -> None:
     export_model(model, str(folder), name="second", overwrite=True)
     assert not (folder / "first.c").exists()
     (folder / "mine.c").write_text("int mine;\n")
-    with pytest.raises(OutputError, match="holds 'mine.c', which no export wrote: it is not overwritten"):
+    with pytest.raises(OutputError, match=r"holds 'mine\.c', which no export wrote: it is not overwritten"):
         export_model(model, str(folder), name="third", overwrite=True)
     assert (folder / "second.c").exists()
     assert (folder / "mine.c").read_text() == "int mine;\n"

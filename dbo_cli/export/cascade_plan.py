@@ -86,7 +86,8 @@ class CascadePlan:
         relaxation = self.backlash.relaxation
         if relaxation is None or self.time_step is None:
             return np.empty(0)
-        return relaxation.decay(self.time_step)[0]
+        factors: Floats = relaxation.decay(self.time_step)[0]
+        return factors
 
     @property
     def reference(self) -> float:

@@ -32,8 +32,8 @@ def stage_code(stages: MemoryFree, label: str, first_segment: int) -> tuple[str,
         rows = struct_rows([hex_double(v) for v in row] for row in stage.segments)
         tables += array("dbo_segment", f"{label}_{k}", rows)
         steps.append(
-            f"    x = dbo_point_step({label}_{k}, {stage.m}, {hex_double(stage.x0)}, {hex_double(stage.y0)},\n"
-            f"                       &state->segments[{segment}], x);"
+            f"    x = dbo_point_step({label}_{k}, {stage.m}, {hex_double(stage.x0)},\n"
+            f"                       {hex_double(stage.y0)}, &state->segments[{segment}], x);"
         )
         segment += 1
     return tables, "\n".join(steps), segment
@@ -156,8 +156,8 @@ def double_parts(plan: CascadePlan) -> tuple[SourceParts, int]:
         members += more
         initialise += "\n" + clear
         step += "\n" + line
-    low, high = plan.model.input.minimum, plan.model.input.maximum
-    reach = IGNORED_BEYOND * max(high - low, abs(low), abs(high))
+    source = plan.model.input
+    reach = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
     return (
         SourceParts(
             number="double",
@@ -212,8 +212,10 @@ def _vectors(plan: CascadePlan) -> list[Vectors]:
     drive = model.output if model.direction == "inverse" else model.input
     trimmed = drive.minimum + 0.37 * drive.span
     empty, origin = plan.empty_state()
-    states = [("after init", None, ModelState(empty, drive=origin))]
-    states.append(("after reset", hex_double(trimmed), settled_state(plan, trimmed)))
+    states: list[tuple[str, str | None, ModelState]] = [
+        ("after init", None, ModelState(empty, drive=origin)),
+        ("after reset", hex_double(trimmed), settled_state(plan, trimmed)),
+    ]
     found = []
     for seed, (label, reset, state) in enumerate(states, 1):
         moves = self_test_moves(quantity.minimum, quantity.maximum, seed)

@@ -139,17 +139,16 @@ def _origin(model: ActuatorModel) -> str:
 def _state_bytes(parts: SourceParts) -> int:
     """Return the size of the state on a 32-bit chip, its members at their natural alignment."""
     sizes = {
-        "uint64_t": 8, "int64_t": 8, "double": 8, "float": 4, "int32_t": 4, "uint32_t": 4, "size_t": 4, "int": 4,
-        "dbo_backlash_state": 48 if parts.number == "double" else 32, "dbo_memory": 8,
+        "uint64_t": (8, 8), "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4),
+        "size_t": (4, 4), "int": (4, 4), "dbo_backlash_state": (40, 8),
+        "dbo_memory": (8, 4 if parts.number == "float" else 8),
     }  # fmt: skip
-    if parts.number == "int32_t":
-        sizes["dbo_backlash_state"] = 40
     total = 0
     for member in [*parts.members, f"{parts.number} output;"]:
         kind, declared = member.removesuffix(";").split(" ", 1)
         count = int(declared.split("[")[1].rstrip("]")) if "[" in declared else 1
-        step = min(sizes[kind], 8)
-        total = -(-total // step) * step + sizes[kind] * count
+        size, alignment = sizes[kind]
+        total = -(-total // alignment) * alignment + size * count
     return -(-total // 8) * 8
 
 
@@ -172,8 +171,8 @@ def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
             "" if plan.limits.max_slew is None else f", changing by at most {plan.limits.max_slew!r} a second"
         )
         notes.append(
-            f"The drive is kept within {plan.limits.v_min!r} ... {plan.limits.v_max!r}{unit}{slew}; the range wins"
-            " over the slew limit. Where a limit binds, the state is that of the actuator as it is driven."
+            f"The drive is kept within {plan.limits.v_min!r} ... {plan.limits.v_max!r}{unit}{slew};"
+            " the range wins over the slew limit. Where a limit binds, the state is that of the actuator as it is driven."
         )
     if loss:
         forward_unit = plan.model.input.unit if plan.direction == "inverse" else plan.model.output.unit

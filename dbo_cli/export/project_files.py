@@ -1,4 +1,4 @@
-"""The files around the sources: Makefile, CMakeLists.txt, an example, the Arduino layout, one page to read."""
+"""The files around the sources: Makefile, CMakeLists.txt, an example, the Arduino layout, a page to read."""
 
 from __future__ import annotations
 
@@ -81,12 +81,11 @@ $title, as C99 in `$arithmetic`. $origin
     make test                                  # on this computer: every bit of the self-test
     cc -std=c99 -O2 -ffp-contract=off $defines$sources your_main.c
 
-**Flags.** `-ffp-contract=off`, never `-ffast-math`: a fused multiply-add rounds once where the tables expect
-two roundings, and gcc's default dialect (`-std=gnu99`) fuses on chips that can. `${name}_test.c` finds it; run it on
-the target once (`-DDBO_NO_MAIN` and `${name}_self_test()` where there is no console). $small
+**Flags.** $flags `${name}_test.c` finds what differs; run it on the target
+once (`-DDBO_NO_MAIN` and `${name}_self_test()` where there is no console). $small
 
-**Calls.** `${name}_init` once, then `${name}_step` once a sample. No allocation, no recursion, no library. The state
-is a plain struct; several actuators are several states.
+**Calls.** `${name}_init` once, then `${name}_step` once a sample. No allocation, no recursion, no library.
+The state is a plain struct; several actuators are several states.
 
 | | |
 |---|---|
@@ -102,29 +101,30 @@ $duties
 $bounds""")
 
 
+_FLAGS = {
+    "rounded": "`-ffp-contract=off`, never `-ffast-math`: a fused multiply-add rounds once where the tables"
+    " expect\ntwo roundings, and gcc's default dialect (`-std=gnu99`) fuses on chips that can.",
+    "whole": "Any: all arithmetic is in whole numbers.",
+}
+
+
 def readme(
     plan: CascadePlan, summary: ExportSummary, title: str, origin: str, units: str, sources: str
 ) -> str:
     """Return README.md."""
     double = summary.arithmetic == "double"
     rows = [
-        (
-            "gears",
-            f"{summary.gears}, in {summary.table_rows} rows of the table ({summary.run} equal ones a row)",
-        ),
+        ("gears", f"{summary.gears}, in {summary.table_rows} rows of {summary.run} equal ones"),
         ("constant tables (flash)", f"{summary.table_bytes} bytes"),
         ("state (RAM)", f"{summary.state_bytes} bytes on a 32-bit chip"),
-        (
-            "worst step",
-            f"crosses {summary.worst_runs} runs of equal gears; a run costs about the same however many of its"
-            " gears are crossed",
-        ),
+        ("worst step", f"crosses {summary.worst_runs} rows; a row costs about the same however long it is"),
         ("self-test", f"{summary.vectors} samples"),
     ]
-    bounds = _bounds_text(summary)
+    bounds = _bounds_text(plan, summary)
     return _README.substitute(
         name=summary.name, title=title, origin=origin, arithmetic=summary.arithmetic,
         defines="-DDBO_SMALL " if double else "", sources=sources, units=units,
+        flags=_FLAGS["whole" if summary.arithmetic == "q31" else "rounded"],
         small="`-DDBO_SMALL` more than halves the kernel's code and changes no bit." if double else "",
         rows="\n".join(f"| {key} | {value} |" for key, value in rows),
         start=_start_text(plan, summary.name), duties="\n".join(f"- {note}" for note in summary.notes) + "\n",
@@ -136,23 +136,28 @@ def _start_text(plan: CascadePlan, name: str) -> str:
     drive = plan.model.output if plan.direction == "inverse" else plan.model.input
     unit = f" {drive.unit}" if drive.unit else ""
     return (
-        f"The gears remember. `{name}_init` is right after the drive has been at or below {drive.minimum!r}{unit}"
-        " for a while: go there first, wait for slow terms to settle, then begin."
+        f"The gears remember. `{name}_init` is right after the drive has been at or below {drive.minimum!r}"
+        f"{unit} for a while: go there first, wait for slow terms to settle, then begin."
         f" `{name}_reset(&state, drive)` is right for an actuator that was switched on and trimmed to `drive`"
-        " (an oscillation that decayed) and rests there. `dbo compensate` chooses between the two by itself: to"
-        f" start as it does, give `{name}_reset` the first drive it wrote and go on with the second sample."
+        " (an oscillation that decayed) and rests there. `dbo compensate` chooses by itself: to start as it"
+        f" does, give `{name}_reset` the first drive it wrote and go on with the second sample."
     )
 
 
-def _bounds_text(summary: ExportSummary) -> str:
+def _bounds_text(plan: CascadePlan, summary: ExportSummary) -> str:
     if not summary.bounds:
         return (
-            "\nThe output is that of `dbo compensate` (or `dbo simulate`) from the same state, bit for bit.\n"
+            "\nThe output is that of `dbo compensate` or `dbo simulate` from the same state, bit for bit.\n"
         )
-    lines = [f"- {key}: {value:.3g}" for key, value in summary.bounds.items()]
+    b, unit = summary.bounds, f" {plan.model.output.unit}" if plan.model.output.unit else ""
     return (
-        "\n**Error against the float64 model**, derived from the tables, not measured (output's unit, or % of"
-        " its range):\n\n" + "\n".join(lines) + "\n"
+        "\n**Error against the float64 model**, inside its range, derived from the tables (not measured):\n\n"
+        f"- {b['same_gears']:.3g}{unit} ({b['same_gears_percent']:.3g} % of the range) as long as both cross the"
+        " same gears. They do unless the drive turns within"
+        f" {b['close_turn_fraction']:.2g} of a gear's width from the gear's end.\n"
+        f"- {b['after_close_turn']:.3g}{unit} ({b['after_close_turn_percent']:.3g} %) after such a turn, until a"
+        " larger move wipes it out: the two then remember neighbouring gears. It is the resolution of"
+        f" {summary.gears} gears, and shrinks as they grow in number.\n"
     )
 
 

@@ -14,7 +14,7 @@ from dbo_cli.export.double_code import IGNORED_BEYOND, common_macros, first_outp
 from dbo_cli.export.error_bounds import derive_bounds
 from dbo_cli.export.self_test_moves import self_test_moves
 from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
-from dbo_cli.export.single_tables import axes_of, counts_unit, single_tables
+from dbo_cli.export.single_tables import axes_of, check_memories, counts_unit, single_tables
 
 Text = Callable[[Any], str]
 
@@ -22,6 +22,8 @@ Text = Callable[[Any], str]
 def tables_and_bounds(plan: CascadePlan, q31: bool) -> tuple[SingleTables, dict[str, float]]:
     """Return the constants of one arithmetic and the derived bounds by name."""
     axes = axes_of(plan)
+    if q31:
+        check_memories(plan)
     bounds = derive_bounds(plan, axes, q31)
     return single_tables(plan, axes, q31, bounds.tolerance), bounds.figures(plan.model.output.span)
 
@@ -51,8 +53,8 @@ def _operator(t: SingleTables, text: Text) -> tuple[str, int]:
     factor = (2**shift + t.run - 1) // t.run
     out += (
         f"static const dbo_backlash op = {{gears, {t.n}U, {t.run}U, {factor}U, {shift}U, {t.tolerance}U,"
-        f" {terms}, {len(t.terms)}U,\n    {int(t.memory_on_output)}, {text(t.drive_offset)}, {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U,"
-        f" {integer(t.least)}, {integer(t.most)}}};\n"
+        f" {terms}, {len(t.terms)}U,\n    {int(t.memory_on_output)}, {text(t.drive_offset)},"
+        f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"
     )
     if t.limits is not None:
         out += f"static const dbo_limits limits = {{{', '.join(integer(v) for v in t.limits)}}};\n"

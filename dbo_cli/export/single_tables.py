@@ -20,7 +20,7 @@ COUNTS = 2.0**30
 """A range is so many counts of q31 to either side of its middle, which leaves a factor of two beyond it."""
 
 MOST_FINE_BITS = 12
-"""Positions are finer than counts by at most so many bits: slopes then keep the 16 bits that far inputs lose."""
+"""Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
 
 MOST_GEARS = 46_340
 """Up to here n gears find their row with a product of 32 bits, whatever the run."""
@@ -116,7 +116,7 @@ def axes_of(plan: CascadePlan) -> Axes:
     units = []
     for axis, (total, widths) in enumerate(zip(totals, (wide, high), strict=True)):
         most = float(widths.max()) / total * COUNTS
-        fine[axis] = min(int(math.floor(math.log2((2.0**31 - 1024.0) / most))), MOST_FINE_BITS)
+        fine[axis] = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
         units.append(total / COUNTS / 2.0 ** fine[axis])
     run = gears.equal_run
     return Axes(
@@ -127,7 +127,7 @@ def axes_of(plan: CascadePlan) -> Axes:
 
 def shift_for(largest: float, most: int = 62) -> int:
     """Return the shift that brings a factor just below 2^31, as a whole number."""
-    return min(int(math.floor(math.log2((2.0**31 - 1.0) / largest))), most) if largest > 0.0 else 30
+    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), most) if largest > 0.0 else 30
 
 
 def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]) -> Segments:
@@ -151,6 +151,21 @@ def counts_unit(low: float, high: float) -> float:
     return 0.5 * (high - low) / COUNTS
 
 
+def check_memories(plan: CascadePlan) -> None:
+    """Refuse memories that would stand still in q31.
+
+    Raises
+    ------
+    ModelError
+        A memory follows by less than 2^-34 a step.
+    """
+    if plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
+        raise ModelError(
+            "relaxation.tau: a memory this slow at this rate stands still in q31"
+            " (`sample_rate` lower, or `arithmetic` double)"
+        )
+
+
 def _terms(plan: CascadePlan, axes: Axes, q31: bool) -> list[tuple[Any, Any, int, int]]:
     """Return (carried, rest, carried_shift, rest_shift) of each relaxation term."""
     found: list[tuple[Any, Any, int, int]] = []
@@ -162,13 +177,8 @@ def _terms(plan: CascadePlan, axes: Axes, q31: bool) -> list[tuple[Any, Any, int
             ratio = axes.y_count / axes.x_count if on_output else axes.x_count / axes.y_count
             found.append((F(carried * ratio), F(rest), 0, 0))
             continue
-        if rest < SLOWEST_REST:
-            raise ModelError(
-                "relaxation.tau: a memory this slow at this rate stands still in q31"
-                " (`sample_rate` lower, or `arithmetic` double)"
-            )
         factor = carried * (axes.y_count / axes.x_unit if on_output else axes.x_count / axes.y_unit)
-        up, down = shift_for(factor), int(math.floor(math.log2(COUNTS / rest)))
+        up, down = shift_for(factor), math.floor(math.log2(COUNTS / rest))
         if up < 0:
             raise ModelError("relaxation.gain: beyond the range of q31 (`arithmetic` float or double)")
         found.append((round(factor * 2.0**up), round(rest * 2.0**down), up, down))
