@@ -50,6 +50,30 @@ def each(call: Callable[[float], object], wanted: list[float]) -> float:
     return 1e6 * best / len(wanted)
 
 
+def stepping(made: Model, first: float) -> Callable[[float], object]:
+    """Return a call that plans and commits one sample."""
+    live = made.controller(RATE)
+    live.step(first)
+
+    def step(value: float) -> None:
+        live.plan(value)
+        live.commit()
+
+    return step
+
+
+def calling(made: Model, first: float) -> Callable[[float], object]:
+    """Return a call of the model's block method with one sample."""
+    core, limits = made.actuator, DriveLimits(0.0, 100.0)
+    begun = core.start_compensation(first, "auto", limits)
+    last = [core.compensate([first], begun, limits=limits, time_step=1 / RATE)]
+
+    def step(value: float) -> None:
+        last[0] = core.compensate([value], last[0].state, limits=limits, time_step=1 / RATE)
+
+    return step
+
+
 def main() -> None:
     """Print microseconds a sample for several numbers of gears."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
@@ -57,23 +81,8 @@ def main() -> None:
     print("gears   plan + commit   one-sample call of the model   (us)")
     for gears in (25, 256, 1152):
         made = model(gears)
-        live = made.controller(RATE)
-        live.step(wanted[0])
-
-        def stepped(value: float, live: object = live) -> None:
-            live.plan(value)  # type: ignore[attr-defined]
-            live.commit()  # type: ignore[attr-defined]
-
-        limits, core = DriveLimits(0.0, 100.0), made.actuator
-        state = core.compensate(
-            [6.0], core.start_compensation(6.0, "auto", limits), limits=limits, time_step=1 / RATE
-        )
-
-        def called(value: float) -> None:
-            nonlocal state
-            state = core.compensate([value], state.state, limits=limits, time_step=1 / RATE)
-
-        print(f"{gears:5d} {each(stepped, wanted):15.2f} {each(called, wanted[:2000]):30.1f}")
+        live, block = each(stepping(made, wanted[0]), wanted), each(calling(made, wanted[0]), wanted[:2000])
+        print(f"{gears:5d} {live:15.2f} {block:30.1f}")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -44,22 +45,43 @@ def run() -> None:
     The garbage collector seldom finds anything in this program and looks often while modules are imported,
     and taking the interpreter apart at the end changes nothing any more: together a tenth of a second.
     """
+    try:
+        code = _run_process()
+    except KeyboardInterrupt:  # while starting up, or in the last flush
+        _say("interrupted")
+        code = INTERRUPTED
+    os._exit(code)
+
+
+def _run_process() -> int:
+    """Prepare the process, run the command line and write out what is still held back."""
     import gc
 
     # Many small factorisations: threads only wait for each other there (measured: up to 20 times slower), and
     # one thread gives the same bytes on every machine of a kind and leaves the others to `make -j`.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000, 50, 50)
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # closed by whoever started the program
-            setattr(sys, name, open(os.devnull, mode))
+    _open_closed_streams()
     code = main()
     try:
         sys.stdout.flush()
         sys.stderr.flush()
     except OSError:
         pass  # main() has told what there was to tell
-    os._exit(code)
+    return code
+
+
+def _open_closed_streams() -> None:
+    """Take the places of streams that whoever started the program has closed.
+
+    A file opened later must not become standard output by chance, and what is written to a closed one is
+    not done: it fails with "Bad file descriptor" (reading finds the end).
+    """
+    for name, mode in (("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY)):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, mode)  # the lowest that is free: the closed one
+            stream = open(descriptor, "r" if name == "stdin" else "w", closefd=False)
+            setattr(sys, name, stream)
 
 
 def _dispatch(words: list[str]) -> int:
@@ -81,7 +103,8 @@ def _tell(problem: Exception, words: list[str]) -> int:
         _say(f"error: {told[0]}{_where_to_look(words)}")
         return told[1]
     if isinstance(problem, OSError):
-        place = f"{problem.filename}: " if problem.filename else ""
+        closed = "standard output: " if problem.errno == errno.EBADF else ""
+        place = f"{problem.filename}: " if problem.filename else closed
         _say(f"error: {place}{problem.strerror or problem}")
         return 1
     if isinstance(problem, MemoryError):

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Progress, Voice
-from dbo_cli.logs.reading_options import ReadingOptions
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.reading_options import ReadingOptions
 
 
 def compensate(
@@ -33,6 +36,8 @@ def compensate(
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
     a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
     clipped, counted and said. Written are time (when known), the desired displacement and the drive.
+
+    Example: dbo compensate model.json trajectory.csv --max-slew 2000 -o drive.csv
     """
     from dbo_cli.runs.files import Destination, compensate_trajectory
 

@@ -23,6 +23,8 @@ def excite(
     Two sweeps over the whole range wipe out the past, then amplitudes decay towards the middle, so that every
     gear turns at many places and lag is told from loop width, and minor loops at both ends show the
     asymmetry. It ends where it began, so that drift shows, and it never leaves the limits.
+
+    Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
     from dbo_cli.runs.files import write_excitation
 

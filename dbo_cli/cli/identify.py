@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dbo_cli.cli import options
-from dbo_cli.cli.messages import Progress, Voice
+from dbo_cli.cli.messages import Progress, Voice, refuse_terminal
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.reading_options import ReadingOptions
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.reading_options import ReadingOptions
 
 
 def identify(
@@ -34,7 +38,10 @@ def identify(
     What is left at auto is chosen on cycles left out of the fit. Several logs of one actuator are fitted
     together, each with its own sensor offset and drift. What was found, and what to be careful about, is said
     on standard error and kept in the model.
+
+    Example: dbo identify recorded.csv -o model.json
     """
+    refuse_terminal(output)
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.files import identify_logs
 
@@ -60,7 +67,7 @@ def identify(
         displacement=displacement,
         listener=Progress(voice, "read"),
     )
-    voice.notes([*found.remarks.notes, *found.summary])
+    voice.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
     voice.warnings(found.remarks.warnings)
 
 

@@ -9,6 +9,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dbo_cli.errors import UsageError
+from dbo_cli.logs.plain_text import cleaned
+
 if TYPE_CHECKING:
     from dbo_cli.runs.remarks import Remarks
 
@@ -16,8 +19,11 @@ _PARAMETER = re.compile(r"`([a-z]\w*)`")
 
 
 def shell_line(text: str) -> str:
-    """Return a message of the library as the shell shows it: one line, parameters spelled as options."""
-    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), " ".join(text.split()))
+    """Return a message of the library as the shell shows it: one line, parameters spelled as options.
+
+    Names out of files hold no command that a terminal would obey.
+    """
+    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), cleaned(text))
 
 
 @dataclass(frozen=True)
@@ -41,8 +47,8 @@ class Voice:
             self.note(text)
 
     def remarks(self, said: Remarks) -> None:
-        """Say all that a run had to say."""
-        self.notes(said.notes)
+        """Say all that a run had to say, first what was read."""
+        self.notes([*said.read, *said.notes])
         self.warnings(said.warnings)
 
     def warnings(self, texts: Iterable[str]) -> None:
@@ -62,6 +68,12 @@ class Voice:
 
     def _line(self, text: str) -> None:
         print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
+
+
+def refuse_terminal(output: str) -> None:
+    """Refuse to write a model onto a terminal, where nobody could read or keep it (UsageError)."""
+    if output == "-" and sys.stdout.isatty():
+        raise UsageError("the model would be written onto the terminal: name a file (-o model.json)")
 
 
 class Progress:
@@ -84,6 +96,10 @@ class Progress:
     def opened(self, what: str) -> None:
         """Say how a log was understood."""
         self.voice.detail(what)
+
+    def reading(self, what: str) -> None:
+        """Say what is being read."""
+        self.voice.note(what)
 
     def progressed(self, rows: int) -> None:
         """Count the rows of one more block."""

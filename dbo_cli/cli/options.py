@@ -115,6 +115,14 @@ Rows = Annotated[
         parse=values.rows,
     ),
 ]
+TimeUnit = Annotated[
+    str | None,
+    _reading("--time-unit", "UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
+]
+Scale = Annotated[
+    list[str] | None,
+    _reading("--scale", "ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable."),
+]
 SkipBad = Annotated[bool, _reading("--skip-bad", None, "Drop rows that hold no number, and count them.")]
 Resample = Annotated[
     float | None,
@@ -162,7 +170,7 @@ Gears = Annotated[
     _option(
         "--gears",
         "N|auto",
-        "Gears of the backlash operator.",
+        "Gears: steps into which the loop is cut; more are finer and cost nothing.",
         default="auto",
         parse=values.auto_or(values.whole(1)),
     ),
@@ -172,7 +180,7 @@ Points = Annotated[
     _option(
         "--points",
         "M|auto|0",
-        "Segments of the point operator that makes the loop uneven.",
+        "Segments of the asymmetry: straight pieces that make the loop's ends unlike; 0 for none.",
         default="auto",
         parse=values.auto_or(values.whole(0)),
     ),
@@ -262,7 +270,8 @@ State = Annotated[
     _starting(
         "--state",
         "auto|empty|full|settled|FILE",
-        "Where the operator starts; auto: empty from the lower end, else settled.",
+        "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
+        "away there), auto (empty at the lower end, else settled), or a saved state.",
         default="auto",
     ),
 ]
@@ -366,6 +375,21 @@ ReportFormat = Annotated[
         "Form of the report [default: by the output's name].",
         parse=values.choice(("text", "json", "csv", "html")),
     ),
+]
+
+# --- show ---
+ShowFormat = Annotated[
+    str | None,
+    _option(
+        "--format",
+        "text|json",
+        "Form of what is shown [default: by the output's name, else text].",
+        parse=values.choice(("text", "json")),
+    ),
+]
+ModelFigures = Annotated[
+    str | None,
+    _option("--figures", "DIR", "Draw the model's curves, PNG and SVG, into this folder."),
 ]
 
 # --- excite ---

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Progress, Voice
-from dbo_cli.logs.reading_options import ReadingOptions
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.reading_options import ReadingOptions
 
 
 def report(
@@ -31,6 +35,8 @@ def report(
     Several logs are put side by side, each with the ratio of its RMSE to the first log's: uncompensated
     first, compensated after it. With --model the model's prediction takes the place of the desired signal.
     Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
+
+    Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
     from dbo_cli.runs.reporting import Limits, report_logs
 

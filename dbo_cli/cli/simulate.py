@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Progress, Voice
-from dbo_cli.logs.reading_options import ReadingOptions
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.reading_options import ReadingOptions
 
 
 def simulate(
@@ -29,6 +32,8 @@ def simulate(
     A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
     log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
     model.json - --flush). Written are time (when known), the input column and the result.
+
+    Example: dbo simulate model.json drive.csv -o predicted.csv
     """
     from dbo_cli.runs.files import Destination, simulate_log
 

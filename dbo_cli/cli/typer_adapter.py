@@ -11,9 +11,11 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import importlib
 import inspect
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from typing import Annotated, Any, get_args, get_origin
@@ -21,12 +23,13 @@ from typing import Annotated, Any, get_args, get_origin
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from dbo_cli import __version__
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Voice
 from dbo_cli.errors import UsageError
+from dbo_cli.version import __version__
 
-COMMANDS = ("identify", "invert", "simulate", "compensate", "report", "excite")
+COMMANDS = ("identify", "show", "invert", "simulate", "compensate", "report", "excite")
+SHELLS = ("bash", "zsh", "fish")
 PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
 HEADINGS = ("Arguments", "Options", options.STATE, options.READING, options.COMMON)
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -36,7 +39,9 @@ TYPED: ContextVar[tuple[str, ...]] = ContextVar("TYPED", default=())
 
 READING: dict[str, Any] = {
     "time": options.Time,
+    "time_unit": options.TimeUnit,
     "sample_rate": options.SampleRate,
+    "scale": options.Scale,
     "rows": options.Rows,
     "skip_bad": options.SkipBad,
     "resample": options.Resample,
@@ -119,7 +124,9 @@ class Commands(ParsedValues, TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the first word names, or say which there are."""
         if args[0] not in COMMANDS and not args[0].startswith("-"):
-            raise UsageError(f"no such command: '{args[0]}'; there are: {', '.join(COMMANDS)}")
+            near = difflib.get_close_matches(args[0], COMMANDS, 1)
+            meant = f": {near[0]}?" if near else ""
+            raise UsageError(f"no such command: '{args[0]}'{meant}; there are: {', '.join(COMMANDS)}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -136,8 +143,26 @@ def root_command() -> Any:
     return typer.main.get_command(app)
 
 
+COMPLETING = "_DBO_COMPLETE"
+"""The environment variable by which a shell asks for completions, as the library's scripts set it."""
+
+
+def completions() -> int:
+    """Answer a shell that asks what could be typed next, or print the script that asks."""
+    from typer.completion import completion_init  # type: ignore[attr-defined]
+
+    completion_init()
+    try:
+        root_command().main(args=[], prog_name="dbo", standalone_mode=True)
+    except SystemExit as leaving:
+        return int(leaving.code or 0)
+    return 0
+
+
 def run(words: Sequence[str]) -> int:
     """Parse a command line and run the command it names; its exceptions come through."""
+    if COMPLETING in os.environ:
+        return completions()
     TYPED.set(tuple(words))
     command = root_command()
     try:
@@ -161,6 +186,14 @@ def complaint(problem: Exception) -> tuple[str, int] | None:
 def _root(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+    show_completion: Annotated[
+        str | None,
+        typer.Option(
+            "--show-completion",
+            metavar="bash|zsh|fish",
+            help="Print the script that completes commands and options, for the shell's start file.",
+        ),
+    ] = None,
 ) -> None:
     """Identify, invert and compensate the hysteresis of piezo actuators.
 
@@ -170,8 +203,13 @@ def _root(
     """
     if version:
         typer.echo(f"dbo {__version__}")
+    elif show_completion is not None:
+        if show_completion not in SHELLS:
+            raise UsageError(f"`show_completion`: '{show_completion}' is none of {', '.join(SHELLS)}")
+        os.environ[COMPLETING] = f"source_{show_completion}"
+        completions()
     elif context.invoked_subcommand is None:
-        raise UsageError(f"no command given; there are: {', '.join(COMMANDS)} (dbo --help says what they do)")
+        typer.echo(context.get_help())
 
 
 def _function(name: str) -> Callable[..., None]:
@@ -196,8 +234,11 @@ def _build(name: str) -> Any:
 def _declared(function: Callable[..., None]) -> dict[str, Any]:
     """Return the option of each parameter, bundles taken apart."""
     declared: dict[str, Any] = {}
-    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
-        declared |= BUNDLES[name][0] if name in BUNDLES else {name: parameter.annotation}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if name in BUNDLES:
+            declared |= BUNDLES[name][0]
+        else:  # one by one: the bundles' own types are not imported for a page of help
+            declared[name] = eval(parameter.annotation, function.__globals__)
     return declared
 
 

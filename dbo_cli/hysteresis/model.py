@@ -426,6 +426,18 @@ class ActuatorModel:
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
         return begun
 
+    def start_spread(self, begun: ModelState, first_input: float) -> float:
+        """Return by how much the displacement at rest, where a run begins, depends on what was before.
+
+        ``begun`` is what ``start`` gave for the first input; the result is in the displacement's unit.
+        """
+        gears = self.forward_backlash
+        drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
+        ends = [gears.run([drive], state)[0] for state in (gears.empty(), gears.full())]
+        bent = self._tail if self.direction == "forward" else [s.inverse() for s in reversed(self._head)]
+        low, high = (float(through(bent, end)[0]) for end in ends)
+        return abs(high - low)
+
     @cached_property
     def _inverted(self) -> ActuatorModel:
         return self.inverse()

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.runs.model import Model, read_model
-from dbo_cli.runs.remarks import DboWarning
-from dbo_cli.runs.roles import DESIRED, DISPLACEMENT, VOLTAGE, recording_wishes
+from dbo_cli.runs.remarks import DboWarning, Remarks
+from dbo_cli.runs.roles import recording_wishes
 from dbo_cli.runs.source import ArraySource
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
@@ -74,20 +74,22 @@ def read_log(
 
     options = _reading(time, rows, reading)
     want = {
-        "voltage": ColumnWish(voltage, VOLTAGE, required=False, option="voltage"),
-        "desired": ColumnWish(desired, DESIRED, required=False, option="desired"),
-        "displacement": ColumnWish(displacement, DISPLACEMENT, required=False, option="displacement"),
+        "voltage": wish("voltage", voltage, required=False, option="voltage"),
+        "desired": wish("desired", desired, required=False, option="desired"),
+        "displacement": wish("displacement", displacement, required=False, option="displacement"),
     }
     with open_log(os.fspath(path), want, options, digest=True) as log:
         if not log.columns:
             recording = recording_wishes(voltage, displacement)
             open_log(os.fspath(path), recording, options).close()  # says what is there and what to give
         block = log.read()
-        record = dict(log.record())
+        record = dict(log.record()) | {"read": log.reading_record()}
+        line = log.reading_line()
     stamps = {"time": block.time} if block.time is not None and log.even_rate is None else {}
     frame = pd.DataFrame(stamps | dict(block.values))
     units = {role: column.unit for role, column in log.columns.items()}
     frame.attrs |= {"units": ({"time": "s"} if stamps else {}) | units, "notes": list(log.notes)}
+    frame.attrs |= {"warnings": list(log.warnings), "read": [line]}
     frame.attrs["provenance"] = record
     if log.even_rate is not None:
         frame.attrs["sample_rate"] = log.even_rate
@@ -288,7 +290,8 @@ def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     source = table_source(log, recording_wishes(None, None), time, sample_rate)
     record = log.attrs.get("provenance") or _record(source)
-    return RecordedLog(recording_of(source, record["name"]), record, list(log.attrs.get("notes", [])))
+    said = {key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")}
+    return RecordedLog(recording_of(source, record["name"]), record, Remarks(**said))
 
 
 def _recorded_arrays(
@@ -304,7 +307,7 @@ def _recorded_arrays(
     source.columns = {
         role: dataclasses.replace(column, unit=units[role]) for role, column in source.columns.items()
     }
-    return RecordedLog(recording_of(source, "arrays"), _record(source), source.notes)
+    return RecordedLog(recording_of(source, "arrays"), _record(source), Remarks(list(source.notes)))
 
 
 def _record(source: ArraySource) -> dict[str, Any]:

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
-from dbo_cli.reports.sample_pairs import PairBlock, check_alike
+from dbo_cli.reports.sample_pairs import PairBlock
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, DISPLACEMENT, VOLTAGE, check_unit
-from dbo_cli.runs.source import Source
+from dbo_cli.runs.roles import bring_to
+from dbo_cli.runs.source import Source, remarks_of
 
 if TYPE_CHECKING:
     import pandas
@@ -30,11 +31,11 @@ def comparison_wishes(
     desired: str | None, measured: str | None, voltage: str | None, with_model: bool
 ) -> dict[str, ColumnWish]:
     """Return the columns that a comparison reads, as named or to be guessed."""
-    want = {"measured": ColumnWish(measured, DISPLACEMENT, option="measured")}
+    want = {"measured": wish("measured", measured, option="measured")}
     if not with_model:
-        want["desired"] = ColumnWish(desired, DESIRED, option="desired")
+        want["desired"] = wish("desired", desired, option="desired")
     needed = with_model or voltage is not None
-    want["voltage"] = ColumnWish(voltage, VOLTAGE, required=needed, option="voltage")
+    want["voltage"] = wish("voltage", voltage, required=needed, option="voltage")
     return want
 
 
@@ -68,7 +69,7 @@ class Comparison:
 
     def add(self, source: Source, name: str | None = None, listener: Listener = SILENT) -> None:
         """Compare one source, block by block; ``name`` is what the report calls it."""
-        self._note_units(source)
+        self._bring_to_one_unit(source)
         traces = self._new_traces(source) if self.traced else None
         run = None if self.model is None else ModelRun(self.model, source)
         self._merits.append(
@@ -81,23 +82,26 @@ class Comparison:
             )
         )
         listener.finished()
-        self.remarks.add(Remarks(notes=list(source.notes)) if run is None else run.remarks())
+        self.remarks.add(remarks_of(source) if run is None else run.remarks())
 
     def result(self) -> ComparisonReport:
         """Return the report on all sources."""
         report = Report.of(self._merits, self.options, common_unit(self._units))
         return ComparisonReport(report, tuple(self._traces), self.model, self.remarks)
 
-    def _note_units(self, source: Source) -> None:
-        """Keep the units, and refuse a pair (or a log and a model) that speaks two."""
-        measured = source.columns["measured"].unit
-        if self.model is None:
-            other = source.columns["desired"].unit
+    def _bring_to_one_unit(self, source: Source) -> None:
+        """Compare in one unit: the model's, else that of the first log's measurement."""
+        if self.model is not None:
+            unit = self.model.output.unit
+            bring_to(source, "voltage", self.model.input, self.model_name)
+            source.convert("measured", unit, f"{self.model_name} gives {self.model.output.quantity}")
         else:
-            other = self.model.output.unit
-            check_unit(source, "voltage", self.model.input, self.model_name)
-        check_alike(source.name, self.options.labels, (other, measured))
-        self._units.append((source.name, measured or other))
+            known = [unit for _, unit in self._units if unit is not None]
+            measured, desired = (source.columns[role].unit for role in ("measured", "desired"))
+            unit = known[0] if known else measured or desired
+            for role in ("measured", "desired"):
+                source.convert(role, unit, "the comparison is")
+        self._units.append((source.name, unit or source.columns["measured"].unit))
 
     def _new_traces(self, source: Source) -> Traces:
         from dbo_cli.reports.thinned_curves import Traces

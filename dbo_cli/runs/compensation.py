@@ -6,15 +6,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 
-from dbo_cli.errors import UsageError
+import numpy as np
+
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.excitation import condition as conditioning_drive
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
-from dbo_cli.logs.clock import require_even
+from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.runs.model_run import ModelRun, Response
 from dbo_cli.runs.source import Source
+
+RATE_SAMPLES = 101
+"""The sweep takes its rate from so many first samples, however the trajectory is cut."""
 
 
 @dataclass
@@ -29,25 +34,33 @@ class Compensation(ModelRun):
             yield from super().responses()
             return
         blocks = self.inputs()
-        first = next(blocks)
-        yield self._sweep(*first)
-        for block, x in chain([first], blocks):
+        held: list[tuple[SampleBlock, FloatArray]] = []
+        while sum(len(block) for block, _ in held) < RATE_SAMPLES:
+            more = next(blocks, None)
+            if more is None:
+                break
+            held.append(more)
+        yield self._sweep(held)
+        for block, x in chain(held, blocks):
             yield Response(block.time, block.values[self.taken.quantity], self.feed(block, x))
+        self.check_reach()
 
-    def _sweep(self, block: SampleBlock, x: FloatArray) -> Response:
+    def _sweep(self, held: list[tuple[SampleBlock, FloatArray]]) -> Response:
         """Return the conditioning sweep, and let the run go on from the state it leaves.
 
         What is wanted during the sweep is what the model does there: every cell must hold a number.
         """
-        assert block.time is not None and self.limits is not None
-        step = self.steps.step
-        if step is None:
-            step = require_even(self.source.name, block.time, "`condition` takes its rate from them")
-        sweep = conditioning_drive(self.model, float(x[0]), self.limits, step)
+        assert self.limits is not None
+        first = float(held[0][1][0])
+        times = [block.time for block, _ in held if block.time is not None]
+        stamps = np.concatenate(times)[:RATE_SAMPLES]
+        step = self.steps.step or even_step(stamps) or _usual_step(self.source.name, stamps)
+        sweep = conditioning_drive(self.model, first, self.limits, step)
         start = self.model.start(float(sweep.voltage[0]))
         expected = self.model.simulate(sweep.voltage, start, time_step=step).y
         self.state = sweep.state
-        return Response(sweep.time + float(block.time[0]), expected, sweep.voltage)
+        self.steps.follow(float(stamps[0]) - step)
+        return Response(sweep.time + float(stamps[0]), expected, sweep.voltage)
 
 
 def compensation(
@@ -106,6 +119,15 @@ def compensation(
         why_time=why,
         condition=condition,
     )
+
+
+def _usual_step(name: str, stamps: FloatArray) -> float:
+    """Return the median step (s) of a clock that is not even (InputError where it stands still)."""
+    steps = np.diff(stamps)
+    forward = steps[steps > 0.0]
+    if not len(forward):
+        raise InputError(f"{name}: the time does not advance, and `condition` takes its rate from it")
+    return float(np.median(forward))
 
 
 def check_range(v_min: float | None, v_max: float | None) -> None:

@@ -6,29 +6,28 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.addresses import format_for, parse_address
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.addresses import check_format, format_for, parse_output
+from dbo_cli.logs.columns import ColumnWish, split_header
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.whole_output import check_output, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
 from dbo_cli.runs.compensation import check_range, compensation
 from dbo_cli.runs.model import start_of
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, check_unit, guesses_for
+from dbo_cli.runs.roles import bring_to, quantity_wish
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -50,11 +49,10 @@ class Destination:
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
-        check_output(self.output, self.protect)
-        if self.save_state is not None:
-            check_output(self.save_state, self.protect)
-            if _same_file(self.save_state, self.output):
-                raise UsageError(f"`save_state` and `output` are both '{self.output}'")
+        if list(self.protect).count("-") > 1:
+            raise UsageError("standard input can be read once only: give the model or the signal as a file")
+        parse_output(self.output)
+        check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
 
 
 def simulate_log(
@@ -70,12 +68,14 @@ def simulate_log(
 ) -> Remarks:
     """Run a model over its input signal; write time (when known), the input column and the result."""
     destination.check()
+    _check_order(model_file, log_file)
+    check_format(reading.format, [log_file, destination.output])
     model = read_model(model_file)
     taken = model.input
-    want = {taken.quantity: ColumnWish(column, guesses_for(taken.quantity), option="input")}
+    want = {taken.quantity: quantity_wish(taken, column, option="input")}
     ahead = model.direction == "inverse" and model.delay_seconds > 0.0
     with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
-        check_unit(log, taken.quantity, taken, _spoken(model_file))
+        bring_to(log, taken.quantity, taken, _spoken(model_file))
         last = reading.rows[1] if ahead else None
         run = ModelRun(model, log, start_of(state, model), outside, last_row=last)
         given = _column_of(log, taken)
@@ -100,14 +100,15 @@ def compensate_trajectory(
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
     check_range(v_min, v_max)
     destination.check()
+    _check_order(model_file, trajectory)
+    check_format(reading.format, [trajectory, destination.output])
     model = read_model(model_file)
     model.require("forward", _spoken(model_file))
     wanted = model.output
-    names = (*guesses_for(wanted.quantity), *DESIRED)
-    want = {wanted.quantity: ColumnWish(column, names, option="displacement")}
+    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
     ahead = model.delay_seconds > 0.0
     with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
-        check_unit(log, wanted.quantity, wanted, _spoken(model_file))
+        bring_to(log, wanted.quantity, wanted, _spoken(model_file))
         run = compensation(
             model,
             log,
@@ -143,6 +144,7 @@ def write_excitation(
 ) -> int:
     """Write the drive that identifies well; returns its rows."""
     time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew)
+    check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": sample_rate}
     with signal_writer(output, columns, format=format_for(output, form), attributes=attributes) as writer:
@@ -164,6 +166,8 @@ def _opened(
         options = dataclasses.replace(options, rows=(reading.rows[0], None))
     log = open_log(address, want, options, live=live)
     listener.opened(log.describe())
+    if live:
+        listener.reading(log.opening_line())
     return log
 
 
@@ -187,38 +191,63 @@ def _write(
     responses = run.responses()
     # Computed before anything is opened: a log that is bad from the start leaves not even a header.
     first = next(responses)
-    with signal_writer(
-        destination.output,
-        columns,
-        format=format_for(destination.output, reading.format),
-        attributes=attributes,
-        flush=destination.live,
-        protect=destination.protect,
-    ) as writer:
-        for response in chain([first], responses):
-            writer.write(*(part for part in response if part is not None))
-            listener.progressed(len(response.result))
-        listener.finished()
-    if destination.save_state is not None and run.state is not None:
-        write_whole(destination.save_state, state_to_bytes(run.state, run.model))
-    return run.remarks()
+    with all_or_none():
+        try:
+            with signal_writer(
+                destination.output,
+                columns,
+                format=format_for(destination.output, reading.format),
+                attributes=attributes,
+                flush=destination.live,
+                protect=destination.protect,
+            ) as writer:
+                for response in chain([first], responses):
+                    writer.write(*(part for part in response if part is not None))
+                    listener.progressed(len(response.result))
+                listener.finished()
+        except BrokenPipeError:
+            if destination.save_state is None:
+                raise
+            raise OutputError(
+                "standard output: its reader left before the end, so there is no last state to save"
+            ) from None
+        if destination.save_state is not None and run.state is not None:
+            write_whole(destination.save_state, state_to_bytes(run.state, run.model))
+    told = run.remarks()
+    if destination.live:
+        told.read.clear()  # it was said when the stream began
+    return told
 
 
 def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
+    stated = split_header(column.name)[1]
     name = column.name if column.quantity else taken.quantity
+    if stated is not None and stated != column.unit:
+        name = column.quantity  # converted: the unit in its name is no longer its own
     return OutColumn(name, column.unit or taken.unit, taken.quantity)
+
+
+def _check_order(model_file: str, log_file: str) -> None:
+    """Recognise a model and a log that were given in each other's place (UsageError)."""
+    if not _is_model(model_file) and _is_model(log_file):
+        raise UsageError(
+            f"{log_file} is a model: the model comes first, then the log ({log_file} {model_file})"
+        )
+
+
+def _is_model(path: str) -> bool:
+    """Tell whether a file begins as a model does."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(1) == b"{" and b'"dbo-model"' in file.read(400)
+    except OSError:
+        return False
 
 
 def _spoken(address: str) -> str:
     return "standard input" if address == "-" else address
-
-
-def _same_file(one: str, other: str) -> bool:
-    """Tell whether two outputs are one file under two spellings."""
-    paths = [parse_address(address).path for address in (one, other)]
-    return "-" not in paths and os.path.realpath(paths[0]) == os.path.realpath(paths[1])
 
 
 def identify_logs(
@@ -236,6 +265,7 @@ def identify_logs(
     from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings, read_recordings
 
     check_output(output, [*logs, *validation])
+    check_format(reading.format, [*logs, *validation])
     fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
     columns = {"voltage": voltage, "displacement": displacement}
     chosen = {name: column for name, column in columns.items() if column is not None}

@@ -26,7 +26,7 @@ from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.runs.compensation import compensation
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import DboWarning, Remarks
-from dbo_cli.runs.roles import DESIRED, guesses_for
+from dbo_cli.runs.roles import quantity_wish
 from dbo_cli.runs.source import ArraySource, Source
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
@@ -199,7 +199,7 @@ class Model:
             No state is called so.
         """
         role = self.input.quantity
-        source = _source(x, role, guesses_for(role), time, sample_rate, "x")
+        source = _source(x, role, quantity_wish(self.input, option="x"), time, sample_rate)
         run = ModelRun(self.actuator, source, self._start(state), _one_of("outside", outside, OUTSIDE))
         return _finished(run, return_state, details)
 
@@ -250,7 +250,9 @@ class Model:
             A limit was met and ``on_limit`` is ``error``.
         """
         role = self.output.quantity
-        source = _source(wanted, role, (*guesses_for(role), *DESIRED), time, sample_rate, "wanted")
+        source = _source(
+            wanted, role, quantity_wish(self.output, option="wanted", trajectory=True), time, sample_rate
+        )
         run = compensation(
             self.actuator,
             source,
@@ -348,14 +350,12 @@ def start_of(state: Start, model: ActuatorModel) -> StartName | ModelState:
     return read_state(path, model)
 
 
-def _source(
-    data: Any, role: str, guesses: tuple[str, ...], time: Any, sample_rate: float | None, name: str
-) -> Source:
+def _source(data: Any, role: str, want: ColumnWish, time: Any, sample_rate: float | None) -> Source:
     if is_file(data):
-        options = ReadingOptions(time=time, sample_rate=sample_rate)
-        return open_log(os.fspath(data), {role: ColumnWish(None, guesses, option=name)}, options)
+        return open_log(os.fspath(data), {role: want}, ReadingOptions(time=time, sample_rate=sample_rate))
     if is_table(data):
-        return table_source(data, {role: ColumnWish(None, guesses, option=name)}, time, sample_rate)
+        return table_source(data, {role: want}, time, sample_rate)
+    name = want.option
     source = ArraySource({name: data}, time, sample_rate, name=f"`{name}`")
     source.values = {role: source.values[name]}
     source.columns = {role: dataclasses.replace(source.columns[name], unit=None)}

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.delay import read_ahead
@@ -16,10 +18,12 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.runs.remarks import Remarks
-from dbo_cli.runs.source import Source
+from dbo_cli.runs.source import Source, remarks_of
 from dbo_cli.runs.time_steps import TimeSteps
 
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word
+ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word
+REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 LAG_DEPENDS = "this model's lag, creep or delay depends on it"
 
 
@@ -83,6 +87,8 @@ class ModelRun:
     beyond: Tally = field(default_factory=Tally)
     clipped: Tally = field(default_factory=Tally)
     missed: float = 0.0
+    unreachable: int = 0
+    assumed: float = 0.0
     steps: TimeSteps = field(init=False)
 
     def __post_init__(self) -> None:
@@ -122,6 +128,15 @@ class ModelRun:
         role = self.taken.quantity
         for block, x in self.inputs():
             yield Response(block.time, block.values[role], self.feed(block, x))
+        self.check_reach()
+
+    def check_reach(self) -> None:
+        """Refuse a trajectory that lies outside what the model reaches from its first row to its last."""
+        if self.rows and self.unreachable == self.rows:
+            raise InputError(
+                f"{self.source.name}: every row is outside what the model reaches ({self._range()}): check "
+                "unit, column and zero of the trajectory"
+            )
 
     def inputs(self) -> Iterator[tuple[SampleBlock, FloatArray]]:
         """Return each block with what goes into the model: the signal, read ahead where there is a delay."""
@@ -147,6 +162,10 @@ class ModelRun:
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(done.state, time=time)
         self.rows += len(block)
+        if self.limits is not None:
+            reach, slack = self.model.output, REACH_SLACK * self.model.output.span
+            outside = (x < reach.minimum - slack) | (x > reach.maximum + slack)
+            self.unreachable += int(np.count_nonzero(outside))
         self.beyond.add(done.outside_count, done.first_outside, block)
         self.clipped.add(done.clipped_count, done.first_clipped, block)
         self.missed = self.missed or done.first_missed
@@ -156,7 +175,15 @@ class ModelRun:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
-        told = Remarks(notes=list(self.source.notes))
+        told = remarks_of(self.source)
+        if self.assumed:
+            displacement = self.model.output if self.model.direction == "forward" else self.model.input
+            told.notes.append(
+                f"{self.source.name}: where it starts, the displacement depends on the past by up to "
+                f"{self.assumed:.3g}{_unit(displacement)}; the actuator is taken to have settled there "
+                f"({'`condition` sweeps it there, ' if self.limits else ''}`state` empty where it comes from "
+                "its lower end)"
+            )
         if self.clipped.count:
             told.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
         elif self.beyond.count:
@@ -197,8 +224,14 @@ class ModelRun:
 
     def _begun(self, first: float) -> ModelState:
         if self.limits is None:
-            return self.model.start(first, self.start)
-        return self.model.start_compensation(first, self.start, self.limits)
+            begun = self.model.start(first, self.start)
+        else:
+            begun = self.model.start_compensation(first, self.start, self.limits)
+        if self.start == "auto":
+            spread = self.model.start_spread(begun, first)
+            displacement = self.model.output if self.model.direction == "forward" else self.model.input
+            self.assumed = spread if spread > ASSUMED_SPREAD * displacement.span else 0.0
+        return begun
 
     def _run(self, block: SampleBlock, x: FloatArray, steps: Any, state: ModelState) -> Simulated:
         if self.limits is not None:

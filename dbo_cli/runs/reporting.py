@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs.addresses import format_for
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.whole_output import check_output, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.reports.drawing import check_folder
 from dbo_cli.reports.report import Report, ReportOptions, check_limits
 from dbo_cli.runs.comparison import Comparison, comparison_wishes
@@ -44,6 +46,7 @@ class Written:
         check_limits(self.report, **dataclasses.asdict(limits))
 
 
+@all_or_none()
 def report_logs(
     logs: Sequence[str],
     output: str,
@@ -63,8 +66,12 @@ def report_logs(
     """Compare logs and write the report, by default in the form that the output's name tells, else text."""
     chosen = form or ENDINGS.get(Path(output).suffix.lower(), "text")
     labels = ("desired", "measured") if model_file is None else ("model", "measured")
+    if form is not None and ENDINGS.get(Path(output).suffix.lower(), form) != form:
+        raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
     check_output(output, logs if model_file is None else [*logs, model_file])
     if figures is not None:
+        with contextlib.suppress(OutputError):  # check_folder words it
+            make_folder(figures)
         check_folder(figures)
     model = None if model_file is None else read_model(model_file)
     options = ReportOptions(lag, remove_offset, segment, labels)
@@ -80,9 +87,13 @@ def report_logs(
             listener.opened(log.describe())
             comparison.add(log, names.get(address), listener)
     result = comparison.result()
-    write_whole(output, result.rendered(chosen), protect=logs)
     if figures is not None:
         result.figures(figures)
+    try:
+        write_whole(output, result.rendered(chosen), protect=logs)
+    except BrokenPipeError:  # the reader has seen enough; the figures were asked for all the same
+        if figures is None:
+            raise
     return Written(result.report, chosen, result.remarks)
 
 

@@ -63,6 +63,10 @@ class TimeSteps:
         self._last = float(block.time[-1])
         return steps
 
+    def follow(self, last: float) -> None:
+        """Let the first sample come after one at ``last`` (s)."""
+        self._last = last
+
     def _begin(self, time: FloatArray) -> None:
         """Find when the sample before the first one was.
 
