@@ -60,6 +60,7 @@ class SourceParts:
     drive_is_output: bool
     macros: list[tuple[str, str, str]]
     vectors: list[Vectors] = field(default_factory=list)
+    kernel_header: str = "dbo_kernel.h"
     declarations: str = ""
 
 
@@ -70,7 +71,7 @@ _HEADER = Template("""\
 #ifndef ${guard}_H
 #define ${guard}_H
 
-#include "dbo_kernel.h"
+#include "$kernel_header"
 
 #ifdef __cplusplus
 extern "C" {
@@ -193,6 +194,7 @@ def header(name: str, title: str, origin: str, parts: SourceParts, what: str) ->
     return _HEADER.substitute(
         title=title, origin=origin, name=name, guard=name.upper(), macros=macros + parts.declarations,
         members="\n".join(f"    {member}" for member in parts.members), number=parts.number, what=what,
+        kernel_header=parts.kernel_header,
         ignored="Every input is a number." if parts.lowest is None else (
             "An input that is not a number is ignored:\n * the last output comes again."
         ),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.errors import ModelError
 from dbo_cli.export.c_frame import SourceParts, Vectors, delay_line
 from dbo_cli.export.c_text import array, hex_double, struct_rows
 from dbo_cli.export.cascade_plan import CascadePlan
@@ -20,6 +22,10 @@ Floats = NDArray[np.float64]
 
 IGNORED_BEYOND = 1e6
 """An input so many ranges beyond the model's counts as no number: what it leads to would not be finite."""
+
+
+MOST_LOOKUP_GEARS = 12
+"""2^12 states are 70 kB of table; one gear more doubles it."""
 
 
 def stage_code(stages: MemoryFree, label: str, first_segment: int) -> tuple[str, str, int]:
@@ -36,45 +42,108 @@ def stage_code(stages: MemoryFree, label: str, first_segment: int) -> tuple[str,
             f"                       {hex_double(stage.y0)}, &state->segments[{segment}], x);"
         )
         segment += 1
-    return tables, "\n".join(steps), segment
+    return tables, "".join(f"{step}\n" for step in steps), segment
 
 
-def _gear_tables(plan: CascadePlan) -> tuple[str, int, bool]:
-    """Return the gears' tables, their bytes, and whether the kernel of a fixed step with limits serves."""
-    gears = plan.backlash
-    rows = gears.gears[:: gears.equal_run]
+@dataclass(frozen=True)
+class _Gears:
+    """The gears' tables: their text and bytes, and the C of the state's start and of one step on ``x``."""
+
+    tables: str
+    size: int
+    members: list[str]
+    attach: str
+    initialise: str
+    settle: str
+    step: str
+
+
+def _operator(plan: CascadePlan, run: int) -> tuple[str, int]:
+    """Return the gear table, one row a run, the terms and the operator, and their bytes."""
+    gears, rows = plan.backlash, plan.backlash.gears[::run]
     text = array("dbo_gear", "gears", struct_rows([hex_double(v) for v in row] for row in rows))
-    size = 32 * len(rows)
-    general = plan.limits is not None or (plan.terms > 0 and gears.memory_on == "output")
-    gain, decay = plan.gain, plan.decay
     if plan.terms:
-        text += array("double", "gain", [hex_double(v) for v in gain])
-        text += array("double", "decay", [hex_double(v) for v in decay])
-        size += 16 * plan.terms
-    text += (
-        f"static const dbo_backlash op = {{gears, {gears.n}, {gears.equal_run}, 1,"
-        f" DBO_ROW_FACTOR({gears.equal_run}),\n    {hex_double(gears.x0)}, {hex_double(gears.y0)}, 1,"
-        f" {plan.terms}, {'gain' if plan.terms else '0'}, {hex_double(plan.reference)},"
-        f" {int(gears.memory_on == 'output')}}};\n"
-    )
-    if not general:
-        return text, size, False
-    # As dbo_prepare_fixed_step computes them, in the same order.
-    kappa, rest = 0.0, 1.0 - decay
-    for c, b in zip(gain.tolist(), rest.tolist(), strict=True):
-        kappa += c * b
+        text += array("double", "gain", [hex_double(v) for v in plan.gain])
+        text += array("double", "decay", [hex_double(v) for v in plan.decay])
+    return text + (
+        f"static const dbo_backlash op = {{gears, {gears.n}, {run}, 1, DBO_ROW_FACTOR({run}),\n"
+        f"    {hex_double(gears.x0)}, {hex_double(gears.y0)}, 1, {plan.terms}, {'gain' if plan.terms else 0},"
+        f" {hex_double(plan.reference)}, {int(gears.memory_on == 'output')}}};\n"
+    ), 32 * len(rows) + 16 * plan.terms
+
+
+def _fixed_step(plan: CascadePlan, run: int) -> tuple[str, int]:
+    """Return what the time step makes constant, as ``dbo_prepare_fixed_step`` computes it, and its bytes."""
+    rows, kappa, rest = plan.backlash.gears[::run], 0.0, 1.0 - plan.decay
+    if plan.backlash.memory_on == "output":
+        for c, b in zip(plan.gain.tolist(), rest.tolist(), strict=True):
+            kappa += c * b
     wide = rows[:, 0] + kappa * rows[:, 1]
     fixed = np.column_stack([wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3]])
-    text += array("dbo_fixed_gear", "fixed_gears", struct_rows([hex_double(v) for v in row] for row in fixed))
-    size += 24 * len(rows)
+    text = array("dbo_fixed_gear", "fixed_gears", struct_rows([hex_double(v) for v in row] for row in fixed))
     if plan.terms:
         text += array("double", "rest", [hex_double(v) for v in rest])
-        size += 8 * plan.terms
-    names = ("decay", "rest") if plan.terms else ("0", "0")
-    text += (
-        f"static const dbo_fixed_step fixed = {{{hex_double(kappa)}, {names[0]}, {names[1]}, fixed_gears}};\n"
-    )
-    return text, size, True
+    names = "decay, rest" if plan.terms else "0, 0"
+    text += f"static const dbo_fixed_step fixed = {{{hex_double(kappa)}, {names}, fixed_gears}};\n"
+    return text, 24 * len(rows) + 8 * plan.terms
+
+
+def _recursion(plan: CascadePlan, limits: str) -> _Gears:
+    """Return the gears run by the package's kernel."""
+    gears = plan.backlash
+    text, size = _operator(plan, gears.equal_run)
+    if plan.limits is not None or (plan.terms > 0 and gears.memory_on == "output"):
+        more, extra = _fixed_step(plan, gears.equal_run)
+        text, size = text + more, size + extra
+        step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, &counts);"
+    else:
+        step = (
+            f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, &counts);"
+        )
+    words = buffer_words(gears.n)
+    memory = "state->memory" if plan.terms else "0"
+    return _Gears(
+        text, size, [f"uint64_t words[{words}];", "dbo_backlash_state gears;"],
+        f"    state->gears.words = state->words;\n    state->gears.memory = {memory};\n",
+        f"    for (size_t k = 0; k < {words}; k++) state->words[k] = 0;\n"
+        "    dbo_backlash_load(&op, &state->gears);\n"
+        f"    state->gears.last = {hex_double(plan.drive_origin)};",
+        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, x);",
+        step.replace("    x =", "    dbo_counts counts = {0, 0, 0, 0};\n    x =", 1),
+    )  # fmt: skip
+
+
+def _lookup(plan: CascadePlan, limits: str) -> _Gears:
+    """Return the gears as a table of all their states.
+
+    Raises
+    ------
+    ModelError
+        There are more than 12 gears: 2^13 states are 128 kB.
+    """
+    gears = plan.backlash
+    if gears.n > MOST_LOOKUP_GEARS:
+        raise ModelError(
+            f"dx: {gears.n} gears are too many for a table of all states, {MOST_LOOKUP_GEARS} at most"
+            f" (`gears` {MOST_LOOKUP_GEARS}, or without `lookup`)"
+        )
+    text, size = _operator(plan, 1)
+    more, extra = _fixed_step(plan, 1)
+    states = np.arange(2**gears.n)
+    engaged = (states[:, None] >> np.arange(gears.n) & 1).astype(np.float64)
+    corners = engaged @ gears.gears[:, :2]  # exact: the widths lie on one binary grid
+    lowest = [gears.n, *((int(b) & -int(b)).bit_length() - 1 for b in states[1:])]
+    more += array("dbo_corner", "corners", struct_rows([hex_double(v) for v in row] for row in corners))
+    more += array("uint8_t", "lowest", [str(v) for v in lowest])
+    more += "static const dbo_lookup lookup = {&op, &fixed, corners, lowest};\n"
+    memory = "state->memory" if plan.terms else "0"
+    return _Gears(
+        text + more, size + extra + 17 * len(states), ["dbo_lookup_state gears;"],
+        f"    state->gears.memory = {memory};\n",
+        f"    state->gears.state = 0U;\n    state->gears.last = {hex_double(plan.drive_origin)};",
+        f"    dbo_lookup_settle(&lookup, &state->gears, {plan.covered}U, x);",
+        f"    x = dbo_lookup_step(&lookup, &state->gears, x, {limits});",
+    )  # fmt: skip
 
 
 def _limits(plan: CascadePlan) -> tuple[str, str]:
@@ -103,78 +172,76 @@ def _delay_samples(plan: CascadePlan) -> tuple[int, float]:
     return whole, part if part > 1e-9 else 0.0
 
 
-def double_parts(plan: CascadePlan) -> tuple[SourceParts, int]:
-    """Return the sources' parts in float64 and the bytes of the tables."""
-    gears = plan.backlash
-    gear_text, size, general = _gear_tables(plan)
-    limit_text, limit_name = _limits(plan)
-    head_text, head_steps, segments = stage_code(plan.head, "before", 0)
-    tail_text, tail_steps, segments = stage_code(plan.tail, "behind", segments)
-    drive_stages = plan.head if plan.direction == "forward" else tuple(
-        stage.inverse() for stage in reversed(plan.tail)
-    )  # fmt: skip
-    drive_text, drive_steps, segments = stage_code(drive_stages, "drive", segments)
-    points = [s for s in (*plan.head, *plan.tail, *drive_stages) if not isinstance(s, ScaleStage)]
-    size += 24 * sum(stage.m for stage in points)
-    members = [f"uint64_t words[{buffer_words(gears.n)}];"]
-    if plan.terms:
-        members.append(f"double memory[{plan.terms}];")
-    if segments:
-        members.append(f"size_t segments[{segments}];")
-    attach = "    state->gears.words = state->words;\n" + (
-        "    state->gears.memory = state->memory;\n" if plan.terms else "    state->gears.memory = 0;\n"
-    )
-    members.append("dbo_backlash_state gears;")
-    initialise = f"    for (size_t k = 0; k < {buffer_words(gears.n)}; k++) state->words[k] = 0;\n"
-    if plan.terms:
-        initialise += f"    for (size_t k = 0; k < {plan.terms}; k++) state->memory[k] = 0.0;\n"
-    if segments:
-        initialise += f"    for (size_t k = 0; k < {segments}; k++) state->segments[k] = 0;\n"
-    initialise += (
-        attach + "    dbo_backlash_load(&op, &state->gears);\n"
-        f"    state->gears.last = {hex_double(plan.drive_origin)};"
-    )
-    start = (drive_steps + "\n" if drive_steps else "") + (
-        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, x);"
-    )
-    step = attach + (head_steps + "\n" if head_steps else "")
-    if general:
-        step += f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limit_name}, &counts);"
-    else:
-        decay = "decay" if plan.terms else "0"
-        step += f"    x = dbo_backlash_step(&op, &state->gears, x, {decay}, 0, &counts);"
-    step = "    dbo_counts counts = {0, 0, 0, 0};\n" + step
-    if tail_steps:
-        step += "\n" + tail_steps
+@dataclass(frozen=True)
+class _Stages:
+    """What stands around the gears: tables, their bytes, the steps before and behind, and a drive's way."""
+
+    tables: str
+    size: int
+    before: str
+    behind: str
+    drive: str
+    segments: int
+
+
+def _stages(plan: CascadePlan) -> _Stages:
+    """Return the memory-free stages; a drive given to reset passes them as far as the gears."""
+    undone = tuple(stage.inverse() for stage in reversed(plan.tail))
+    drives = plan.head if plan.direction == "forward" else undone
+    tables, texts, segments = "", [], 0
+    for label, stages in (("before", plan.head), ("behind", plan.tail), ("drive", drives)):
+        more, steps, segments = stage_code(stages, label, segments)
+        tables += more
+        texts.append(steps)
     if plan.limits is not None and plan.tail:
         low, high = hex_double(plan.limits.v_min), hex_double(plan.limits.v_max)
-        step += f"\n    x = x < {low} ? {low} : x > {high} ? {high} : x;"
+        texts[1] += f"    x = x < {low} ? {low} : x > {high} ? {high} : x;\n"
+    points = [s for s in (*plan.head, *plan.tail, *drives) if not isinstance(s, ScaleStage)]
+    size = 24 * sum(stage.m for stage in points)
+    return _Stages(tables, size, texts[0], texts[1], texts[2], segments)
+
+
+def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, int]:
+    """Return the sources' parts in float64 and the bytes of the tables."""
+    limit_text, limits = _limits(plan)
+    gears = _lookup(plan, limits) if lookup else _recursion(plan, limits)
+    stages = _stages(plan)
+    members, clear = list(gears.members), ""
+    for name, count, kind in (("memory", plan.terms, "double"), ("segments", stages.segments, "size_t")):
+        if count:
+            members.append(f"{kind} {name}[{count}];")
+            clear += f"    for (size_t k = 0; k < {count}; k++) state->{name}[k] = 0;\n"
+    initialise, step = clear + gears.attach + gears.initialise, gears.step
+    if step.startswith("    dbo_counts"):
+        counts, step = step.split("\n", 1)
+        step = f"{counts}\n{gears.attach}{stages.before}{step}"
+    else:
+        step = gears.attach + stages.before + step
+    step += "\n" + stages.behind.rstrip("\n") if stages.behind else ""
     if plan.direction == "forward" and plan.delay > 0.0:
         whole, part = _delay_samples(plan)
         lagged = f"later + {hex_double(part)} * (earlier - later)" if part else "later"
-        more, clear, line = delay_line(whole, "double", lagged)
+        more, empty, line = delay_line(whole, "double", lagged)
         members += more
-        initialise += "\n" + clear
-        step += "\n" + line
+        initialise, step = initialise + "\n" + empty, step + "\n" + line
     source = plan.model.input
     reach = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
-    return (
-        SourceParts(
-            number="double",
-            tables=gear_text + limit_text + head_text + tail_text + drive_text,
-            members=members,
-            initialise=initialise,
-            start=start,
-            step=step,
-            lowest=hex_double(-reach),
-            highest=hex_double(reach),
-            first_output=hex_double(first_output(plan)),
-            drive_is_output=plan.direction == "inverse",
-            macros=common_macros(plan),
-            vectors=_vectors(plan),
-        ),
-        size,
+    parts = SourceParts(
+        number="double",
+        tables=gears.tables + limit_text + stages.tables,
+        members=members,
+        initialise=initialise,
+        start=stages.drive + gears.settle,
+        step=step,
+        lowest=hex_double(-reach),
+        highest=hex_double(reach),
+        first_output=hex_double(first_output(plan)),
+        drive_is_output=plan.direction == "inverse",
+        macros=common_macros(plan),
+        vectors=_vectors(plan),
+        kernel_header="dbo_lookup.h" if lookup else "dbo_kernel.h",
     )
+    return parts, gears.size + stages.size
 
 
 def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:

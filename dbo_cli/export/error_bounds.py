@@ -178,7 +178,7 @@ def _tolerance(place: float, narrow: float, rising: float, low: float, plan: Cas
     power = min(math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
         raise ModelError(
-            f"{plan.backlash.n} gears are too narrow for this arithmetic: its rounding is {100.0 * part:.2g} %"
-            " of the smallest (`gears` fewer, or `arithmetic` q31 or double)"
+            f"{plan.backlash.n} gears are too narrow for this arithmetic: its rounding is {100.0 * part:.2g}"
+            " % of the smallest (`gears` fewer, or `arithmetic` q31 or double)"
         )
     return 2.0**-power

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from importlib import resources
 from typing import Literal
 
@@ -15,6 +16,8 @@ from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade
 from dbo_cli.export.double_code import double_parts
 from dbo_cli.export.export_folder import FORMAT, MANIFEST, check_folder, write_folder
 from dbo_cli.export.fewer_gears import with_fewer_gears
+from dbo_cli.export.fmu import fmu_bytes
+from dbo_cli.export.host_library import compile_library, library_sources, library_suffix
 from dbo_cli.export.single_code import single_parts
 from dbo_cli.export.summary import ExportSummary
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
@@ -35,7 +38,10 @@ def export_model(
     v_min: float | None = None,
     v_max: float | None = None,
     max_slew: float | None = None,
+    lookup: bool = False,
     arduino: bool = False,
+    fmu: bool = False,
+    shared: bool = False,
     overwrite: bool = False,
 ) -> ExportSummary:
     """Write a model as C sources for a controller, and return what they amount to.
@@ -60,8 +66,14 @@ def export_model(
         Limits of an inverse's drive; the model's range where not given.
     max_slew : float, optional
         The largest change of an inverse's drive in one second.
+    lookup : bool
+        A table of all states in place of the recursion: 12 gears at most, double only.
     arduino : bool
         Lay the files out as an Arduino library.
+    fmu : bool
+        Add NAME.fmu, an FMI 2.0 co-simulation unit with sources and this computer's binary; double only.
+    shared : bool
+        Add a flat C library with its header, compiled for this computer; double only.
     overwrite : bool
         Replace a folder that an earlier export wrote.
 
@@ -72,19 +84,16 @@ def export_model(
     ModelError
         A stage cannot be exported, or not in this arithmetic.
     OutputError
-        The folder exists already or cannot be written.
+        The folder exists already or cannot be written; ``fmu`` or ``shared`` find no C compiler.
     """
     check_name(name)
-    if arithmetic not in ARITHMETICS:
-        raise UsageError(f"`arithmetic` {arithmetic!r}: there are {', '.join(ARITHMETICS)}")
-    if direction not in ("inverse", "forward"):
-        raise UsageError(f"`direction` {direction!r}: there are inverse, forward")
+    _check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
     check_folder(folder, overwrite)
     loss: dict[str, float] = {}
     if gears is not None:
         model, loss = with_fewer_gears(model, gears)
     plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
-    parts, table_bytes, bounds = _parts(plan, arithmetic)
+    parts, table_bytes, bounds = _parts(plan, arithmetic, lookup)
     title, origin = _title(plan), _origin(model)
     run = plan.backlash.equal_run
     rows = -(-plan.backlash.n // run)
@@ -95,13 +104,28 @@ def export_model(
         vectors=sum(len(run.inputs) for run in parts.vectors), bounds=bounds, gears_loss=loss,
         notes=tuple(_notes(plan, loss)),
     )  # fmt: skip
-    files = _files(plan, parts, summary, title, origin, arduino)
+    files: dict[str, str | bytes] = dict(_files(plan, parts, summary, title, origin, arduino))
+    files |= _host_files(plan, name, title, files, fmu, shared)
     summary = dataclasses.replace(summary, files=(*sorted(files), MANIFEST))
     manifest = {"format": FORMAT, "version": 1, **dataclasses.asdict(summary)}
     del manifest["folder"]
     files[MANIFEST] = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-    write_folder(folder, {key: text.encode() for key, text in files.items()}, overwrite)
+    content = {key: text.encode() if isinstance(text, str) else text for key, text in files.items()}
+    write_folder(folder, content, overwrite)
     return summary
+
+
+def _check_choices(arithmetic: str, direction: str, double_only: dict[str, bool], arduino: bool) -> None:
+    """Refuse choices that do not exist or contradict each other."""
+    if arithmetic not in ARITHMETICS:
+        raise UsageError(f"`arithmetic` {arithmetic!r}: there are {', '.join(ARITHMETICS)}")
+    if direction not in ("inverse", "forward"):
+        raise UsageError(f"`direction` {direction!r}: there are inverse, forward")
+    for option, wanted in double_only.items():
+        if wanted and arithmetic != "double":
+            raise UsageError(f"`{option}` needs `arithmetic` double")
+    if arduino and (double_only["fmu"] or double_only["shared"]):
+        raise UsageError("`arduino` goes with neither `fmu` nor `shared`: export twice")
 
 
 def _limits(
@@ -120,9 +144,11 @@ def _limits(
     )
 
 
-def _parts(plan: CascadePlan, arithmetic: Arithmetic) -> tuple[SourceParts, int, dict[str, float]]:
+def _parts(
+    plan: CascadePlan, arithmetic: Arithmetic, lookup: bool
+) -> tuple[SourceParts, int, dict[str, float]]:
     if arithmetic == "double":
-        return *double_parts(plan), {}
+        return *double_parts(plan, lookup), {}
     return single_parts(plan, arithmetic == "q31")
 
 
@@ -140,7 +166,7 @@ def _state_bytes(parts: SourceParts) -> int:
     """Return the size of the state on a 32-bit chip, its members at their natural alignment."""
     sizes = {
         "uint64_t": (8, 8), "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4),
-        "size_t": (4, 4), "int": (4, 4), "dbo_backlash_state": (40, 8),
+        "size_t": (4, 4), "int": (4, 4), "dbo_backlash_state": (40, 8), "dbo_lookup_state": (16, 8),
         "dbo_memory": (8, 4 if parts.number == "float" else 8),
     }  # fmt: skip
     total = 0
@@ -172,7 +198,8 @@ def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
         )
         notes.append(
             f"The drive is kept within {plan.limits.v_min!r} ... {plan.limits.v_max!r}{unit}{slew};"
-            " the range wins over the slew limit. Where a limit binds, the state is that of the actuator as it is driven."
+            " the range wins over the slew limit. Where a limit binds, the state is that of the actuator as"
+            " it is driven."
         )
     if loss:
         forward_unit = plan.model.input.unit if plan.direction == "inverse" else plan.model.output.unit
@@ -189,11 +216,14 @@ def _firmware(file: str) -> str:
     return (resources.files("dbo_cli.hysteresis") / file).read_text(encoding="utf-8")
 
 
-def _kernel_files(arithmetic: str) -> dict[str, str]:
+def _kernel_files(arithmetic: str, lookup: bool) -> dict[str, str]:
     """Return the kernel's sources under the names they have in every export."""
-    if arithmetic == "double":
-        return {file: _firmware(file) for file in ("dbo_kernel.c", "dbo_kernel.h")}
     folder = resources.files("dbo_cli.export") / "firmware"
+    if arithmetic == "double":
+        files = {file: _firmware(file) for file in ("dbo_kernel.c", "dbo_kernel.h")}
+        if lookup:
+            files |= {f: (folder / f).read_text(encoding="utf-8") for f in ("dbo_lookup.c", "dbo_lookup.h")}
+        return files
     chosen = "#define DBO_Q31\n" if arithmetic == "q31" else "#define DBO_FLOAT\n"
     head = (folder / "dbo_kernel_single.h").read_text(encoding="utf-8")
     return {
@@ -214,10 +244,11 @@ def _files(
     code = {
         f"{name}.h": header(name, title, origin, parts, what),
         f"{name}.c": source(name, title, origin, parts),
-        **_kernel_files(summary.arithmetic),
+        **_kernel_files(summary.arithmetic, parts.kernel_header == "dbo_lookup.h"),
     }
     test = self_test(name, title, parts)
-    sources, headers = f"{name}.c dbo_kernel.c", f"{name}.h dbo_kernel.h"
+    sources = " ".join([f"{name}.c", *sorted(f for f in code if f.startswith("dbo_") and f.endswith(".c"))])
+    headers = " ".join([f"{name}.h", *sorted(f for f in code if f.startswith("dbo_") and f.endswith(".h"))])
     units = _units(plan, name, summary.arithmetic)
     page = project_files.readme(plan, summary, title, origin, units, sources)
     if arduino:
@@ -237,6 +268,23 @@ def _files(
         "CMakeLists.txt": project_files.cmake(name, sources, "DBO_SMALL" if small else ""),
         "README.md": page,
     }
+
+
+def _host_files(
+    plan: CascadePlan, name: str, title: str, files: Mapping[str, str | bytes], fmu: bool, shared: bool
+) -> dict[str, str | bytes]:
+    """Return what is compiled for this computer: the FMU, the flat library with its sources."""
+    kernel = [file for file in files if file.startswith("dbo_") or file in (f"{name}.c", f"{name}.h")]
+    code = {file: text for file in kernel if isinstance(text := files[file], str)}
+    found: dict[str, str | bytes] = {}
+    if shared:
+        rate = 0.0 if plan.time_step is None else 1.0 / plan.time_step
+        flat = library_sources(name, title, rate, plan.delay if plan.direction == "inverse" else 0.0)
+        found |= flat
+        found[f"lib{name}{library_suffix()}"] = compile_library({**code, **flat})
+    if fmu:
+        found[f"{name}.fmu"] = fmu_bytes(plan, name, title, code)
+    return found
 
 
 def _units(plan: CascadePlan, name: str, arithmetic: str) -> str:

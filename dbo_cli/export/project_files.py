@@ -152,11 +152,11 @@ def _bounds_text(plan: CascadePlan, summary: ExportSummary) -> str:
     b, unit = summary.bounds, f" {plan.model.output.unit}" if plan.model.output.unit else ""
     return (
         "\n**Error against the float64 model**, inside its range, derived from the tables (not measured):\n\n"
-        f"- {b['same_gears']:.3g}{unit} ({b['same_gears_percent']:.3g} % of the range) as long as both cross the"
-        " same gears. They do unless the drive turns within"
+        f"- {b['same_gears']:.3g}{unit} ({b['same_gears_percent']:.3g} % of the range) as long as both cross"
+        " the same gears. They do unless the drive turns within"
         f" {b['close_turn_fraction']:.2g} of a gear's width from the gear's end.\n"
-        f"- {b['after_close_turn']:.3g}{unit} ({b['after_close_turn_percent']:.3g} %) after such a turn, until a"
-        " larger move wipes it out: the two then remember neighbouring gears. It is the resolution of"
+        f"- {b['after_close_turn']:.3g}{unit} ({b['after_close_turn_percent']:.3g} %) after such a turn,"
+        " until a larger move wipes it out: the two then remember neighbouring gears. It is the resolution of"
         f" {summary.gears} gears, and shrinks as they grow in number.\n"
     )
 

@@ -69,6 +69,50 @@ def row_shift(n: int, run: int) -> int:
     return shift
 
 
+_LOOKUP = "dbo_segments_step({}, {}U, {}U, &state->segments[{}], {})"
+
+
+def _step(plan: CascadePlan, t: SingleTables, counts: list[int], attach: str, text: Text) -> str:
+    """Return the statements of one sample, but for a delay."""
+    before = _LOOKUP.format("before", counts[0], t.before.shift, 0, "x")
+    passed = f"{'' if t.q31 else '(float)'}dbo_counts_of(y, {t.y_shift}U)"
+    result = _LOOKUP.format("behind", counts[1], t.behind.shift, 1, passed)
+    step = (
+        f"    dbo_signal u;\n    dbo_position y;\n{attach}    u = {before};\n"
+        f"    y = dbo_backlash_step(&op, &state->gears, u, {'0' if t.limits is None else '&limits'});\n"
+        f"    x = {f'dbo_counts_of({result}, 0U)' if t.q31 else result};"
+    )
+    if t.clip is not None:
+        low, high = text(t.clip[0]), text(t.clip[1])
+        step += f"\n    x = x < {low} ? {low} : x > {high} ? {high} : x;"
+    return step
+
+
+def _lagged(t: SingleTables, text: Text) -> str:
+    """Return the expression between two samples of a delay line."""
+    part = t.delay[1]
+    if not part:
+        return "later"
+    if not t.q31:
+        return f"later + {text(part)} * (earlier - later)"
+    both = f"(int64_t)later * {2**30} + (int64_t){part} * ((int64_t)earlier - later)"
+    return f"dbo_counts_of({both}, 30U)"
+
+
+def _start(t: SingleTables) -> tuple[list[str], str, str]:
+    """Return the state's members, the statements that attach its arrays, and those that clear it."""
+    words = (t.n + 31) // 32
+    members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    clear = f"    for (uint32_t k = 0U; k < {words}U; k++) state->words[k] = 0U;\n"
+    clear += "    for (uint32_t k = 0U; k < 3U; k++) state->segments[k] = 0U;\n"
+    if t.terms:
+        members.append(f"dbo_memory memory[{len(t.terms)}];")
+        zero = "state->memory[k] = 0;" if t.q31 else "state->memory[k].value = state->memory[k].lost = 0.0F;"
+        clear += f"    for (uint32_t k = 0U; k < {len(t.terms)}U; k++) {zero}\n"
+    memory = "state->memory" if t.terms else "0"
+    return members, f"    state->gears.words = state->words;\n    state->gears.memory = {memory};\n", clear
+
+
 def single_parts(plan: CascadePlan, q31: bool) -> tuple[SourceParts, int, dict[str, float]]:
     """Return the sources' parts, the bytes of the tables, and the bounds."""
     t, bounds = tables_and_bounds(plan, q31)
@@ -80,50 +124,22 @@ def single_parts(plan: CascadePlan, q31: bool) -> tuple[SourceParts, int, dict[s
         more, count = _segments(label, segments, text)
         tables, size = tables + more, size + (24 if q31 else 12) * count
         counts.append(count)
-    members = [f"uint32_t words[{(t.n + 31) // 32}];"]
-    attach = "    state->gears.words = state->words;\n    state->gears.memory = 0;\n"
-    clear = f"    for (uint32_t k = 0U; k < {(t.n + 31) // 32}U; k++) state->words[k] = 0U;\n"
-    if t.terms:
-        members.append(f"dbo_memory memory[{len(t.terms)}];")
-        attach = attach.replace("memory = 0", "memory = state->memory")
-        zero = "state->memory[k] = 0;" if q31 else "state->memory[k].value = state->memory[k].lost = 0.0F;"
-        clear += f"    for (uint32_t k = 0U; k < {len(t.terms)}U; k++) {zero}\n"
-    members += ["uint32_t segments[3];", "dbo_backlash_state gears;"]
-    initialise = clear + "    for (uint32_t k = 0U; k < 3U; k++) state->segments[k] = 0U;\n" + attach
-    initialise += "    dbo_backlash_load(&op, &state->gears);\n    state->gears.last = 0;"
-    lookup = "dbo_segments_step({}, {}U, {}U, &state->segments[{}], {})"
-    start = (
-        f"    dbo_backlash_settle(&op, &state->gears, {t.covered}U,\n                        "
-        + lookup.format("drives", counts[2], t.drive.shift, 2, "x") + ");"
-    )  # fmt: skip
-    limits = "0" if t.limits is None else "&limits"
-    step = "    dbo_signal u;\n    dbo_position y;\n" + attach
-    step += "    u = " + lookup.format("before", counts[0], t.before.shift, 0, "x") + ";\n"
-    step += f"    y = dbo_backlash_step(&op, &state->gears, u, {limits});\n"
-    passed = f"{'' if q31 else '(float)'}dbo_counts_of(y, {t.y_shift}U)"
-    result = lookup.format("behind", counts[1], t.behind.shift, 1, passed)
-    step += f"    x = {f'dbo_counts_of({result}, 0U)' if q31 else result};"
-    if t.clip is not None:
-        low, high = text(t.clip[0]), text(t.clip[1])
-        step += f"\n    x = x < {low} ? {low} : x > {high} ? {high} : x;"
+    members, attach, clear = _start(t)
+    step = _step(plan, t, counts, attach, text)
+    initialise = clear + attach + "    dbo_backlash_load(&op, &state->gears);\n    state->gears.last = 0;"
     if t.delay[0] >= 0:
-        whole, part = t.delay
-        lagged = "later"
-        if part:
-            lagged = f"later + {text(part)} * (earlier - later)" if not q31 else (
-                f"dbo_counts_of((int64_t)later * {2**30} + (int64_t){part} * ((int64_t)earlier - later), 30U)"
-            )  # fmt: skip
-        more_members, more_clear, line = delay_line(whole, number, lagged)
-        members, initialise, step = members + more_members, initialise + "\n" + more_clear, step + "\n" + line
-    quantity = plan.model.input
-    reach = IGNORED_BEYOND * max(quantity.span, abs(quantity.minimum), abs(quantity.maximum))
+        more_members, empty, line = delay_line(t.delay[0], number, _lagged(t, text))
+        members, initialise, step = members + more_members, initialise + "\n" + empty, step + "\n" + line
+    drive = _LOOKUP.format("drives", counts[2], t.drive.shift, 2, "x")
+    source = plan.model.input
+    reach = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
     at_start = first_output(plan)
     parts = SourceParts(
         number=number,
         tables=tables,
         members=members,
         initialise=initialise,
-        start=start,
+        start=f"    dbo_backlash_settle(&op, &state->gears, {t.covered}U,\n                        {drive});",
         step=step,
         lowest=None if q31 else hex_float(-reach),
         highest=None if q31 else hex_float(reach),
