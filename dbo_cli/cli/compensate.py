@@ -22,6 +22,7 @@ def compensate(
     max_slew: options.MaxSlew,
     on_limit: options.OnLimit,
     condition: options.Condition,
+    bandwidth: options.Bandwidth,
     state: options.State,
     save_state: options.SaveState,
     displacement: options.Displacement,
@@ -50,6 +51,7 @@ def compensate(
         refuse_clipping=on_limit == "error",
         state=state,
         condition=condition,
+        bandwidth=bandwidth,
         listener=Progress(voice, "written"),
     )
     voice.remarks(remarks)

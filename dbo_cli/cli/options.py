@@ -308,6 +308,16 @@ Condition = Annotated[
     ),
 ]
 
+Bandwidth = Annotated[
+    float | None,
+    _option(
+        "--bandwidth",
+        "HZ",
+        "Round the trajectory's corners with a zero-phase low-pass first.",
+        parse=values.positive,
+    ),
+]
+
 # --- report ---
 Lag = Annotated[
     int | Literal["auto"],

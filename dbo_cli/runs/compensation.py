@@ -74,6 +74,7 @@ def compensation(
     start: StartName | ModelState = "auto",
     condition: bool = False,
     last_row: int | None = None,
+    bandwidth: float | None = None,
 ) -> Compensation:
     """Return the run of a forward model's inverse over a trajectory.
 
@@ -90,6 +91,8 @@ def compensation(
         See ``ModelRun``.
     condition
         Sweep the actuator into a known state first.
+    bandwidth
+        Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first.
 
     Raises
     ------
@@ -99,6 +102,7 @@ def compensation(
         The model is an inverse one.
     """
     model.require("forward")
+    check_bandwidth(bandwidth)
     if condition and start != "auto":
         named = start if isinstance(start, str) else "a state"
         raise UsageError(f"`condition` and `state` {named} exclude each other: the sweep makes its own state")
@@ -117,6 +121,7 @@ def compensation(
         refuse_clipping=refuse_clipping,
         last_row=last_row,
         why_time=why,
+        bandwidth=bandwidth,
         condition=condition,
     )
 
@@ -134,3 +139,9 @@ def check_range(v_min: float | None, v_max: float | None) -> None:
     """Refuse limits that leave nothing between them (UsageError)."""
     if v_min is not None and v_max is not None and v_min >= v_max:
         raise UsageError(f"`v_min` {v_min:g} must be below `v_max` {v_max:g}")
+
+
+def check_bandwidth(bandwidth: float | None) -> None:
+    """Refuse a cut-off that is none (UsageError)."""
+    if bandwidth is not None and not 0.0 < bandwidth < float("inf"):
+        raise UsageError(f"`bandwidth` {bandwidth:g}: give a positive number of Hz")

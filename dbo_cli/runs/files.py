@@ -25,7 +25,7 @@ from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
 from dbo_cli.runs.compensation import check_range, compensation
 from dbo_cli.runs.model import start_of
-from dbo_cli.runs.model_run import ModelRun
+from dbo_cli.runs.model_run import ModelRun, reads_ahead
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import DESIRED, check_unit, guesses_for
 
@@ -73,7 +73,7 @@ def simulate_log(
     model = read_model(model_file)
     taken = model.input
     want = {taken.quantity: ColumnWish(column, guesses_for(taken.quantity), option="input")}
-    ahead = model.direction == "inverse" and model.delay_seconds > 0.0
+    ahead = model.direction == "inverse" and reads_ahead(model)
     with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
         check_unit(log, taken.quantity, taken, _spoken(model_file))
         last = reading.rows[1] if ahead else None
@@ -95,6 +95,7 @@ def compensate_trajectory(
     refuse_clipping: bool = False,
     state: str = "auto",
     condition: bool = False,
+    bandwidth: float | None = None,
     listener: Listener = SILENT,
 ) -> Remarks:
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
@@ -107,7 +108,7 @@ def compensate_trajectory(
     wanted = model.output
     names = (*guesses_for(wanted.quantity), *DESIRED)
     want = {wanted.quantity: ColumnWish(column, names, option="displacement")}
-    ahead = model.delay_seconds > 0.0
+    ahead = reads_ahead(model) or bandwidth is not None
     with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
         check_unit(log, wanted.quantity, wanted, _spoken(model_file))
         run = compensation(
@@ -119,6 +120,7 @@ def compensate_trajectory(
             refuse_clipping=refuse_clipping,
             start="auto" if state == "auto" else start_of(state, model),
             condition=condition,
+            bandwidth=bandwidth,
             last_row=reading.rows[1] if ahead else None,
         )
         # Not under the name of what will be measured: a drive must not be taken for a recording.

@@ -215,6 +215,7 @@ class Model:
         on_limit: Literal["clip", "error"] = "clip",
         state: Start = "auto",
         condition: bool = False,
+        bandwidth: float | None = None,
         return_state: bool = False,
         details: bool = False,
     ) -> Any:
@@ -237,6 +238,8 @@ class Model:
         condition : bool
             Put the sweep that brings the actuator into a known state before the trajectory; the drive is
             then longer than the trajectory, and ``details`` tells the times.
+        bandwidth : float, optional
+            Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first.
 
         Returns
         -------
@@ -260,6 +263,7 @@ class Model:
             refuse_clipping=_one_of("on_limit", on_limit, ON_LIMIT) == "error",
             start=self._start(state),
             condition=condition,
+            bandwidth=bandwidth,
         )
         return _finished(run, return_state, details)
 
