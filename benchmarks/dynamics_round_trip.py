@@ -5,8 +5,8 @@
 Random cascades of 1 to 1,152 gears, half of them with relaxation, with points, with a delay of whole samples,
 with a lag; one or two resonances of damping 0.002 to 0.9, some with an antiresonance, 6 to 400 samples a
 period of the highest. The trajectory is a random move between two rests, a swing in 2 to 6 periods of the
-lowest resonance. It goes through the inverse whole and in random blocks, and the drive through the model. Exits
-1 where an error of a sample exceeds 1e-9 of the range, or a bit depends on the blocks or on the kernel.
+lowest resonance. It goes through the inverse whole and in random blocks, and the drive through the model.
+Exits 1 where an error of a sample exceeds 1e-9 of the range, or a bit depends on the blocks or on the kernel.
 ``--speed`` prints instead what dynamics cost a sample beside the gears, in one run.
 """
 
@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betainc
 
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import slow_output_range
@@ -79,7 +80,7 @@ def random_move(rng: np.random.Generator, model: ActuatorModel, step: float, swi
     parts = [np.full(100, turns[0])]
     for begin, end in pairwise(turns.tolist()):
         t = np.linspace(0.0, 1.0, max(round(rng.uniform(2.0, 6.0) / (lowest * step)), 20))
-        parts.append(begin + (end - begin) * t**3 * (10.0 - 15.0 * t + 6.0 * t * t))
+        parts.append(begin + (end - begin) * betainc(7.0, 7.0, t))  # five smooth derivatives
     return np.concatenate([*parts, np.full(100, turns[-1])])
 
 
@@ -93,7 +94,9 @@ def drive_for(model: ActuatorModel, wanted: Floats, step: float, cuts: list[int]
 
     inverter = model.dynamics.inverter(step)
     low, high = model.forward_backlash.x_range
-    limits = DriveLimits(low - 10.0 * (high - low), high + 10.0 * (high - low))  # what they cut off is no error
+    limits = DriveLimits(
+        low - 10.0 * (high - low), high + 10.0 * (high - low)
+    )  # what they cut off is no error
     state, drives = None, []
     for _, u, _ in undone(read_ahead(blocks(), model.delay_seconds), inverter):
         if state is None:

@@ -23,6 +23,11 @@ def compensate(
     on_limit: options.OnLimit,
     condition: options.Condition,
     bandwidth: options.Bandwidth,
+    tracked: options.TrackedLogs,
+    periodic: options.Periodic,
+    passes: options.Passes,
+    voltage: options.TrackedVoltage,
+    measured: options.TrackedMeasured,
     state: options.State,
     save_state: options.SaveState,
     displacement: options.Displacement,
@@ -42,7 +47,13 @@ def compensate(
     remarks = compensate_trajectory(
         model,
         trajectory,
-        Destination(output, save_state, [model, trajectory, state], flush, shlex.join(["dbo", *typed])),
+        Destination(
+            output,
+            save_state,
+            [model, trajectory, state, *(tracked or ())],
+            flush,
+            shlex.join(["dbo", *typed]),
+        ),
         reading,
         column=displacement,
         v_min=v_min,
@@ -52,6 +63,11 @@ def compensate(
         state=state,
         condition=condition,
         bandwidth=bandwidth,
+        tracked=tracked or (),
+        periodic=periodic,
+        passes=passes,
+        voltage=voltage,
+        measured=measured,
         listener=Progress(voice, "written"),
     )
     voice.remarks(remarks)

@@ -6,7 +6,7 @@ The sections and the mathematics are in ``linear_sections``.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.linear_sections import (
     Lag,
     Resonance,
     Section,
+    SectionInverse,
     section_inverse,
 )
 
@@ -129,6 +130,18 @@ class DynamicsStage:
         kernel.CHOSEN.dynamics_run(self._output, held, np.ascontiguousarray(x), y, self.rows(time_step))
         return y, _as_states(held)
 
+    def loop(self, x: Floats, time_step: float) -> tuple[Floats, SectionStates]:
+        """Return one period after the forward stage when it has been repeated for ever, and the state then.
+
+        What a state before the period adds to that after it is linear: the state that a period leaves
+        unchanged solves two equations.
+        """
+        signal, states = np.ascontiguousarray(x), []
+        for section in self.sections:
+            signal, end = _loop_of(DynamicsStage((section,)), signal, time_step)
+            states.append(end)
+        return signal, tuple(states)
+
     def inverter(self, time_step: float) -> DynamicsInverter:
         """Return what undoes the stage on an even clock of ``time_step`` (s).
 
@@ -138,6 +151,45 @@ class DynamicsStage:
             The clock does not resolve a section.
         """
         return DynamicsInverter(self, time_step)
+
+
+def _loop_of(stage: DynamicsStage, x: Floats, time_step: float) -> tuple[Floats, tuple[float, float, float]]:
+    """Return what ``DynamicsStage.loop`` does, for a stage of one section."""
+
+    def after(p: float, q: float) -> tuple[Floats, SectionStates]:
+        y, state = stage.run(x, time_step, ((p, q, float(x[-1])),))
+        assert state is not None
+        return y, state
+
+    def ends(p: float, q: float) -> tuple[float, float]:
+        return after(p, q)[1][0][:2]
+
+    y, state = after(*_fixed_point(ends))
+    return y, state[0]
+
+
+def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
+    """Return what ``DynamicsInverter.loop`` does, for one section."""
+    wrapped = np.pad(y, (0, part.weight.size), mode="wrap")
+
+    def after(a: float, b: float) -> tuple[Floats, Floats]:
+        held, u = np.array([y[-1], a, b]), np.empty(y.size)
+        kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, held, wrapped, u)
+        return u, held
+
+    def ends(a: float, b: float) -> tuple[float, float]:
+        held = after(a, b)[1]
+        return float(held[1]), float(held[2])
+
+    return after(*_fixed_point(ends))[0]
+
+
+def _fixed_point(after: Callable[[float, float], tuple[float, float]]) -> tuple[float, float]:
+    """Return the two numbers that an affine map leaves unchanged."""
+    base = np.array(after(0.0, 0.0))
+    columns = [np.array(after(1.0, 0.0)) - base, np.array(after(0.0, 1.0)) - base]
+    first, second = np.linalg.solve(np.eye(2) - np.column_stack(columns), base).tolist()
+    return first, second
 
 
 def _as_states(held: Floats) -> SectionStates:
@@ -194,6 +246,13 @@ class DynamicsInverter:
                 kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, held, signal[count:], out[count:])
             signal = out
         return signal, InverseMemory(self.time_step, tuple(states))
+
+    def loop(self, y: Floats) -> Floats:
+        """Return the input of one period of an output that is repeated for ever."""
+        signal = np.ascontiguousarray(y)
+        for part in reversed(self.parts):
+            signal = _undone_loop_of(part, signal)
+        return signal
 
 
 def with_future(blocks: Iterable[tuple[Payload, Floats]], ahead: int) -> Iterator[tuple[Payload, Floats]]:

@@ -209,6 +209,11 @@ class ActuatorModel:
         return next((stage for stage in self.stages if isinstance(stage, DynamicsStage)), None)
 
     @property
+    def delay(self) -> DelayStage | None:
+        """The delay as it stands in this model, or None."""
+        return self._delay
+
+    @property
     def delay_seconds(self) -> float:
         """Seconds by which the output lags; an inverse model must read its input that far ahead."""
         return abs(self._delay.seconds) if self._delay else 0.0

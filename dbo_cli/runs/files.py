@@ -19,15 +19,16 @@ from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_format, format_for, parse_output
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
 from dbo_cli.runs.compensation import check_range, compensation
+from dbo_cli.runs.learning import Tracked, tracked_of
 from dbo_cli.runs.model import start_of
 from dbo_cli.runs.model_run import ModelRun, reads_ahead
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, check_unit, guesses_for
+from dbo_cli.runs.roles import DESIRED, check_unit, guesses_for, recording_wishes
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -96,6 +97,11 @@ def compensate_trajectory(
     state: str = "auto",
     condition: bool = False,
     bandwidth: float | None = None,
+    tracked: Sequence[str] = (),
+    voltage: str | None = None,
+    measured: str | None = None,
+    periodic: bool = False,
+    passes: int = 0,
     listener: Listener = SILENT,
 ) -> Remarks:
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
@@ -108,7 +114,8 @@ def compensate_trajectory(
     wanted = model.output
     names = (*guesses_for(wanted.quantity), *DESIRED)
     want = {wanted.quantity: ColumnWish(column, names, option="displacement")}
-    ahead = reads_ahead(model) or bandwidth is not None
+    ahead = (reads_ahead(model) or bandwidth is not None) and not (tracked or periodic)
+    recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
     with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
         check_unit(log, wanted.quantity, wanted, _spoken(model_file))
         run = compensation(
@@ -121,11 +128,30 @@ def compensate_trajectory(
             start="auto" if state == "auto" else start_of(state, model),
             condition=condition,
             bandwidth=bandwidth,
+            tracked=recordings,
+            periodic=periodic,
+            passes=passes,
             last_row=reading.rows[1] if ahead else None,
         )
         # Not under the name of what will be measured: a drive must not be taken for a recording.
         given = OutColumn("desired", log.columns[wanted.quantity].unit or wanted.unit, "desired")
         return _write(run, log, given, destination, reading, listener)
+
+
+def _recorded(
+    address: str,
+    model: ActuatorModel,
+    reading: ReadingOptions,
+    voltage: str | None,
+    measured: str | None,
+    listener: Listener,
+) -> Tracked:
+    """Read the recording of a pass; ``rows`` are the trajectory's."""
+    want = recording_wishes(voltage, measured)
+    with _opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
+        check_unit(log, "voltage", model.input, "the model")
+        check_unit(log, "displacement", model.output, "the model")
+        return tracked_of(log)
 
 
 def invert_model(model_file: str, output: str) -> ActuatorModel:

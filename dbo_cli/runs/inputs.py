@@ -136,13 +136,16 @@ class Inputs:
         return told
 
     def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass) -> Iterator[Taken]:
-        role = self.what.role
         for block, x in low_pass.blocks(taken):
-            away = x - block.values[role]
-            self._squares += float(np.dot(away, away))
-            self._largest = max(self._largest, float(np.abs(away).max()))
-            self._smoothed += x.size
+            self.note_rounding(block.values[self.what.role], x)
             yield block, x
+
+    def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
+        """Add up what a low-pass took off."""
+        away = after - before
+        self._squares += float(np.dot(away, away))
+        self._largest = max(self._largest, float(np.abs(away).max()))
+        self._smoothed += away.size
 
     def _undone(self, taken: Iterable[Taken], inverter: DynamicsInverter) -> Iterator[Taken]:
         """Undo the dynamics; from a state's memory where the signal goes on from it, else from a rest."""
