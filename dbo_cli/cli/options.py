@@ -316,6 +316,45 @@ Condition = Annotated[
     ),
 ]
 
+Bandwidth = Annotated[
+    float | None,
+    _option(
+        "--bandwidth",
+        "HZ",
+        "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
+        parse=values.positive,
+    ),
+]
+TrackedLogs = Annotated[
+    list[str] | None,
+    _option(
+        "--tracked",
+        "LOG",
+        "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
+    ),
+]
+Periodic = Annotated[
+    bool,
+    _option("--periodic", None, "The trajectory is one period of a loop: write the settled loop's drive."),
+]
+Passes = Annotated[
+    int,
+    _option(
+        "--passes",
+        "N",
+        "With --periodic, passes of run-in before it (time < 0).",
+        "-n",
+        default="0",
+        parse=values.whole(0),
+    ),
+]
+TrackedVoltage = Annotated[
+    str | None, _reading("--voltage", COLUMN, "The drive in a --tracked log; guessed by name.")
+]
+TrackedMeasured = Annotated[
+    str | None, _reading("--measured", COLUMN, "What was measured in a --tracked log; guessed by name.")
+]
+
 # --- report ---
 Lag = Annotated[
     int | Literal["auto"],

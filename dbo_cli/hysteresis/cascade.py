@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 
 Floats = NDArray[np.float64]
@@ -49,7 +50,7 @@ class ScaleStage:
         return ScaleStage(1.0 / self.gain, -self.offset / self.gain)
 
 
-Stage = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DelayStage
+Stage = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage
 MemoryFree = tuple[DiscretePointOperator | ScaleStage, ...]
 
 
@@ -75,8 +76,8 @@ def least_slope(stage: DiscretePointOperator | ScaleStage) -> float:
 def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tuple[float, float]:
     """Return the least and the greatest output of a forward cascade at rest at the ends of its input.
 
-    Slowly: relaxation has come to rest at either end, and a delay does not matter. The voltage goes from
-    empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
+    Slowly: relaxation has come to rest at either end; dynamics and a delay do not matter. The voltage goes
+    from empty to ``v_max``, then to ``v_min``; a negative gain exchanges the two.
     """
     place, operator = next((k, s) for k, s in enumerate(stages) if isinstance(s, DiscreteBacklashOperator))
     head, tail = memory_free(stages[:place]), memory_free(stages[place:])
@@ -107,6 +108,8 @@ def digest_of(stages: Sequence[Stage]) -> str:
             parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])
         elif isinstance(stage, DelayStage):
             parts.append(stage.seconds)
+        elif isinstance(stage, DynamicsStage):
+            parts.append([dataclasses.asdict(section) for section in stage.sections])
         else:
             parts.append([stage.dx.tolist(), stage.dy.tolist(), stage.x0, stage.y0])
             if isinstance(stage, DiscreteBacklashOperator) and stage.relaxation:
