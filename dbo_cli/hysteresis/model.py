@@ -218,7 +218,7 @@ class ActuatorModel:
         """Seconds by which the output lags; an inverse model must read its input that far ahead."""
         return abs(self._delay.seconds) if self._delay else 0.0
 
-    @property
+    @cached_property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
         return (
@@ -236,13 +236,13 @@ class ActuatorModel:
         """Return what reaches the backlash stage of this model."""
         return through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
 
-    def _inner_limits(self, limits: DriveLimits | None) -> DriveLimits | None:
+    def _inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Limits on the drive as the backlash stage of an inverse model meets them.
 
         Where points stand between, the steepest step they may let through is counted on everywhere, so that
         the slew limit is kept with something to spare.
         """
-        if limits is None or not self._tail:
+        if not self._tail:
             return limits
         bent = [stage.inverse() for stage in reversed(self._tail)]
         ends = through(bent, np.array([limits.v_min, limits.v_max]))
@@ -270,7 +270,7 @@ class ActuatorModel:
         if self.direction == "forward" or state in {"empty", "full"}:
             return ModelState(start_state(operator, value, state))
         start_state(operator, value, state)  # refuses a name that is none
-        inner = self._inner_limits(limits)
+        inner = None if limits is None else self._inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
         return ModelState(first.state, first=first)
@@ -310,17 +310,20 @@ class ActuatorModel:
         """
         if limits is not None:
             self.require("inverse")
-        signal = self._before_backlash(x)
+        signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        for stage in self._head:
+            signal = stage.run(signal)
         if outside == "hold" and self.direction == "forward" and self._core.n < self.backlash.n:
             signal = np.clip(signal, *self._core.x_range)
         steps = self._steps(time_step, signal.size, state, limits)
-        inner = self._inner_limits(limits)
+        inner = None if limits is None else self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
         counts = self._with_uncovered(np.reshape(x, -1), counts)
         if outside == "error" and counts.outside:
             first = counts.first_outside
-            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered())
-        y = through(self._tail, y)
+            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered)
+        for stage in self._tail:
+            y = stage.run(y)
         if limits is not None and self._tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
@@ -375,7 +378,7 @@ class ActuatorModel:
             state.backlash,
             decay=relaxation.decay(steps) if relaxation and steps is not None else None,
             outside=outside,
-            limits=_output_limits(limits, steps),
+            limits=None if limits is None else _output_limits(limits, steps),
             last=state.drive,
         )
         after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
@@ -404,8 +407,9 @@ class ActuatorModel:
         miss = missed if short and not clipped and not unbound.outside else 0.0
         return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
 
+    @cached_property
     def _covered(self) -> tuple[float, float]:
-        """Return the range of this model's input: what it was identified on, or less where its gears end."""
+        """The range of this model's input: what it was identified on, or less where its gears end."""
         ends = through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
         if self.direction == "inverse":
             return self.input.minimum, self.input.maximum
@@ -413,8 +417,8 @@ class ActuatorModel:
 
     def _with_uncovered(self, x: ArrayLike, counts: Counts) -> Counts:
         """Count the samples beyond the model's input range; gears may go on a little further than it does."""
-        low, high = self._covered()
-        slack = NEGLIGIBLE * self.input.span
+        low, high = self._covered
+        slack = NEGLIGIBLE * (self.input.maximum - self.input.minimum)
         signal = np.asarray(x, dtype=np.float64)
         beyond = (signal < low - slack) | (signal > high + slack)
         count = int(np.count_nonzero(beyond))
@@ -485,9 +489,7 @@ class ActuatorModel:
         return self.inverse()
 
 
-def _output_limits(limits: DriveLimits | None, steps: float | Floats | None) -> OutputLimits | None:
+def _output_limits(limits: DriveLimits, steps: float | Floats | None) -> OutputLimits:
     """Return the limits of a block in the operator's terms."""
-    if limits is None:
-        return None
     step = None if limits.max_slew is None or steps is None else limits.max_slew * steps
     return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))
