@@ -147,7 +147,7 @@ def test_drift_spikes_and_clipping_stay_out_of_the_gears() -> None:
     drift = identify([record(truth, nested(), change=drifting)], STATIC)
     assert drift.fit["logs"][0]["drift"] == pytest.approx(2.0, rel=0.1)  # type: ignore[index]
     assert held_out(drift, truth) < 2.0 * held_out(clean, truth) + 0.01
-    assert any("sensor drift of 1.88" in line for line in drift.summary)
+    assert any(line.startswith("log: sensor drift of ") for line in drift.summary)
 
     spikes = identify([record(truth, nested(), change=spiked)], STATIC)
     assert spikes.fit["logs"][0]["outlier_rows"] == 3  # type: ignore[index]
@@ -263,7 +263,7 @@ def test_options_that_contradict_the_logs() -> None:
         identify([log], IdentificationOptions(skip_seconds=1.0))
     with pytest.raises(UsageError, match=r"^`method` paper takes one log"):
         identify([log, log], IdentificationOptions(method="paper"))
-    with pytest.raises(UsageError, match=r"^`delay` -1: "):
+    with pytest.raises(UsageError, match=r"^`delay` -1.0: is a time in seconds, not negative"):
         IdentificationOptions(delay=-1.0)
     with pytest.raises(FitError, match=r"^log: 0 usable rows are too few"):
         identify([record(actuator(), nested())], IdentificationOptions(skip_seconds=99.0))

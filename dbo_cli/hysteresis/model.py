@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import (
+    CoveredGears,
     MemoryFree,
     ScaleStage,
     Stage,
+    covered_gears,
     digest_of,
-    gears_up_to,
     least_slope,
     memory_free,
     slow_output_range,
@@ -160,18 +161,12 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def _core(self) -> DiscreteBacklashOperator:
-        """The forward backlash stage without gears beyond the voltages the model covers.
-
-        A model may have some, so that a drive that goes a little further turns there as inside. They come
-        last, so a state of the others is a state of all; they take no part in where ``full`` and ``settled``
-        are.
-        """
-        gears = self.forward_backlash
+    def _covered_gears(self) -> CoveredGears:
+        """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         drive = self.input if self.direction == "forward" else self.output
         bent = self._head if self.direction == "forward" else [s.inverse() for s in reversed(self._tail)]
-        top = float(through(bent, np.array([drive.minimum, drive.maximum])).max())
-        return gears_up_to(gears, top)
+        ends = through(bent, np.array([drive.minimum, drive.maximum]))
+        return covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
     def _head(self) -> MemoryFree:
@@ -236,13 +231,15 @@ class ActuatorModel:
         if isinstance(state, ModelState):
             return state
         value = float(self._before_backlash([first_input])[0])
-        operator = self._core
+        covered = self._covered_gears
+        operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
-            return ModelState(start_state(operator, value, state))
+            return ModelState(covered.whole(start_state(operator, value, state)))
         start_state(operator, value, state)  # refuses a name that is none
         inner = self._inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
+        first = first._replace(state=covered.whole(first.state))
         return ModelState(first.state, first=first)
 
     def simulate(
@@ -280,8 +277,9 @@ class ActuatorModel:
         if limits is not None:
             self.require("inverse")
         signal = self._before_backlash(x)
-        if outside == "hold" and self.direction == "forward" and self._core.n < self.backlash.n:
-            signal = np.clip(signal, *self._core.x_range)
+        core = self._covered_gears.operator
+        if outside == "hold" and self.direction == "forward" and core.n < self.backlash.n:
+            signal = np.clip(signal, *core.x_range)
         steps = self._steps(time_step, signal.size, state, limits)
         inner = self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.drift import drift_order, with_drift_needed
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
 from dbo_cli.hysteresis.identification.recordings import (
     AMPLITUDE_SCATTER,
@@ -59,13 +60,18 @@ class Prepared:
     @property
     def one_amplitude(self) -> bool:
         """Whether all cycles of all logs go over one and the same range."""
-        amplitudes = np.concatenate([shape.amplitudes for shape in self.shapes])
-        return len(amplitudes) < 2 or float(np.ptp(amplitudes)) <= AMPLITUDE_SCATTER * float(amplitudes.max())
+        return one_amplitude_of(self.shapes)
 
     @property
     def span(self) -> float:
         """Range of the drive over all logs, in its unit."""
         return self.high - self.low
+
+
+def one_amplitude_of(shapes: Sequence[DriveShape]) -> bool:
+    """Whether all cycles of all logs go over one and the same range."""
+    amplitudes = np.concatenate([shape.amplitudes for shape in shapes])
+    return len(amplitudes) < 2 or float(np.ptp(amplitudes)) <= AMPLITUDE_SCATTER * float(amplitudes.max())
 
 
 def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
@@ -118,16 +124,6 @@ def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) 
     return np.where(usable, fold + first_fold, -1)
 
 
-def drift_order(shape: DriveShape, has_clock: bool) -> int:
-    """Order of the drift polynomial that a log of so many cycles can tell from what the actuator does.
-
-    Where the amplitude changes, so does the mean of an asymmetric loop; a curved drift would swallow that.
-    """
-    if not has_clock or shape.cycle_count < 3:
-        return 0
-    return 2 if shape.one_amplitude and shape.cycle_count >= 6 else 1
-
-
 def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
     """Make logs ready: sign, rows to leave out, start states, drift taken out, output scaled to 0..1.
 
@@ -172,7 +168,7 @@ def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
         log if cut else _with_history(log, low, high, notes)
         for log, cut in zip(logs, transients, strict=True)
     ]
-    flat, outliers = _without_drift_and_spikes(chosen, low, high, notes)
+    flat, outliers = _without_drift_and_spikes(chosen, low, high, notes, one_amplitude_of(shapes))
     bottom = min(float(log.output[log.used].min()) for log in flat)
     top = max(float(log.output[log.used].max()) for log in flat)
     ready = tuple(replace(log, output=(log.output - bottom) / (top - bottom)) for log in flat)
@@ -284,10 +280,11 @@ def _probe_error(log: PreparedLog, low: float, high: float) -> float:
 
 
 def _without_drift_and_spikes(
-    logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
+    logs: Sequence[PreparedLog], low: float, high: float, notes: list[str], one_amplitude: bool
 ) -> tuple[list[PreparedLog], tuple[int, ...]]:
     """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
     basis, structure = _probe(low, high)
+    logs = with_drift_needed(logs, low, high, one_amplitude)
     outliers = np.zeros(len(logs), np.int64)
     residuals: list[Floats] = []
     for attempt in range(2):

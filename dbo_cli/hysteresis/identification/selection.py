@@ -54,7 +54,7 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     for fold, gram in enumerate(statistics.grams):
         rest, rows = statistics.total(leave_out=fold)
         solution = solve(rest, statistics.columns, structure, rows)
-        left = squared_error_free_of(gram, solution.vector, statistics.loose[fold])
+        left = squared_error_free_of(gram, solution.vector, statistics.nuisance[fold])
         errors.append(left / max(statistics.rows[fold], 1))
     rows_of = np.asarray(statistics.rows, dtype=float)
     return Score(np.asarray(errors), rows_of / rows_of.sum())
