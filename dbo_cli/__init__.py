@@ -1,5 +1,61 @@
-"""Identify, invert and compensate the hysteresis of piezo actuators with the Discrete Backlash Operator."""
+"""Identify, invert and compensate the hysteresis of piezo actuators with the Discrete Backlash Operator.
+
+The public names are loaded when they are asked for, so that importing the package costs nothing; see
+docs/python.md.
+"""
 
 from __future__ import annotations
 
+TYPE_CHECKING = False  # as in typing, which is not imported for it
+if TYPE_CHECKING:
+    from typing import Any
+
+    from dbo_cli.errors import (
+        DboError,
+        FitError,
+        InputError,
+        LimitError,
+        ModelError,
+        OutputError,
+        UsageError,
+    )
+    from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
+    from dbo_cli.runs.model import Model
+    from dbo_cli.runs.remarks import DboWarning
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "DboError",
+    "DboWarning",
+    "FitError",
+    "InputError",
+    "LimitError",
+    "Model",
+    "ModelError",
+    "OutputError",
+    "UsageError",
+    "compensate",
+    "identify",
+    "read_log",
+    "read_model",
+    "report",
+    "simulate",
+]
+
+_ROOMS = {"Model": "runs.model", "DboWarning": "runs.remarks"}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is asked for."""
+    if name not in __all__:
+        raise AttributeError(f"module 'dbo_cli' has no attribute {name!r}")
+    from importlib import import_module
+
+    room = _ROOMS.get(name) or ("errors" if name.endswith("Error") else "runs.api")
+    return getattr(import_module(f"dbo_cli.{room}"), name)
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted([*globals(), *__all__])

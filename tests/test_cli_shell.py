@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import subprocess
 import sys
@@ -13,11 +15,11 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app
-from dbo_cli.cli.commands import COMMANDS
+from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, invert, simulate, compensate, report, excite"
+LIST = "identify, show, invert, simulate, compensate, report, excite"
 
 
 def test_version(dbo: Any) -> None:
@@ -32,7 +34,7 @@ def test_module_and_console_script_are_the_same_program() -> None:
 
 
 WRONG = {
-    "": f"no command given; there are: {LIST} (dbo --help says what they do)",
+    "identfy a.csv": f"no such command: 'identfy': identify?; there are: {LIST}",
     "fit a.csv": f"no such command: 'fit'; there are: {LIST}",
     "--loud": "no such option: --loud (dbo --help lists what there is)",
     "identify": "LOG is missing (dbo identify --help lists what there is)",
@@ -159,6 +161,7 @@ def test_every_option_that_the_readme_uses_exists(dbo: Any) -> None:
 PROMISED = {
     "identify": "--gears --points --relaxation --delay --skip --validate --method --zero --slopes --force "
     "--time --voltage --displacement --sample-rate --rows --skip-bad --format",
+    "show": "--format --figures",
     "invert": "--output",
     "simulate": "--input --state --save-state --outside --time --sample-rate --rows --flush --resample",
     "compensate": "--displacement --v-min --v-max --on-limit --max-slew --condition --state --save-state",
@@ -182,3 +185,47 @@ def test_help_fits_a_terminal_and_holds_no_escapes(dbo: Any, name: str) -> None:
     page = help_of(dbo, name)
     assert max(map(len, page.splitlines())) <= 100
     assert "\x1b" not in page
+
+
+def test_the_bare_program_shows_its_help(dbo: Any) -> None:
+    done = dbo()
+    assert (done.code, done.err) == (0, "")
+    assert done.out.startswith("Usage: dbo ")
+    assert all(f"  {name} " in done.out for name in COMMANDS)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts_are_printed(shell: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "dbo_cli", "--show-completion", shell], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"_DBO_COMPLETE=complete_{shell}" in done.stdout
+
+
+def test_a_shell_is_told_what_could_be_typed() -> None:
+    asked = os.environ | {"_DBO_COMPLETE": "complete_bash", "COMP_WORDS": "dbo identify --ge", "COMP_CWORD": "2"}
+    done = subprocess.run([sys.executable, "-m", "dbo_cli"], capture_output=True, text=True, env=asked)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "--gears\n", "")
+
+
+def test_swapped_arguments_are_recognised(dbo: Any, model_file: Path) -> None:
+    Path("drive.csv").write_text("voltage_V\n0\n")
+    for command in ("simulate", "compensate"):
+        assert dbo(command, "drive.csv", "model.json") == (
+            2, "", "dbo: error: model.json is a model: the model comes first, then the log (model.json drive.csv)\n"
+        )  # fmt: skip
+
+
+def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
+    old = Path(__file__).parent / "old_files" / "model-v1.json"
+    done = dbo("show", old)
+    assert (done.code, done.err) == (0, "")
+    lines = done.out.splitlines()
+    assert lines[0] == "forward model: voltage 0 to 100 V to displacement 0.798299 to 12.6191 um"
+    assert lines[1].startswith("40 gears, 8 segments of asymmetry; lag and creep with time constants of ")
+    assert any(line.startswith("fit: RMSE 0.0") and "um" in line for line in lines)
+    assert any(line.startswith("from identification.csv (5,786 rows), by dbo 0.1.0") for line in lines)
+    told = json.loads(dbo("show", old, "--format", "json", "--figures", "curves").out)
+    assert (told["gears"], told["output"]["unit"], told["delay_seconds"]) == (40, "um", pytest.approx(0.001))
+    assert {path.suffix for path in Path("curves").iterdir()} == {".png", ".svg"}

@@ -155,7 +155,7 @@ BAD_INPUT = {
     "depends on it (--time COLUMN or --sample-rate HZ)",
     "invert drive.csv": "drive.csv:1: is not JSON: ",
     "invert other.json": 'other.json: is not a model file ("format" must be "dbo-model")',
-    "invert newer.json": "newer.json: version: 2 is newer than this program reads, 1; upgrade dbo-cli",
+    "invert newer.json": "newer.json: version: 3 is newer than this program reads, 2; upgrade dbo-cli",
     "invert uneven.json": "uneven.json: stages[0].d",
     "invert negative.json": "negative.json: stages[0].dx[1]: ",
     "invert unknown.json": "unknown.json: colour: is not a known key",
@@ -164,7 +164,7 @@ BAD_USE = {
     "simulate model.json drive.csv -o drive.csv": "drive.csv: this output is also an input: write to another file",
     "simulate model.json drive.csv --save-state model.json": "model.json: this output is also an input: write to "
     "another file",
-    "simulate model.json drive.csv -o a.csv --save-state a.csv": "--save-state and --output are both 'a.csv'",
+    "simulate model.json drive.csv -o a.csv --save-state a.csv": "a.csv is one file, and two outputs go there: ",
     "simulate model.json drive.csv --state warm": "--state: 'warm' is none of auto, empty, full, settled, and "
     "there is no such file",
     "simulate model.json drive.csv --rows 3:2": "--rows 3:2: ",
@@ -190,7 +190,7 @@ def bench(dbo: Any, model_file: Path) -> Any:
     write("nano.csv", "time_s,voltage_mV\n0,0\n0.1,1\n")
     write("lagging.json", json.dumps(lagging_model()))
     write("other.json", '{"format": "something"}')
-    write("newer.json", json.dumps(SMALL_MODEL | {"version": 2}))
+    write("newer.json", json.dumps(SMALL_MODEL | {"version": 3}))
     write("uneven.json", json.dumps(with_stage(dx=[1.0, 2.0])))
     write("negative.json", json.dumps(with_stage(dx=[1.0, -2.0, 3.0, 4.0])))
     write("unknown.json", json.dumps(SMALL_MODEL | {"colour": "red"}))
@@ -232,14 +232,23 @@ def test_simulating_the_inverse_gives_the_drive(bench: Any) -> None:
 # --- compensate ---
 
 
+def depends(spread: str) -> str:
+    """Return what is said of a start inside the loop."""
+    return (
+        f"where it starts, the displacement depends on the past by up to {spread} um; the actuator is taken to "
+        "have settled there (--condition sweeps it there, --state empty where it comes from its lower end)"
+    )
+
+
 def test_compensate_then_simulate_is_the_identity(dbo: Any) -> None:
     write("model.json", json.dumps(lagging_model() | {"stages": lagging_model()["stages"][:2]}))
     t = np.arange(400) / 50
     wanted = 5.0 - 3.5 * np.cos(2 * np.pi * t) * np.exp(-0.1 * t)
     rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), wanted.tolist(), strict=True))
     write("wanted.csv", f"time_s,displacement_um\n{rows}")
-    assert dbo("compensate", "model.json", "wanted.csv", "-o", "drive.csv") == (0, "", "")
-    assert Path("drive.csv").read_text().startswith("time_s,displacement_um,voltage_V\n")
+    done = dbo("compensate", "model.json", "wanted.csv", "-o", "drive.csv")
+    assert done == (0, "", f"dbo: wanted.csv: {depends('0.632')}\n")
+    assert Path("drive.csv").read_text().startswith("time_s,desired_um,voltage_V\n")
     assert dbo("simulate", "model.json", "drive.csv", "-o", "back.csv").code == 0
     back = np.loadtxt("back.csv", delimiter=",", skiprows=1)[:, 2]
     assert np.abs(back - wanted).max() < 1e-10 * 8.0
@@ -264,7 +273,8 @@ def test_compensate_clips_counts_and_says(bench: Any) -> None:
     write("far.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,10\n0.3,3\n")
     done = bench("compensate", "model.json", "far.csv", "-o", "drive.csv")
     place = "far.csv: 1 of 4 samples (row 3) beyond what the limits of the drive allow (voltage 0 to 10 V)"
-    assert done == (0, "", f"dbo: warning: {place}: clipped (--on-limit error refuses this)\n")
+    told = f"dbo: far.csv: {depends('0.867')}\ndbo: warning: {place}: clipped"
+    assert done == (0, "", f"{told} (--on-limit error refuses this)\n")
     drive = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
     assert drive[2, 2] == 10.0
     before = folder_content(Path())
@@ -285,6 +295,7 @@ def test_compensate_keeps_tighter_limits_and_slew(bench: Any) -> None:
 def test_compensate_warns_of_limits_beyond_the_model(bench: Any) -> None:
     done = bench("compensate", "model.json", "wanted.csv", "--v-max", "15")
     assert done.err == (
+        f"dbo: wanted.csv: {depends('0.867')}\n"
         "dbo: warning: the limits of the drive reach beyond 0 to 10 V, where the model was identified; "
         "it extrapolates there\n"
     )
@@ -333,4 +344,43 @@ def test_an_inverse_model_looks_ahead_as_compensate_does(dbo: Any) -> None:
     write("wanted.csv", "time_s,displacement_um\n" + rows)
     assert dbo("invert", "delayed.json", "-o", "inverse.json").code == 0
     drive = dbo("compensate", "delayed.json", "wanted.csv", "--state", "empty").out
-    assert dbo("simulate", "inverse.json", "wanted.csv", "--state", "empty").out == drive
+    simulated = dbo("simulate", "inverse.json", "wanted.csv", "--state", "empty").out
+    assert simulated.replace("displacement_um", "desired_um", 1) == drive
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.004])
+def test_condition_does_not_depend_on_the_block_size(dbo: Any, jitter: float) -> None:
+    write("model.json", json.dumps(lagging_model()))
+    rng = np.random.default_rng(5)
+    t = 0.02 * np.arange(300) + jitter * rng.uniform(-1, 1, 300)
+    x = 5.0 - 3.0 * np.cos(2 * np.pi * t)
+    rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), x.tolist(), strict=True))
+    write("wanted.csv", f"time_s,displacement_um\n{rows}")
+    whole = dbo("compensate", "model.json", "wanted.csv", "--condition", "-q")
+    assert whole.code == 0 and whole.out.count("\n") > 400
+    for block_rows in (1, 2, 77):
+        cut = dbo("compensate", "model.json", "wanted.csv", "--condition", "-q", "--block-rows", block_rows)
+        assert cut == whole
+
+
+def test_a_trajectory_that_is_never_reached_is_refused(dbo: Any, model_file: Path) -> None:
+    write("nm.csv", "time_s,displacement\n0,2000\n0.1,5000\n0.2,4000\n")
+    done = dbo("compensate", "model.json", "nm.csv", "-o", "drive.csv")
+    assert done == (
+        1, "", "dbo: error: nm.csv: every row is outside what the model reaches (displacement 1 to 9 um): check "
+        "unit, column and zero of the trajectory\n"
+    )  # fmt: skip
+    assert folder_content(Path()) == {"model.json", "nm.csv"}
+
+
+def test_standard_input_is_read_once(dbo: Any) -> None:
+    assert dbo("simulate", "-", "-") == (
+        2, "", "dbo: error: standard input can be read once only: give the model or the signal as a file\n"
+    )  # fmt: skip
+
+
+def test_a_foreign_delimiter_is_read_in_a_large_file(dbo: Any, model_file: Path) -> None:
+    rows = "".join(f"{k / 1000}§{(k % 100) / 10}\n" for k in range(150_000))
+    Path("drive.csv").write_text("time_s§voltage_V\n" + rows, encoding="utf-8")
+    assert dbo("simulate", "model.json", "drive.csv", "--delimiter", "§", "-o", "out.csv").code == 0
+    assert Path("out.csv").read_text().count("\n") == 150_001

@@ -72,7 +72,7 @@ def test_excitation_covers_the_range_within_its_limits() -> None:
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3.0 must be less than `v_max` 3.0"),
+    ({"v_min": 3.0, "v_max": 3.0}, "`v_min` 3 must be below `v_max` 3"),
     (
         {"sample_rate": 19.0},
         "`frequency` 1.0: fewer than 20 samples a cycle (raise `sample_rate` or lower it)",

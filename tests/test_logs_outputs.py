@@ -296,7 +296,9 @@ def test_hdf5_carries_units_rate_and_attributes(tmp_path: Path) -> None:
             writer.write(np.arange(start, stop) / 100, np.arange(start, stop) * 0.1)
     with h5py.File(path) as file:
         group = file["run/1"]
-        assert dict(group.attrs) == attributes
+        told = dict(group.attrs)
+        assert told.pop("dbo_columns").tolist() == ["time_s", "voltage_V"]
+        assert told == attributes
         assert dict(group["voltage_V"].attrs) == {"units": "V", "quantity": "voltage"}
         assert (group["voltage_V"][()] == np.arange(200_000) * 0.1).all()
         assert (group["time_s"][()] == np.arange(200_000) / 100).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -44,40 +45,50 @@ def run() -> None:
     The garbage collector seldom finds anything in this program and looks often while modules are imported,
     and taking the interpreter apart at the end changes nothing any more: together a tenth of a second.
     """
+    try:
+        code = _run_process()
+    except KeyboardInterrupt:  # while starting up, or in the last flush
+        _say("interrupted")
+        code = INTERRUPTED
+    os._exit(code)
+
+
+def _run_process() -> int:
+    """Prepare the process, run the command line and write out what is still held back."""
     import gc
 
     # Many small factorisations: threads only wait for each other there (measured: up to 20 times slower), and
     # one thread gives the same bytes on every machine of a kind and leaves the others to `make -j`.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000, 50, 50)
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # closed by whoever started the program
-            setattr(sys, name, open(os.devnull, mode))
+    _open_closed_streams()
     code = main()
     try:
         sys.stdout.flush()
         sys.stderr.flush()
     except OSError:
         pass  # main() has told what there was to tell
-    os._exit(code)
+    return code
+
+
+def _open_closed_streams() -> None:
+    """Take the places of streams that whoever started the program has closed.
+
+    A file opened later must not become standard output by chance, and what is written to a closed one is
+    not done: it fails with "Bad file descriptor" (reading finds the end).
+    """
+    for name, mode in (("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY)):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, mode)  # the lowest that is free: the closed one
+            stream = open(descriptor, "r" if name == "stdin" else "w", closefd=False)
+            setattr(sys, name, stream)
 
 
 def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
-    import typer
+    from dbo_cli.cli.typer_adapter import run as run_command
 
-    from dbo_cli.cli.bundles import COMMAND_LINE
-    from dbo_cli.cli.commands import root_command
-
-    COMMAND_LINE.set(tuple(words))
-    command = root_command()
-    try:
-        # Not command.main(): it words errors its own way and turns an interrupt into something else.
-        with command.make_context("dbo", words) as context:
-            command.invoke(context)
-    except typer.Exit as leaving:
-        return int(leaving.exit_code)
-    return 0
+    return run_command(words)
 
 
 def _tell(problem: Exception, words: list[str]) -> int:
@@ -85,13 +96,15 @@ def _tell(problem: Exception, words: list[str]) -> int:
     if isinstance(problem, DboError):
         _say(f"error: {problem}")
         return problem.exit_code
-    wording = getattr(problem, "format_message", None)
-    if wording is not None:  # the command-line library's own complaints, whatever their class is called
-        text = str(wording()).rstrip(".")
-        _say(f"error: {text[:1].lower()}{text[1:]}{_where_to_look(words)}")
-        return int(getattr(problem, "exit_code", 2))
+    from dbo_cli.cli.typer_adapter import complaint
+
+    told = complaint(problem)
+    if told is not None:
+        _say(f"error: {told[0]}{_where_to_look(words)}")
+        return told[1]
     if isinstance(problem, OSError):
-        place = f"{problem.filename}: " if problem.filename else ""
+        closed = "standard output: " if problem.errno == errno.EBADF else ""
+        place = f"{problem.filename}: " if problem.filename else closed
         _say(f"error: {place}{problem.strerror or problem}")
         return 1
     if isinstance(problem, MemoryError):
@@ -105,7 +118,7 @@ def _tell(problem: Exception, words: list[str]) -> int:
 
 def _where_to_look(words: list[str]) -> str:
     """Return the remedy for a wrong command line: where the options are listed."""
-    from dbo_cli.cli.commands import COMMANDS
+    from dbo_cli.cli.typer_adapter import COMMANDS
 
     command = "".join(f" {word}" for word in words[:1] if word in COMMANDS)
     return f" (dbo{command} --help lists what there is)"

@@ -7,13 +7,23 @@ import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dbo_cli.errors import UsageError
+from dbo_cli.logs.plain_text import cleaned
+
+if TYPE_CHECKING:
+    from dbo_cli.runs.remarks import Remarks
 
 _PARAMETER = re.compile(r"`([a-z]\w*)`")
 
 
 def shell_line(text: str) -> str:
-    """Return a message of the library as the shell shows it: one line, parameters spelled as options."""
-    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), " ".join(text.split()))
+    """Return a message of the library as the shell shows it: one line, parameters spelled as options.
+
+    Names out of files hold no command that a terminal would obey.
+    """
+    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), cleaned(text))
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,16 @@ class Voice:
         for text in texts:
             self.note(text)
 
+    def remarks(self, said: Remarks) -> None:
+        """Say all that a run had to say."""
+        self.notes(said.notes)
+        self.warnings(said.warnings)
+
+    def warnings(self, texts: Iterable[str]) -> None:
+        """Say several things that may spoil the result, one line each."""
+        for text in texts:
+            self.warning(text)
+
     def detail(self, text: str) -> None:
         """Say something that only a close look needs."""
         if self.verbose and not self.quiet:
@@ -50,8 +70,14 @@ class Voice:
         print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
 
 
-class RowCounter:
-    """Counts rows on a terminal while a long run goes on; silent elsewhere and in short runs.
+def refuse_terminal(output: str) -> None:
+    """Refuse to write a model onto a terminal, where nobody could read or keep it (UsageError)."""
+    if output == "-" and sys.stdout.isatty():
+        raise UsageError("the model would be written onto the terminal: name a file (-o model.json)")
+
+
+class Progress:
+    """Tells of a run: how a log was understood to who asked, the rows done to a terminal in a long run.
 
     The number of rows of a stream is not known beforehand, so it counts instead of drawing a bar.
     """
@@ -60,13 +86,18 @@ class RowCounter:
     ERASE = "\r\x1b[K"
 
     def __init__(self, voice: Voice, verb: str) -> None:
+        self.voice = voice
         self.active = not voice.quiet and sys.stderr.isatty()
         self.verb = verb
         self.rows = 0
         self.last = time.monotonic()
         self.shown = False
 
-    def add(self, rows: int) -> None:
+    def opened(self, what: str) -> None:
+        """Say how a log was understood."""
+        self.voice.detail(what)
+
+    def progressed(self, rows: int) -> None:
         """Count the rows of one more block."""
         self.rows += rows
         if self.active and time.monotonic() - self.last > self.PATIENCE:
@@ -74,7 +105,7 @@ class RowCounter:
             self.shown = True
             print(f"{self.ERASE}dbo: {self.rows:,} rows {self.verb}", end="", file=sys.stderr, flush=True)
 
-    def clear(self) -> None:
+    def finished(self) -> None:
         """Take the line away, so that what is said next starts at the margin."""
         if self.shown:
             print(self.ERASE, end="", file=sys.stderr, flush=True)

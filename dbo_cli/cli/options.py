@@ -1,18 +1,25 @@
-"""Every option of every command, spelled once.
+"""Every option of every command, spelled once: its name, its value, its meaning, how its text is parsed.
 
-All values arrive as text (see ``commands``); ``values`` checks them. A command takes from here what it needs.
+A command takes from here what it needs, as keyword parameters; ``typer_adapter`` hands it parsed values.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import inspect
+from typing import Annotated, Any, Literal
 
 import typer
+
+from dbo_cli.cli import values
 
 READING = "Reading logs"
 COMMON = "Output and messages"
 STATE = "State"
 COLUMN = "COLUMN"
+REQUIRED = inspect.Parameter.empty  # the default of an option that must be given
+FORMATS = ("csv", "tsv", "hdf5")
+
+Beyond = Literal["extend", "hold", "error"]
 
 
 def _argument(metavar: str, meaning: str) -> Any:
@@ -21,26 +28,42 @@ def _argument(metavar: str, meaning: str) -> Any:
 
 
 def _option(
-    name: str, metavar: str | None, meaning: str, short: str | None = None, *, panel: str | None = None
+    name: str,
+    metavar: str | None,
+    meaning: str,
+    short: str | None = None,
+    *,
+    panel: str | None = None,
+    default: Any = None,
+    parse: values.Parser | None = None,
 ) -> Any:
-    """Declare an option; without ``metavar`` it is a switch."""
+    """Declare an option; without ``metavar`` it is a switch. ``default`` is what a user would have typed."""
     names = (name,) if short is None else (name, short)
-    return typer.Option(*names, metavar=metavar, help=meaning, rich_help_panel=panel)
+    option = typer.Option(*names, metavar=metavar, help=meaning, rich_help_panel=panel)
+    option.__dict__.update(parse=parse, typed_default=default)
+    return option
 
 
-def _reading(name: str, metavar: str | None, meaning: str) -> Any:
+def _reading(name: str, metavar: str | None, meaning: str, parse: values.Parser | None = None) -> Any:
     """Declare an option that says how a log is read."""
-    return _option(name, metavar, meaning, panel=READING)
+    return _option(name, metavar, meaning, panel=READING, parse=parse)
 
 
-def _starting(name: str, metavar: str | None, meaning: str) -> Any:
+def _starting(name: str, metavar: str | None, meaning: str, default: str | None = None) -> Any:
     """Declare an option about the operator's state."""
-    return _option(name, metavar, meaning, panel=STATE)
+    return _option(name, metavar, meaning, panel=STATE, default=default)
 
 
-def _common(name: str, metavar: str | None, meaning: str, short: str | None = None) -> Any:
+def _common(
+    name: str,
+    metavar: str | None,
+    meaning: str,
+    short: str | None = None,
+    default: str | None = None,
+    parse: values.Parser | None = None,
+) -> Any:
     """Declare an option that every command has."""
-    return _option(name, metavar, meaning, short, panel=COMMON)
+    return _option(name, metavar, meaning, short, panel=COMMON, default=default, parse=parse)
 
 
 # --- arguments ---
@@ -53,7 +76,7 @@ Trajectory = Annotated[
 Model = Annotated[str, _argument("MODEL", "The model file; - is stdin.")]
 
 # --- every command ---
-Output = Annotated[str, _common("--output", "FILE", "Where the result goes; - is stdout.", "-o")]
+Output = Annotated[str, _common("--output", "FILE", "Where the result goes; - is stdout.", "-o", default="-")]
 Quiet = Annotated[bool, _common("--quiet", None, "Say nothing but errors.", "-q")]
 Verbose = Annotated[bool, _common("--verbose", None, "Also say what was detected and assumed.")]
 Debug = Annotated[bool, _common("--debug", None, "Show the traceback of an error.")]
@@ -79,15 +102,40 @@ Time = Annotated[
 ]
 
 # --- how a log is read ---
-SampleRate = Annotated[str | None, _reading("--sample-rate", "HZ", "Rate of a log without a time column.")]
+SampleRate = Annotated[
+    float | None,
+    _reading("--sample-rate", "HZ", "Rate of a log without a time column.", parse=values.positive),
+]
 Rows = Annotated[
+    tuple[int, int | None] | None,
+    _reading(
+        "--rows",
+        "A:B",
+        "Data rows to take, from 1, both ends included; either may be left out.",
+        parse=values.rows,
+    ),
+]
+TimeUnit = Annotated[
     str | None,
-    _reading("--rows", "A:B", "Data rows to take, from 1, both ends included; either may be left out."),
+    _reading("--time-unit", "UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
+]
+Scale = Annotated[
+    list[str] | None,
+    _reading("--scale", "ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable."),
 ]
 SkipBad = Annotated[bool, _reading("--skip-bad", None, "Drop rows that hold no number, and count them.")]
-Resample = Annotated[str | None, _reading("--resample", "HZ", "Interpolate to an even sampling first.")]
-FileFormat = Annotated[str | None, _reading("--format", "csv|tsv|hdf5", "Where no file name tells.")]
-LogFormat = Annotated[str | None, _reading("--log-format", "csv|tsv|hdf5", "Where no file name tells.")]
+Resample = Annotated[
+    float | None,
+    _reading("--resample", "HZ", "Interpolate to an even sampling first.", parse=values.positive),
+]
+FileFormat = Annotated[
+    str | None,
+    _reading("--format", "csv|tsv|hdf5", "Where no file name tells.", parse=values.choice(FORMATS)),
+]
+LogFormat = Annotated[
+    str | None,
+    _reading("--log-format", "csv|tsv|hdf5", "Where no file name tells.", parse=values.choice(FORMATS)),
+]
 Delimiter = Annotated[
     str | None,
     _reading("--delimiter", "NAME", "comma, semicolon, tab, blanks, pipe or a character, if guessed wrong."),
@@ -97,53 +145,124 @@ Comment = Annotated[
     str | None, _reading("--comment", "CHARS", "What comment lines start with, if not # or %.")
 ]
 HeaderLines = Annotated[
-    str | None, _reading("--header-lines", "0|1|2", "None, names, or names and units, if guessed wrong.")
+    int | None,
+    _reading(
+        "--header-lines",
+        "0|1|2",
+        "None, names, or names and units, if guessed wrong.",
+        parse=values.header_lines,
+    ),
 ]
-SkipLines = Annotated[str | None, _reading("--skip-lines", "N", "Lines to pass over before the header.")]
+SkipLines = Annotated[
+    int | None, _reading("--skip-lines", "N", "Lines to pass over before the header.", parse=values.whole(0))
+]
 Encoding = Annotated[str | None, _reading("--encoding", "NAME", "The text encoding, if not UTF-8.")]
 BlockRows = Annotated[
-    str | None, _reading("--block-rows", "N", "Rows held at a time; changes no digit of a result.")
+    int | None,
+    _reading(
+        "--block-rows", "N", "Rows held at a time; changes no digit of a result.", parse=values.whole(1)
+    ),
 ]
 
 # --- identify ---
-Gears = Annotated[str, _option("--gears", "N|auto", "Gears of the backlash operator.")]
+Gears = Annotated[
+    int | None,
+    _option(
+        "--gears",
+        "N|auto",
+        "Gears: steps into which the loop is cut; more are finer and cost nothing.",
+        default="auto",
+        parse=values.auto_or(values.whole(1)),
+    ),
+]
 Points = Annotated[
-    str,
-    _option("--points", "M|auto|0", "Segments of the point operator that makes the loop uneven."),
+    int | None,
+    _option(
+        "--points",
+        "M|auto|0",
+        "Segments of the asymmetry: straight pieces that make the loop's ends unlike; 0 for none.",
+        default="auto",
+        parse=values.auto_or(values.whole(0)),
+    ),
 ]
 RelaxationTimes = Annotated[
-    str,
-    _option("--relaxation", "auto|0|T1,T2,...", "Time constants in s of lag and creep; 0 for none."),
+    tuple[float, ...] | None,
+    _option(
+        "--relaxation",
+        "auto|0|T1,T2,...",
+        "Time constants in s of lag and creep; 0 for none.",
+        default="auto",
+        parse=values.auto_or(values.times),
+    ),
 ]
 DelaySeconds = Annotated[
-    str,
-    _option("--delay", "SECONDS|auto|0", "Pure delay of the displacement behind the drive."),
+    float | None,
+    _option(
+        "--delay",
+        "SECONDS|auto|0",
+        "Pure delay of the displacement behind the drive.",
+        default="auto",
+        parse=values.auto_or(values.not_negative),
+    ),
 ]
-Skip = Annotated[str, _option("--skip", "SECONDS", "Leave the beginning of every log out of the fit.")]
+Skip = Annotated[
+    float,
+    _option(
+        "--skip",
+        "SECONDS",
+        "Leave the beginning of every log out of the fit.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
 Validate = Annotated[
     list[str] | None,
     _option("--validate", "LOG", "Another log, to say how well the model predicts; repeatable."),
 ]
 Method = Annotated[
     str,
-    _option("--method", "least-squares|paper", "paper: gears by the rule of the 2018 publication."),
+    _option(
+        "--method",
+        "least-squares|paper",
+        "paper: gears by the rule of the 2018 publication.",
+        default="least-squares",
+        parse=values.choice(("least-squares", "paper")),
+    ),
 ]
 Zero = Annotated[
-    str,
+    str | float,
     _option(
         "--zero",
         "none|mean|first|VALUE",
         "What displacement counts as 0: as logged, its mean, its first sample, or a value.",
+        default="none",
+        parse=values.zero,
     ),
 ]
-Slopes = Annotated[str, _option("--slopes", "auto|growing|falling|free", "How the gears' slopes may run.")]
+Slopes = Annotated[
+    str | None,
+    _option(
+        "--slopes",
+        "auto|growing|falling|free",
+        "How the gears' slopes may run.",
+        default="auto",
+        parse=values.auto_or_choice(("growing", "falling", "free")),
+    ),
+]
 Force = Annotated[bool, _option("--force", None, "Keep a model that is no better than a straight line.")]
 
 RatedMin = Annotated[
-    str | None,
-    _option("--v-min", "VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."),
+    float | None,
+    _option(
+        "--v-min",
+        "VOLT",
+        "The rating's lower end, with --v-max; logs of another range are warned of.",
+        parse=values.number,
+    ),
 ]
-RatedMax = Annotated[str | None, _option("--v-max", "VOLT", "The rating's upper end, with --v-min.")]
+RatedMax = Annotated[
+    float | None, _option("--v-max", "VOLT", "The rating's upper end, with --v-min.", parse=values.number)
+]
 
 # --- simulate, compensate ---
 State = Annotated[
@@ -151,24 +270,43 @@ State = Annotated[
     _starting(
         "--state",
         "auto|empty|full|settled|FILE",
-        "Where the operator starts; auto: empty from the lower end, else settled.",
+        "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
+        "away there), auto (empty at the lower end, else settled), or a saved state.",
+        default="auto",
     ),
 ]
 SaveState = Annotated[str | None, _starting("--save-state", "FILE", "Write the state after the last row.")]
 Outside = Annotated[
-    str,
-    _option("--outside", "extend|hold|error", "What happens outside the model's input range."),
+    Beyond,
+    _option(
+        "--outside",
+        "extend|hold|error",
+        "What happens outside the model's input range.",
+        default="extend",
+        parse=values.choice(("extend", "hold", "error")),
+    ),
 ]
-VoltageMin = Annotated[str | None, _option("--v-min", "VOLT", "Lowest drive voltage [default: the model's].")]
+VoltageMin = Annotated[
+    float | None,
+    _option("--v-min", "VOLT", "Lowest drive voltage [default: the model's].", parse=values.number),
+]
 VoltageMax = Annotated[
-    str | None,
-    _option("--v-max", "VOLT", "Highest drive voltage [default: the model's]."),
+    float | None,
+    _option("--v-max", "VOLT", "Highest drive voltage [default: the model's].", parse=values.number),
 ]
 OnLimit = Annotated[
     str,
-    _option("--on-limit", "clip|error", "clip and count, or exit 3, where a limit is met."),
+    _option(
+        "--on-limit",
+        "clip|error",
+        "clip and count, or exit 3, where a limit is met.",
+        default="clip",
+        parse=values.choice(("clip", "error")),
+    ),
 ]
-MaxSlew = Annotated[str | None, _option("--max-slew", "VOLT/S", "Fastest change of the drive.")]
+MaxSlew = Annotated[
+    float | None, _option("--max-slew", "VOLT/S", "Fastest change of the drive.", parse=values.positive)
+]
 Condition = Annotated[
     bool,
     _option(
@@ -179,7 +317,16 @@ Condition = Annotated[
 ]
 
 # --- report ---
-Lag = Annotated[str, _option("--lag", "N|auto", "Samples by which measured is taken later than desired.")]
+Lag = Annotated[
+    int | Literal["auto"],
+    _option(
+        "--lag",
+        "N|auto",
+        "Samples by which measured is taken later than desired.",
+        default="0",
+        parse=values.lag,
+    ),
+]
 RemoveOffset = Annotated[
     bool,
     _option("--remove-offset", None, "Take the mean of the error off before anything else."),
@@ -193,29 +340,87 @@ Figures = Annotated[
     _option("--figures", "DIR", "Draw the figures, PNG and SVG, into this folder."),
 ]
 MaxRmse = Annotated[
-    str | None,
-    _option("--max-rmse", "VALUE", "Exit 3 where the RMSE of a log is above this."),
+    float | None,
+    _option(
+        "--max-rmse", "VALUE", "Exit 3 where the RMSE of a log is above this.", parse=values.not_negative
+    ),
 ]
-MaxAbs = Annotated[str | None, _option("--max-abs", "VALUE", "Exit 3 where the largest error is above this.")]
+MaxAbs = Annotated[
+    float | None,
+    _option("--max-abs", "VALUE", "Exit 3 where the largest error is above this.", parse=values.not_negative),
+]
 MaxNrmse = Annotated[
-    str | None,
-    _option("--max-nrmse-percent", "VALUE", "Exit 3 where the RMSE in % of range is above this."),
+    float | None,
+    _option(
+        "--max-nrmse-percent",
+        "VALUE",
+        "Exit 3 where the RMSE in % of range is above this.",
+        parse=values.not_negative,
+    ),
 ]
 Segment = Annotated[
-    str | None,
-    _option("--segment", "cycles|SECONDS", "Also report every cycle, or every so many seconds."),
+    float | Literal["cycles"] | None,
+    _option(
+        "--segment",
+        "cycles|SECONDS",
+        "Also report every cycle, or every so many seconds.",
+        parse=values.segment,
+    ),
 ]
 ReportFormat = Annotated[
     str | None,
-    _option("--format", "text|json|csv|html", "Form of the report [default: by the output's name]."),
+    _option(
+        "--format",
+        "text|json|csv|html",
+        "Form of the report [default: by the output's name].",
+        parse=values.choice(("text", "json", "csv", "html")),
+    ),
+]
+
+# --- show ---
+ShowFormat = Annotated[
+    str | None,
+    _option(
+        "--format",
+        "text|json",
+        "Form of what is shown [default: by the output's name, else text].",
+        parse=values.choice(("text", "json")),
+    ),
+]
+ModelFigures = Annotated[
+    str | None,
+    _option("--figures", "DIR", "Draw the model's curves, PNG and SVG, into this folder."),
 ]
 
 # --- excite ---
-ExciteMin = Annotated[str, _option("--v-min", "VOLT", "Lowest drive voltage.")]
-ExciteMax = Annotated[str, _option("--v-max", "VOLT", "Highest drive voltage: the actuator's rating.")]
-ExciteRate = Annotated[str, _option("--sample-rate", "HZ", "Rows per second.")]
-Duration = Annotated[str, _option("--duration", "SECONDS", "Length of the drive.")]
-Frequency = Annotated[str, _option("--frequency", "HZ", "Full cycles per second.")]
+ExciteMin = Annotated[
+    float, _option("--v-min", "VOLT", "Lowest drive voltage.", default="0", parse=values.number)
+]
+ExciteMax = Annotated[
+    float,
+    _option(
+        "--v-max",
+        "VOLT",
+        "Highest drive voltage: the actuator's rating.",
+        default=REQUIRED,
+        parse=values.number,
+    ),
+]
+ExciteRate = Annotated[
+    float, _option("--sample-rate", "HZ", "Rows per second.", default="1000", parse=values.positive)
+]
+Duration = Annotated[
+    float, _option("--duration", "SECONDS", "Length of the drive.", default="30", parse=values.positive)
+]
+Frequency = Annotated[
+    float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
+]
 OutputFormat = Annotated[
-    str | None, _common("--format", "csv|tsv|hdf5", "Form of the output where no file name tells.")
+    str | None,
+    _common(
+        "--format",
+        "csv|tsv|hdf5",
+        "Form of the output where no file name tells.",
+        parse=values.choice(FORMATS),
+    ),
 ]

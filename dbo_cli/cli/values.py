@@ -1,24 +1,28 @@
-"""What a user may type as an option's value, and what is said when it is something else."""
+"""From what a user typed as an option's value to the value, and what is said when it is something else.
+
+A parser takes the parameter's name and the text; its complaint names the parameter in backticks, which the
+shell shows as the option.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any
 
 from dbo_cli.errors import UsageError
 
-Value = TypeVar("Value")
+Parser = Callable[[str, str], Any]
 
 
 def number(option: str, text: str) -> float:
     """Return a finite number; raise ``UsageError`` for anything else."""
     try:
-        value = float(text)
+        value = float(text) if len(text) < 400 else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UsageError(f"{option}: not a number: '{text}'")
+        raise UsageError(f"`{option}`: not a number: '{shown(text)}'")
     return value
 
 
@@ -26,7 +30,7 @@ def positive(option: str, text: str) -> float:
     """Return a number above zero; raise ``UsageError`` for anything else."""
     value = number(option, text)
     if value <= 0.0:
-        raise UsageError(f"{option}: must be above 0, not {text}")
+        raise UsageError(f"`{option}`: must be above 0, not {text}")
     return value
 
 
@@ -34,36 +38,46 @@ def not_negative(option: str, text: str) -> float:
     """Return a number of at least zero; raise ``UsageError`` for anything else."""
     value = number(option, text)
     if value < 0.0:
-        raise UsageError(f"{option}: must not be below 0, not {text}")
+        raise UsageError(f"`{option}`: must not be below 0, not {text}")
     return value
 
 
-def whole(option: str, text: str, least: int) -> int:
-    """Return a whole number of at least ``least``; raise ``UsageError`` for anything else."""
-    try:
-        value = int(text)
-    except ValueError:
-        raise UsageError(f"{option}: not a whole number: '{text}'") from None
-    if value < least:
-        raise UsageError(f"{option}: must be at least {least}, not {value}")
-    return value
+def whole(least: int) -> Parser:
+    """Return a parser of whole numbers of at least ``least``."""
+
+    def parse(option: str, text: str) -> int:
+        try:
+            value = int(text) if len(text) < 400 else None
+        except ValueError:
+            value = None
+        if value is None:
+            raise UsageError(f"`{option}`: not a whole number: '{shown(text)}'")
+        if value < least:
+            raise UsageError(f"`{option}`: must be at least {least}, not {value}")
+        return value
+
+    return parse
 
 
-def choice(option: str, text: str, choices: Sequence[str]) -> str:
-    """Return a text that is one of ``choices``; raise ``UsageError`` for anything else."""
-    if text not in choices:
-        raise UsageError(f"{option}: '{text}' is none of {', '.join(choices)}")
-    return text
+def choice(choices: Sequence[str]) -> Parser:
+    """Return a parser of texts that are one of ``choices``."""
+
+    def parse(option: str, text: str) -> str:
+        if text not in choices:
+            raise UsageError(f"`{option}`: '{shown(text)}' is none of {', '.join(choices)}")
+        return text
+
+    return parse
 
 
-def optional(parse: Callable[[str, str], Value], option: str, text: str | None) -> Value | None:
-    """Return None for an option that was not given, else what ``parse`` makes of it."""
-    return None if text is None else parse(option, text)
+def auto_or(parse: Parser) -> Parser:
+    """Return a parser that gives None for ``auto``, else what ``parse`` makes of the text."""
+    return lambda option, text: None if text == "auto" else parse(option, text)
 
 
-def auto_or(parse: Callable[[str, str], Value], option: str, text: str) -> Value | None:
-    """Return None for ``auto``, else what ``parse`` makes of the text."""
-    return None if text == "auto" else parse(option, text)
+def auto_or_choice(choices: Sequence[str]) -> Parser:
+    """Return a parser of texts that are one of ``choices``, or ``auto``, which gives None."""
+    return auto_or(choice(("auto", *choices)))
 
 
 def times(option: str, text: str) -> tuple[float, ...]:
@@ -72,5 +86,62 @@ def times(option: str, text: str) -> tuple[float, ...]:
     if values == (0.0,):
         return ()
     if 0.0 in values or len(set(values)) < len(values):
-        raise UsageError(f"{option}: time constants must differ and be above 0: '{text}'")
+        raise UsageError(f"`{option}`: time constants must differ and be above 0: '{shown(text)}'")
     return tuple(sorted(values))
+
+
+def rows(option: str, text: str) -> tuple[int, int | None]:
+    """Return the first and the last data row of ``A:B``."""
+    from dbo_cli.logs.reading_options import parse_rows
+
+    return parse_rows(text)
+
+
+def header_lines(option: str, text: str) -> int:
+    """Return a number of header lines: 0, 1 or 2."""
+    return int(choice(("0", "1", "2"))(option, text))
+
+
+def zero(option: str, text: str) -> str | float:
+    """Return what displacement counts as zero: a rule's name or a value."""
+    rules = ("none", "mean", "first")
+    if text in rules:
+        return text
+    try:
+        return number(option, text)
+    except UsageError:
+        raise UsageError(
+            f"`{option}`: '{shown(text)}' is none of {', '.join(rules)} and not a number"
+        ) from None
+
+
+def lag(option: str, text: str) -> int | str:
+    """Return a whole number of samples, negative too, or ``auto``."""
+    if text == "auto":
+        return text
+    try:
+        return int(text) if len(text) < 30 else _too_long()
+    except ValueError:
+        raise UsageError(f"`{option}` {shown(text)}: neither a whole number of samples nor 'auto'") from None
+
+
+def segment(option: str, text: str) -> float | str:
+    """Return ``cycles`` or seconds above 0."""
+    if text == "cycles":
+        return text
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds < math.inf:
+        raise UsageError(f"`{option}` {shown(text)}: neither 'cycles' nor a number of seconds above 0")
+    return seconds
+
+
+def shown(text: str) -> str:
+    """Return a value as a message repeats it: whole, or its beginning where it is long."""
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _too_long() -> int:
+    raise ValueError

@@ -119,7 +119,7 @@ def excitation(
         samples, or the slew limit does not allow the frequency over the whole range.
     """
     if not (math.isfinite(v_min) and math.isfinite(v_max) and v_min < v_max):
-        raise UsageError(f"`v_min` {v_min!r} must be less than `v_max` {v_max!r}")
+        raise UsageError(f"`v_min` {v_min:g} must be below `v_max` {v_max:g}")
     if not sample_rate / frequency >= 20.0:
         raise UsageError(
             f"`frequency` {frequency!r}: fewer than 20 samples a cycle (raise `sample_rate` or lower it)"

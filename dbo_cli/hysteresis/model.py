@@ -411,9 +411,30 @@ class ActuatorModel:
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits
     ) -> ModelState:
-        """Return the state of ``compensate`` in which ``simulate`` of its output starts."""
+        """Return the state of ``compensate`` in which ``simulate`` of its output starts.
+
+        An actuator that starts ``empty`` or ``full`` stands at that end of the drive's range, so a slew limit
+        holds from the first sample on.
+        """
         self.require("forward")
-        return self._inverted.start(first_desired, state, limits)
+        begun = self._inverted.start(first_desired, state, limits)
+        inner = self._inverted._inner_limits(limits)
+        if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
+            drive = self._core.x_range[0 if state == "empty" else 1]
+            begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
+        return begun
+
+    def start_spread(self, begun: ModelState, first_input: float) -> float:
+        """Return by how much the displacement at rest, where a run begins, depends on what was before.
+
+        ``begun`` is what ``start`` gave for the first input; the result is in the displacement's unit.
+        """
+        gears = self.forward_backlash
+        drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
+        ends = [gears.run([drive], state)[0] for state in (gears.empty(), gears.full())]
+        bent = self._tail if self.direction == "forward" else [s.inverse() for s in reversed(self._head)]
+        low, high = (float(through(bent, end)[0]) for end in ends)
+        return abs(high - low)
 
     @cached_property
     def _inverted(self) -> ActuatorModel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dbo_cli.errors import UsageError
@@ -10,6 +11,22 @@ from dbo_cli.errors import UsageError
 TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".prn", ".log")
 HDF5_ENDINGS = (".h5", ".hdf5", ".hdf", ".he5", ".mat", ".nxs")
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# Endings of files that hold something else; a signal under such a name would not be what it is called.
+_NOT_WRITTEN = {
+    ".mat": "MATLAB's own files are not written: call it .h5, and MATLAB's h5read reads it",
+    ".nxs": "NeXus is not written: call it .h5",
+    ".he5": "HDF-EOS is not written: call it .h5",
+    ".h5.gz": "HDF5 is compressed inside: leave out .gz",
+    ".hdf5.gz": "HDF5 is compressed inside: leave out .gz",
+    ".hdf.gz": "HDF5 is compressed inside: leave out .gz",
+} | {
+    ending: f"{ending} files are not written: .csv, .tsv, .txt, .dat (also with .gz) and .h5 are"
+    for ending in (
+        ".xlsx", ".xls", ".ods", ".parquet", ".feather", ".arrow", ".npy", ".npz", ".json", ".zip", ".bz2",
+        ".xz", ".zst", ".7z", ".tdms", ".nc", ".cdf", ".wav", ".pkl", ".sqlite", ".db", ".xml", ".html",
+        ".pdf", ".png", ".svg",
+    )
+}  # fmt: skip
 FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hdf5", "hdf5": "hdf5"}
 
 
@@ -65,6 +82,36 @@ def parse_address(text: str, format: str | None = None) -> Address:
     return Address(text, path, (group or "/") if separator else None, kind)
 
 
+def parse_output(text: str, format: str | None = None) -> Address:
+    """Take the address of a signal to be written apart; it is written as what its name says.
+
+    Raises
+    ------
+    UsageError
+        As for :func:`parse_address`; or the name belongs to a format that is not written, or contradicts
+        ``format``.
+    """
+    target = parse_address(text, format)
+    lower = target.path.lower()
+    for ending, reason in _NOT_WRITTEN.items():
+        if lower.endswith(ending):
+            raise UsageError(f"{target.path}: {reason}")
+    if format is not None and contradicts(text, format):
+        raise UsageError(f"{target.path}: `format` {format} contradicts this name: leave one of them out")
+    return target
+
+
+def contradicts(text: str, format: str) -> bool:
+    """Tell whether a file's name says another format than ``format``; a name that says nothing does not."""
+    path = text if text == "-" or os.path.exists(text) else text.partition("::")[0]
+    named = _kind(path, None)
+    if named is None:
+        return False
+    tabs = path.lower().removesuffix(".gz").endswith(".tsv")
+    commas = path.lower().removesuffix(".gz").endswith(".csv")
+    return named != FORMATS[format] or (tabs and format == "csv") or (commas and format == "tsv")
+
+
 def _kind(path: str, format: str | None) -> str | None:
     if format is not None:
         return FORMATS[format]
@@ -72,3 +119,23 @@ def _kind(path: str, format: str | None) -> str | None:
     if lower.endswith(HDF5_ENDINGS):
         return "hdf5"
     return "text" if lower.endswith(TEXT_ENDINGS) else None
+
+
+def check_format(named: str | None, addresses: Sequence[str]) -> None:
+    """Refuse a format that no address can take and that contradicts the name of one.
+
+    Raises
+    ------
+    UsageError
+        Every name tells its own format, and one of them another than ``named``.
+    """
+    if named is None or any(parse_address(one).kind is None for one in addresses):
+        return
+    for one in addresses:
+        if contradicts(one, named):
+            raise UsageError(f"{one}: `format` {named} contradicts this name: leave one of them out")
+
+
+def format_for(address: str, named: str | None) -> str | None:
+    """Return the format that was asked for where an address's own name does not tell it, else None."""
+    return named if named is not None and parse_address(address).kind is None else None

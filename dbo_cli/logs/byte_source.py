@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
 import io
 import os
+import stat
 import sys
 import zlib
 from collections.abc import Iterator
@@ -15,18 +17,20 @@ from dbo_cli.logs.addresses import Address
 
 HEAD_BYTES = 1 << 18
 LONGEST_LINE = 1 << 24
+NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 _PIPE_BYTES = 1 << 18
 _GZIP_MAGIC = b"\x1f\x8b"
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+_AS_FILE = ", not through a pipe or compressed"
 _FOREIGN = {
-    b"\x89HDF\r\n\x1a\n": "HDF5: give it a name ending in .h5",
-    b"PK\x03\x04": "a zip archive or an Excel workbook: export it as CSV",
-    b"\xd0\xcf\x11\xe0": "an old Excel workbook: export it as CSV",
-    b"MATLAB 5.0 MAT-file": "a MATLAB file before version 7.3: save it with -v7.3",
-    b"\x93NUMPY": "a NumPy array: export it as CSV or HDF5",
-    b"PAR1": "a Parquet file: export it as CSV or HDF5",
-    b"TDSm": "a TDMS file: export it as CSV or HDF5",
-    b"CDF\x01": "a NetCDF file before version 4: export it as CSV or HDF5",
+    b"\x89HDF\r\n\x1a\n": "HDF5: give it as a file" + _AS_FILE,
+    b"PK\x03\x04": "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook: give it as a file" + _AS_FILE,
+    b"MATLAB 5.0 MAT-file": "a MATLAB file: give it as a file" + _AS_FILE,
+    b"\x93NUMPY": "a NumPy array: give it as a file" + _AS_FILE,
+    b"PAR1": "Parquet: give it as a file" + _AS_FILE,
+    b"TDSm": "TDMS: give it as a file" + _AS_FILE,
+    b"CDF\x01": "netCDF: give it as a file" + _AS_FILE,
     b"BZh": "compressed with bzip2: unpack it, or compress it with gzip",
     b"\xfd7zXZ": "compressed with xz: unpack it, or compress it with gzip",
     b"(\xb5/\xfd": "compressed with zstd: unpack it, or compress it with gzip",
@@ -67,6 +71,8 @@ class ByteSource:
         Hash the bytes as they are read (for a stream, which cannot be read again).
     encoding
         A codec that the user forced; otherwise a byte-order mark decides, and UTF-8 is the default.
+    content
+        The text itself, where another format has been turned into text (a workbook's sheet).
 
     Raises
     ------
@@ -75,10 +81,20 @@ class ByteSource:
     """
 
     def __init__(
-        self, address: Address, *, live: bool = False, digest: bool = False, encoding: str | None = None
+        self,
+        address: Address,
+        *,
+        live: bool = False,
+        digest: bool = False,
+        encoding: str | None = None,
+        content: bytes | None = None,
     ) -> None:
         self.name = address.name
+        self._content = content
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
+        self.is_compressed = False
+        self._file: IO[bytes] | None = None
+        self._size = 0
         self._live = live
         self._hash = _new_digest() if digest else None
         self._owned: list[IO[bytes]] = []
@@ -141,6 +157,18 @@ class ByteSource:
             size -= len(piece)
         return b"".join(pieces)
 
+    def unfinished(self) -> str | None:
+        """Say why a last line without its end must be taken for a cut record; None where it need not be."""
+        if self.is_compressed:
+            return "in compressed data"
+        try:
+            found = os.fstat(self._file.fileno()) if self._file is not None else None
+        except (OSError, ValueError):
+            found = None
+        if found is None or not stat.S_ISREG(found.st_mode):
+            return "in a stream"
+        return "in a file that is still growing" if found.st_size != self._size else None
+
     def close(self) -> None:
         """Close what was opened here (never standard input)."""
         for stream in reversed(self._owned):
@@ -148,9 +176,15 @@ class ByteSource:
         self._owned.clear()
 
     def _open(self, address: Address) -> IO[bytes]:
-        stream: IO[bytes] = sys.stdin.buffer if address.is_stream else _open_file(address)
+        if self._content is not None:
+            stream = cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(self._content))))
+        else:
+            stream = sys.stdin.buffer if address.is_stream else _open_file(address)
         if not address.is_stream:
             self._owned.append(stream)
+        self._file = stream
+        with contextlib.suppress(OSError, ValueError):
+            self._size = os.fstat(stream.fileno()).st_size
         if self._hash is not None:
             stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
         try:
@@ -160,6 +194,7 @@ class ByteSource:
         if start.startswith(_GZIP_MAGIC):
             import gzip
 
+            self.is_compressed = True
             unpacked = gzip.GzipFile(fileobj=stream, mode="rb")
             self._owned.append(cast(IO[bytes], unpacked))
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
@@ -218,21 +253,53 @@ def _open_file(address: Address) -> IO[bytes]:
 
 
 class LineBlocks:
-    """Blocks of whole lines of a source; the first one can be looked at before it is taken."""
+    """Blocks of whole lines of a source; the first one can be looked at before it is taken.
+
+    ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
+    counts those that were left out at the start.
+    """
 
     def __init__(self, source: ByteSource, block_bytes: int) -> None:
         self.block_bytes = block_bytes
         self._source = source
+        self.above = b""
+        self.empty_lines = 0
         self._pending = b""
         self._ended = False
 
     def head(self, enough: Any) -> bytes:
-        """Read ahead up to HEAD_BYTES, or less once ``enough(text)`` holds (asked after every arrival)."""
-        while len(self._pending) < HEAD_BYTES and not self._ended:
-            self._fill(HEAD_BYTES - len(self._pending))
+        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
+
+        ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
+        """
+        while not (self._ended or self._has_lines(HEAD_BYTES)):
+            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
+            self._leave_out_empty_lines()
             if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
                 break
         return self._pending
+
+    def longer_head(self) -> bytes | None:
+        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
+        wanted = 2 * len(self._pending)
+        if self._ended or wanted > LONGEST_LINE:
+            return None
+        while len(self._pending) < wanted and not self._ended:
+            self._fill(wanted - len(self._pending))
+        return self._pending
+
+    def _has_lines(self, size: int) -> bool:
+        enough = len(self._pending) >= size
+        return enough and (self._pending.count(b"\n") > 1 or len(self._pending) > LONGEST_LINE)
+
+    def _leave_out_empty_lines(self) -> None:
+        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
+        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
+            text = self._pending.lstrip()
+            above = self._pending[: len(self._pending) - len(text)]
+            end = above.rfind(b"\n") + 1
+            self.empty_lines += above.count(b"\n")
+            self._pending = self._pending[end:]
 
     @property
     def whole_in_head(self) -> bool:
@@ -240,14 +307,19 @@ class LineBlocks:
         return self._ended
 
     def __iter__(self) -> Iterator[bytes]:
-        """Yield blocks of whole lines; only the very last one may lack its line end."""
-        yield from self._cut()  # what was read ahead goes on its way at once
+        """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
+        yield from self._remembered()  # what was read ahead goes on its way at once
         while not self._ended:
             self._fill(self.block_bytes)
-            yield from self._cut()
+            yield from self._remembered()
         if self._pending:
             last, self._pending = self._pending, b""
             yield last
+
+    def _remembered(self) -> Iterator[bytes]:
+        for block in self._cut():
+            self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
+            yield block
 
     def _cut(self) -> Iterator[bytes]:
         """Take the whole lines off what is pending, in blocks of about ``block_bytes``."""

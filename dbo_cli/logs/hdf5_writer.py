@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.logs.clock import JITTER
+from dbo_cli.logs.hdf5_store import MARK
+from dbo_cli.logs.out_column import OutColumn, unique_headers
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
-
-if TYPE_CHECKING:
-    from dbo_cli.logs.signal_writer import OutColumn
 
 CHUNK_ROWS = 1 << 16
 _PROBE = 2048  # bytes tried before a byte plane is squeezed
@@ -34,7 +34,7 @@ class Hdf5Writer:
     Parameters
     ----------
     path
-        The file to make, or a copy of one to which the group is added.
+        The file to make.
     group
         The group in it, ``/`` for none.
     columns
@@ -48,12 +48,12 @@ class Hdf5Writer:
     ) -> None:
         import h5py
 
-        self._file = h5py.File(path, "a")
-        if group.strip("/") and group in self._file:
-            del self._file[group]  # the file may be a copy of one that has other groups to keep
+        self._names = _dataset_names(columns)
+        self._file = h5py.File(path, "w")
         self._group = self._file.require_group(group)
         for name, value in attributes.items():
-            self._group.attrs[name] = value
+            self._group.attrs[name] = cleaned(value) if isinstance(value, str) else value
+        self._group.attrs[MARK] = self._names
         clocks = [number for number, column in enumerate(columns) if column.header == "time_s"]
         self._clock = clocks[0] if clocks and "sample_rate" not in attributes else None
         self._steps = _Steps()
@@ -113,9 +113,9 @@ class Hdf5Writer:
     def _make_datasets(self, chunk: int) -> None:
         if self._datasets:
             return
-        for column in self._columns:
+        for name, column in zip(self._names, self._columns, strict=True):
             dataset = self._group.create_dataset(
-                column.header,
+                name,
                 shape=(0,),
                 maxshape=(None,),
                 chunks=(chunk,),
@@ -125,9 +125,15 @@ class Hdf5Writer:
                 shuffle=True,
             )
             if column.unit:
-                dataset.attrs["units"] = column.unit
-            dataset.attrs["quantity"] = column.quantity or column.name
+                dataset.attrs["units"] = cleaned(column.unit)
+            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
             self._datasets.append(dataset)
+
+
+def _dataset_names(columns: Sequence[OutColumn]) -> list[str]:
+    """Name the datasets by the headers; a slash would make a group, and a lone dot is the group itself."""
+    names = [header.replace("/", "_") for header in unique_headers(columns)]
+    return [name if name not in ("", ".") else f"column_{n}" for n, name in enumerate(names, start=1)]
 
 
 class _Steps:

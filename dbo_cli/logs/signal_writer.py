@@ -5,37 +5,23 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import IO, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.errors import UsageError
+from dbo_cli.logs.addresses import Address, parse_output
 from dbo_cli.logs.background_io import OneBehind
-from dbo_cli.logs.columns import is_known_unit, split_header
 from dbo_cli.logs.number_text import rows_as_text
+from dbo_cli.logs.out_column import OutColumn, header_cell, unique_headers
+from dbo_cli.logs.output_files import descriptor_of
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import check_output, replacing, standard_output
+from dbo_cli.logs.whole_output import check_output, opened, replacing
+
+__all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
 
 _WORTH_A_THREAD = 1 << 14  # rows
-
-
-@dataclass(frozen=True)
-class OutColumn:
-    """A column to be written: name, unit, and what it measures (told by HDF5 alone; the name by default)."""
-
-    name: str
-    unit: str | None = None
-    quantity: str | None = None
-
-    @property
-    def header(self) -> str:
-        """The header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
-        if not self.unit or split_header(self.name)[1] == self.unit:
-            return self.name
-        return f"{self.name}_{self.unit}" if is_known_unit(self.unit) else f"{self.name} ({self.unit})"
 
 
 class SignalWriter(Protocol):
@@ -60,7 +46,8 @@ class TextWriter:
         self._flush = flush
         self._may_lag = behind
         self._behind: OneBehind | None = None
-        stream.write((delimiter.join(_cell(column.header, delimiter) for column in columns) + "\n").encode())
+        cells = [header_cell(header, delimiter) for header in unique_headers(columns)]
+        stream.write((delimiter.join(cells) + "\n").encode())
         if flush:
             stream.flush()
 
@@ -98,12 +85,6 @@ class TextWriter:
             self._stream.write(rows_as_text(columns, self._delimiter))
 
 
-def _cell(text: str, delimiter: str) -> str:
-    if delimiter in text or '"' in text or "\n" in text or text[:1] in ("#", "%"):
-        return '"' + text.replace('"', '""').replace("\n", " ") + '"'
-    return text
-
-
 @contextlib.contextmanager
 def signal_writer(
     address: str,
@@ -135,11 +116,11 @@ def signal_writer(
     Raises
     ------
     UsageError
-        The output is an input, or HDF5 is to go down a pipe.
+        The output is an input, HDF5 is to go down a pipe, or the name says another format.
     OutputError
         It cannot be written.
     """
-    target = parse_address(address, format)
+    target = parse_output(address, format)
     check_output(target, protect)
     if target.kind == "hdf5":
         with _hdf5(target, columns, attributes or {}) as hdf5:
@@ -149,6 +130,7 @@ def signal_writer(
         behind = (
             not flush
             and not target.is_stream
+            and descriptor_of(target.path) is None
             and (os.path.isfile(target.path) or not os.path.exists(target.path))
         )
         writer = TextWriter(stream, columns, _delimiter(target, format), flush, behind)
@@ -163,39 +145,21 @@ def signal_writer(
 def _hdf5(
     target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
 ) -> Iterator[SignalWriter]:
+    from dbo_cli.logs.hdf5_store import StoreOutput, group_path
     from dbo_cli.logs.hdf5_writer import Hdf5Writer
 
-    if target.is_stream:
+    if target.is_stream or descriptor_of(target.path) is not None:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
-    with replacing(target.path, devices=False) as path:
-        if target.group not in (None, "", "/") and os.path.exists(target.path):
-            _copy_for_group(target.path, path)
-        writer = Hdf5Writer(path, target.group or "/", columns, attributes)
+    store = StoreOutput(target.path, group_path(target.group))
+    store.check()
+    with replacing(target.path, devices=False, prepare=store.publish) as path:
+        writer = Hdf5Writer(path, store.group, columns, attributes)
         try:
             yield writer
             writer.finish()
         except BaseException:
             writer.abandon()
             raise
-
-
-def _copy_for_group(existing: str, path: str) -> None:
-    """Copy the HDF5 file that a group is written into: everything else in it stays as it is.
-
-    Raises
-    ------
-    OutputError
-        What stands there is no HDF5 file.
-    """
-    import shutil
-
-    import h5py
-
-    if not h5py.is_hdf5(existing):
-        raise OutputError(
-            f"{existing}: this is no HDF5 file, so no group can be added to it: name another file"
-        )
-    shutil.copyfile(existing, path)
 
 
 def _delimiter(target: Address, format: str | None) -> str:
@@ -205,11 +169,7 @@ def _delimiter(target: Address, format: str | None) -> str:
 
 @contextlib.contextmanager
 def _text_stream(target: Address) -> Iterator[IO[bytes]]:
-    if target.is_stream:
-        with standard_output() as stream:
-            yield stream
-        return
-    with replacing(target.path) as path, open(path, "wb", buffering=1 << 20) as file:
+    with opened(target.path, 1 << 20) as file:
         if not target.compressed:
             yield file
             return

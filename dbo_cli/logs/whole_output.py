@@ -1,8 +1,13 @@
-"""Outputs appear whole or not at all.
+"""Outputs appear whole or not at all, several of them together or none.
 
-Everything is written under a temporary name in the folder of the output and renamed when complete; whatever
-ends the work before that (an error, Ctrl-C, SIGTERM, a full disk) removes the temporary file and leaves the
-old one as it was.
+Everything is written under a temporary name in the folder of the output, brought to the disk, and renamed
+when complete; whatever ends the work before that (an error, Ctrl-C, SIGTERM, a full disk) removes the
+temporary files and leaves the old ones as they were::
+
+    with all_or_none():
+        with signal_writer("drive.csv", columns) as writer: ...
+        write_whole("state.json", state)
+    # here both appear, or neither
 """
 
 from __future__ import annotations
@@ -11,103 +16,311 @@ import contextlib
 import errno
 import os
 import re
-import secrets
-import signal
 import stat
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from types import FrameType
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import IO
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.interrupts import ending_signals_raise, signals_wait
+from dbo_cli.logs.output_files import check_output, check_outputs, descriptor_of, identity_of
+from dbo_cli.logs.partial_files import open_partial, partial_path, remove_orphans
+
+__all__ = [
+    "OutputSet", "all_or_none", "check_output", "check_outputs", "make_folder", "opened", "reason_of",
+    "replacing", "standard_output", "write_whole",
+]  # fmt: skip
 
 _HDF5_ERRNO = re.compile(r"errno = (\d+)")
-_ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-def check_output(address: str | Address, protect: Sequence[str] = ()) -> None:
-    """Refuse an output that cannot be written, before any long work starts.
+Release = Callable[[], object]
+# Takes the temporary name, and a function to hand a lock's release to: it is held until the rename is done.
+# Returns whether there must be no file of the output's name by then.
+Prepare = Callable[[str, Callable[[Release], None]], bool]
 
-    Parameters
-    ----------
-    address
-        The output; ``-`` is standard output and always fine.
-    protect
-        Inputs of the same command, which must not be overwritten.
 
-    Raises
-    ------
-    UsageError
-        The output is one of the inputs.
-    OutputError
-        Its folder is missing or not writable, or it is a folder itself.
+@dataclass
+class _Pending:
+    """An output that is complete under its temporary name.
+
+    ``prepare`` is called before the renames: an HDF5 file that others use is locked and copied then.
     """
-    target = parse_address(address) if isinstance(address, str) else address
-    if target.is_stream:
-        return
-    for given in protect:
-        if _is_same_file(target.path, given):
-            raise UsageError(f"{target.path}: this output is also an input: write to another file")
-    if os.path.isdir(target.path):
-        raise OutputError(f"{target.path}: this is a folder: give a file name")
-    folder = os.path.dirname(target.path) or "."
-    if not os.path.isdir(folder):
-        raise OutputError(f"{target.path}: there is no folder '{folder}': create it first")
-    exists = os.path.exists(target.path)
-    special = exists and not os.path.isfile(target.path)
-    if not os.access(target.path if special else folder, os.W_OK):
-        raise OutputError(f"{target.path}: the {'device' if special else 'folder'} is not writable")
-    if exists and not os.access(target.path, os.W_OK):
-        raise OutputError(f"{target.path}: the file is write-protected")
+
+    path: str
+    target: str
+    temporary: str
+    prepare: Prepare | None = None
+    backup: str | None = None
+    renamed: bool = False
+
+    def finish(self) -> None:
+        """Bring the bytes to the disk, so that a rename never shows an empty file after a power failure."""
+        handle = os.open(self.temporary, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
-def _is_same_file(path: str, given: str) -> bool:
-    try:
-        there = os.stat(path)
-        other = os.fstat(sys.stdin.fileno()) if given == "-" else os.stat(parse_address(given).path)
-    except (OSError, ValueError, UsageError):
-        return False  # one of them does not exist, or standard input is no file
-    return stat.S_ISREG(there.st_mode) and os.path.samestat(there, other)
+class OutputSet:
+    """The outputs of one command, collected under temporary names; see :func:`all_or_none`."""
+
+    def __init__(self) -> None:
+        self._pending: list[_Pending] = []
+        self._folders: list[str] = []
+        self._after = contextlib.ExitStack()
+
+    def make_folder(self, path: str) -> None:
+        """Make a folder and what is missing above it; removed again where the outputs are given up.
+
+        Raises
+        ------
+        OutputError
+            It cannot be made.
+        """
+        missing = []
+        here = os.path.abspath(path)
+        while not os.path.isdir(here) and os.path.dirname(here) != here:
+            missing.append(here)
+            here = os.path.dirname(here)
+        for folder in reversed(missing):
+            with _telling(path):
+                try:
+                    os.mkdir(folder)
+                except FileExistsError:
+                    if not os.path.isdir(folder):
+                        raise
+                else:
+                    self._folders.append(folder)
+
+    @contextlib.contextmanager
+    def replacing(self, path: str, prepare: Prepare | None = None) -> Iterator[str]:
+        """Give a temporary name to write ``path`` under; it is renamed with the others.
+
+        ``prepare`` is called right before the renames; where it found no file called ``path`` and there is
+        one after all, it is called again.
+
+        Raises
+        ------
+        OutputError
+            Writing failed, or another output of the set has this name.
+        """
+        target = os.path.realpath(path)  # through a symbolic link, its target is replaced
+        which = identity_of(target)
+        if which is not None and any(identity_of(one.target) == which for one in self._pending):
+            raise OutputError(f"{path}: two outputs go there: give each a file of its own")
+        remove_orphans(os.path.dirname(target))
+        pending = _Pending(path, target, partial_path(target), prepare)
+        with _telling(path):
+            try:
+                yield pending.temporary
+                pending.finish()
+            except BaseException:
+                _remove(pending.temporary)
+                raise
+        self._pending.append(pending)
+
+    def commit(self) -> None:
+        """Rename everything to its own name; where that fails, everything is as it was before.
+
+        Raises
+        ------
+        OutputError
+            A rename failed, or ``prepare`` refused.
+        """
+        for one in self._pending:
+            _adopt_mode(one.target, one.temporary)
+        while not self._renamed():
+            self._after.close()
+        for one in self._pending:
+            if one.backup is not None:
+                _remove(one.backup)
+        for folder in {os.path.dirname(one.target) for one in self._pending}:
+            _sync_folder(folder)
+        self._pending.clear()
+        self._folders.clear()
+
+    def give_up(self) -> None:
+        """Remove everything that was written and not renamed, and the folders made for it."""
+        for one in self._pending:
+            _remove(one.temporary)
+            if one.backup is not None:  # a signal came when everything was renamed
+                _remove(one.backup)
+        for folder in reversed(self._folders):
+            with contextlib.suppress(OSError):
+                os.rmdir(folder)
+        self._pending.clear()
+        self._folders.clear()
+
+    def close(self) -> None:
+        """Release what was held until now."""
+        self._after.close()
+
+    def _renamed(self) -> bool:
+        """Prepare and rename everything; False where a file appeared meanwhile and it must be tried again."""
+        exclusive = [self._prepared(one) for one in self._pending]
+        with signals_wait():
+            try:
+                for one, alone in zip(self._pending, exclusive, strict=True):
+                    with _telling(one.path):
+                        self._rename(one, alone)
+            except FileExistsError:
+                self._take_back()
+                return False
+            except BaseException:
+                self._take_back()
+                raise
+        return True
+
+    def _hold(self, release: Release) -> None:
+        self._after.callback(release)
+
+    def _prepared(self, one: _Pending) -> bool:
+        with _telling(one.path):
+            return one.prepare is not None and one.prepare(one.temporary, self._hold)
+
+    def _rename(self, one: _Pending, alone: bool) -> None:
+        if alone:
+            try:
+                os.link(one.temporary, one.target)
+            except FileExistsError:
+                raise
+            except OSError:  # a file system without hard links: the best that it can do
+                os.replace(one.temporary, one.target)
+            else:
+                os.unlink(one.temporary)
+            one.renamed = True
+            return
+        if len(self._pending) > 1 and os.path.exists(one.target):
+            backup = partial_path(one.target)
+            with contextlib.suppress(OSError):
+                os.link(one.target, backup)
+                one.backup = backup
+        os.replace(one.temporary, one.target)
+        one.renamed = True
+
+    def _take_back(self) -> None:
+        """Undo the renames done so far: the new files go under their temporary names again."""
+        for one in self._pending:
+            with contextlib.suppress(OSError):
+                if one.renamed:
+                    os.replace(one.target, one.temporary)
+                if one.backup is not None:
+                    os.replace(one.backup, one.target)
+            one.renamed, one.backup = False, None
+
+
+_CURRENT: ContextVar[OutputSet | None] = ContextVar("dbo_outputs", default=None)
 
 
 @contextlib.contextmanager
-def replacing(path: str, *, devices: bool = True) -> Iterator[str]:
+def all_or_none() -> Iterator[OutputSet]:
+    """Let all outputs written inside the block appear together at its end, or none of them.
+
+    :func:`replacing`, :func:`write_whole` and ``signal_writer`` join by themselves, however deep below they
+    are called (in the same thread); an inner block joins the outer one. Standard output, pipes and devices
+    are written at once: what has gone there cannot be taken back.
+
+    After a failure, an interrupt, SIGTERM or SIGHUP everything is as it was. Only a process that is killed
+    (or a power failure) between the renames, some microseconds apart, can leave a part of them.
+
+    Raises
+    ------
+    OutputError
+        Something cannot be written.
+    """
+    current = _CURRENT.get()
+    if current is not None:
+        yield current
+        return
+    with _committed() as outputs:
+        token = _CURRENT.set(outputs)
+        try:
+            yield outputs
+        finally:
+            _CURRENT.reset(token)
+
+
+@contextlib.contextmanager
+def _committed() -> Iterator[OutputSet]:
+    outputs = OutputSet()
+    with ending_signals_raise():
+        try:
+            yield outputs
+            outputs.commit()
+        except BaseException:
+            with signals_wait():
+                outputs.give_up()
+            raise
+        finally:
+            outputs.close()
+
+
+@contextlib.contextmanager
+def replacing(path: str, *, devices: bool = True, prepare: Prepare | None = None) -> Iterator[str]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` at the end, or remove it.
 
-    A device or named pipe cannot be replaced and is given as it is, unless ``devices`` is False.
+    Inside :func:`all_or_none` the rename waits for the other outputs. A device or named pipe cannot be
+    replaced and is given as it is, unless ``devices`` is False; so is a path such as ``/dev/fd/3``.
 
     Raises
     ------
     OutputError
         Writing failed (disk full, folder gone, no permission).
     """
-    if os.path.exists(path) and not os.path.isfile(path):
+    if descriptor_of(path) is not None or (os.path.exists(path) and not os.path.isfile(path)):
         if not devices:
             raise OutputError(f"{path}: this is no regular file: name a file")
         with _telling(path):
             yield path
         return
-    target = os.path.realpath(path)  # through a symbolic link, its target is replaced
-    folder, name = os.path.split(target)
-    temporary = os.path.join(folder, f".{name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.partial")
-    with _telling(path), _ending_signals_raise():
-        try:
+    current = _CURRENT.get()
+    with contextlib.nullcontext(current) if current is not None else _committed() as outputs:
+        with outputs.replacing(path, prepare) as temporary:
             yield temporary
-            _adopt_mode(target, temporary)
-            os.replace(temporary, target)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-            raise
+
+
+def make_folder(path: str) -> None:
+    """Make a folder for outputs; inside :func:`all_or_none` it goes again where they are given up.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made.
+    """
+    (_CURRENT.get() or OutputSet()).make_folder(path)
+
+
+@contextlib.contextmanager
+def opened(path: str, buffering: int = -1) -> Iterator[IO[bytes]]:
+    """Open an output for bytes: a temporary file that is renamed at the end, a pipe, a device, ``-``.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    descriptor = 1 if path == "-" else descriptor_of(path)
+    if descriptor == 1:
+        with standard_output() as stream:
+            yield stream
+    elif descriptor is not None:
+        with _telling(path), os.fdopen(os.dup(descriptor), "wb", buffering) as stream:
+            yield stream  # opened anew by its name, the file behind it would be cut to nothing
+    else:
+        with replacing(path) as temporary, open_partial(temporary, buffering) as stream:
+            yield stream
 
 
 @contextlib.contextmanager
 def _telling(path: str) -> Iterator[None]:
     try:
         yield
-    except BrokenPipeError:
+    except (BrokenPipeError, FileExistsError):
         raise
     except OSError as problem:
         raise OutputError(f"{path}: {reason_of(problem)}") from None
@@ -123,30 +336,25 @@ def reason_of(problem: OSError) -> str:
     return f"cannot be written: {os.strerror(number) if number else str(problem).splitlines()[0]}"
 
 
+def _remove(path: str) -> None:
+    with contextlib.suppress(OSError):
+        os.unlink(path)
+
+
 def _adopt_mode(target: str, temporary: str) -> None:
     """Give the new file the permissions of the one it replaces."""
     with contextlib.suppress(OSError):
         os.chmod(temporary, stat.S_IMODE(os.stat(target).st_mode))
 
 
-@contextlib.contextmanager
-def _ending_signals_raise() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP unwind the stack (exit code 128 + number), so that no litter stays."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + number)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    replaced = [number for number in _ENDING_SIGNALS if signal.getsignal(number) is signal.SIG_DFL]
-    for number in replaced:
-        signal.signal(number, end)
-    try:
-        yield
-    finally:
-        for number in replaced:
-            signal.signal(number, signal.SIG_DFL)
+def _sync_folder(folder: str) -> None:
+    """Bring a rename to the disk; a system that cannot (Windows, some network drives) does without."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def write_whole(address: str, data: bytes, *, protect: Sequence[str] = ()) -> None:
@@ -160,15 +368,11 @@ def write_whole(address: str, data: bytes, *, protect: Sequence[str] = ()) -> No
         It cannot be written; what stood there is left as it was.
     """
     check_output(address, protect)
-    if parse_address(address).is_stream:
-        with standard_output() as stream:
-            stream.write(data)
-        return
-    with replacing(address) as path, open(path, "wb") as file:
+    target = parse_address(address)
+    if target.group is not None:
+        raise UsageError(f"{address}: '::' names a group of an HDF5 file, and this output is no signal")
+    with opened(target.path) as file:
         file.write(data)
-        file.flush()
-        if os.path.isfile(path):
-            os.fsync(file.fileno())
 
 
 @contextlib.contextmanager

@@ -1,0 +1,239 @@
+"""HDF5 files that others use: a group is added, or replaced, and nothing of theirs is lost.
+
+A recorder that has a file open holds HDF5's own lock on it (``flock``). A new group is made in a file of
+its own; right before the rename the store is locked in the same way, copied, given the group, and renamed
+over the old one. Only what this program wrote is ever replaced: its groups carry the attribute
+``dbo_columns``, the list of the datasets it made there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.logs.partial_files import is_running, partial_path, writer_of
+from dbo_cli.logs.plain_text import cleaned
+
+MARK = "dbo_columns"
+_PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
+_QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
+_COPY_BYTES = 1 << 23  # at a time, so that an interrupt is heard
+_BUSY = (errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK)
+
+
+def group_path(group: str | None) -> str:
+    """Return the absolute path of a group, ``/`` for none; ``//a/./b/`` is ``/a/b``."""
+    parts = [part for part in (group or "").split("/") if part not in ("", ".")]
+    if ".." in parts:
+        raise UsageError(f"::{group}: '..' is no group of an HDF5 file: give its path from the root, ::/NAME")
+    return "/" + "/".join(cleaned(part) for part in parts)
+
+
+@dataclass(frozen=True)
+class StoreOutput:
+    """An output into an HDF5 file: the whole file (``group`` is ``/``) or a group of it."""
+
+    path: str
+    group: str
+
+    def check(self) -> None:
+        """Refuse, before the work, a file that is in use or a place that holds what others wrote.
+
+        Raises
+        ------
+        OutputError
+            The file is open in another program, or is no HDF5 file to which a group could be added, or the
+            place is a dataset, or holds what this program did not write.
+        """
+        if os.path.isfile(self.path):
+            with _locked(self.path):
+                self._refuse_foreign()
+
+    def publish(self, temporary: str, keep_open: Callable[[Callable[[], object]], None]) -> bool:
+        """Make the finished file ready to take the place of the old one, right before it is renamed.
+
+        ``keep_open`` takes a call that releases the lock once the rename is done. Returned is whether there
+        is no old file, so that the rename must fail where there is one after all.
+
+        Raises
+        ------
+        OutputError
+            As for ``check``.
+        """
+        if not os.path.exists(self.path):
+            return True
+        lock = contextlib.ExitStack()
+        keep_open(lock.close)
+        lock.enter_context(_locked(self.path))
+        self._refuse_foreign()
+        if self.group != "/":
+            self._merge(temporary)
+        return False
+
+    def _merge(self, temporary: str) -> None:
+        """Make the temporary file a copy of the store with the new group in it."""
+        import h5py
+
+        before = os.stat(self.path)
+        merged = partial_path(os.path.realpath(self.path))
+        try:
+            _copy(self.path, merged)
+            with h5py.File(merged, "r+") as store, h5py.File(temporary, "r") as new:
+                if self.group in store:
+                    del store[self.group]
+                parent = store.require_group(self.group.rpartition("/")[0] or "/")
+                new.copy(new[self.group], parent, name=self.group.rpartition("/")[2])
+            with open(merged, "rb") as file:
+                os.fsync(file.fileno())
+            now = os.stat(self.path)
+            if (before.st_size, before.st_mtime_ns) != (now.st_size, now.st_mtime_ns):
+                raise OutputError(_in_use(self.path))
+            os.chmod(merged, before.st_mode & 0o7777)
+            os.replace(merged, temporary)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(merged)
+            raise
+
+    def _refuse_foreign(self) -> None:
+        import h5py
+
+        if not h5py.is_hdf5(self.path):
+            if self.group != "/":
+                raise OutputError(
+                    f"{self.path}: this is no HDF5 file, so no group can be added to it: name another file"
+                )
+            return
+        try:
+            with h5py.File(self.path, "r", locking=False) as store:
+                node = self._node(store)
+                if node is not None:
+                    self._refuse_others_in(node)
+        except OSError as problem:
+            if "already open" in str(problem):
+                raise OutputError(_in_use(self.path) + " (h5clear -s if it was not closed)") from None
+            raise OutputError(f"{self.path}: cannot be read as HDF5: {str(problem)[:100]}") from None
+
+    def _node(self, store: Any) -> Any:
+        """Return what stands at the group's path, None where there is nothing yet."""
+        import h5py
+
+        node, here = store, ""
+        for name in self.group.strip("/").split("/") if self.group != "/" else ():
+            here += f"/{name}"
+            link = node.get(name, getlink=True)
+            if link is None:
+                return None
+            if not isinstance(link, h5py.HardLink):
+                raise OutputError(f"{self.path}::{here} is a link to elsewhere: {self._other()}")
+            node = node.get(name)
+            if not isinstance(node, h5py.Group):
+                raise OutputError(f"{self.path}::{here} is a dataset, not a group: {self._other()}")
+        return node
+
+    def _refuse_others_in(self, node: Any) -> None:
+        own = set()
+        with contextlib.suppress(KeyError, OSError, TypeError, ValueError):
+            own = {str(name) for name in node.attrs.get(MARK, ())}
+        foreign = sorted(name for name in node if name not in own)
+        if foreign:
+            more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
+            whole = "file" if self.group == "/" else "group"
+            raise OutputError(
+                f"{self.path}::{self.group} holds '{cleaned(foreign[0])}'{more}, which this output did not "
+                f"write and would be lost: {self._other()}, or delete the {whole} first"
+            )
+
+    def _other(self) -> str:
+        return f"name a group of its own ({self.path}::/NAME)"
+
+
+def _in_use(path: str) -> str:
+    return f"{path}: the file is open in another program: close it there, or write to another file"
+
+
+@contextlib.contextmanager
+def _locked(path: str) -> Iterator[None]:
+    """Hold HDF5's lock on a file; OutputError where somebody else has it open for writing."""
+    handle = _lock(path)
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def _lock(path: str) -> int:
+    start = time.monotonic()
+    while True:
+        handle = os.open(path, os.O_RDONLY)
+        if _try_lock(handle) and _is_still(handle, path):
+            return handle
+        os.close(handle)
+        waited = time.monotonic() - start
+        if waited > _QUEUE or (waited > _PATIENCE and not _is_being_added_to(path)):
+            raise OutputError(_in_use(path))
+        time.sleep(0.02)
+
+
+def _try_lock(handle: int) -> bool:
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as problem:
+        if problem.errno in _BUSY:
+            return False  # other errors: a file system without locks, where HDF5 does without, too
+    return not _is_open_for_writing(handle)
+
+
+def _is_open_for_writing(handle: int) -> bool:
+    """Tell whether any process has the file open for writing, also one that locks nothing (Linux only).
+
+    A read lease is granted only while nobody writes; it is given back at once.
+    """
+    import fcntl
+
+    if not hasattr(fcntl, "F_SETLEASE"):
+        return False
+    try:
+        fcntl.fcntl(handle, fcntl.F_SETLEASE, fcntl.F_RDLCK)
+    except OSError as problem:
+        return problem.errno == errno.EAGAIN  # EACCES: another user's file; EINVAL: no leases there
+    fcntl.fcntl(handle, fcntl.F_SETLEASE, fcntl.F_UNLCK)
+    return False
+
+
+def _is_still(handle: int, path: str) -> bool:
+    """Tell whether the locked file is still the one of that name, and not one just replaced."""
+    try:
+        return os.path.samestat(os.fstat(handle), os.stat(path))
+    except OSError:
+        return False
+
+
+def _is_being_added_to(path: str) -> bool:
+    """Tell whether a living process of this program is writing beside the file, in all likelihood into it."""
+    folder, name = os.path.split(os.path.realpath(path))
+    with contextlib.suppress(OSError):
+        for other in os.listdir(folder):
+            process = writer_of(other)
+            if other.startswith(f".{name[:30]}") and process not in (None, os.getpid()):
+                return is_running(process or 0)
+    return False
+
+
+def _copy(source: str, copy: str) -> None:
+    """Copy a file in pieces, between which an interrupt is heard."""
+    with open(source, "rb", buffering=0) as old, open(copy, "wb", buffering=0) as new:
+        while piece := old.read(_COPY_BYTES):
+            view = memoryview(piece)
+            while view:
+                view = view[new.write(view) :]

@@ -1,0 +1,39 @@
+"""Text from files and instruments made safe to show: names, units and paths of any bytes."""
+
+from __future__ import annotations
+
+import re
+
+# C0 and C1 controls (among them the escape that begins a terminal's commands), the marks that turn the
+# direction of writing round, and halves of surrogate pairs, which no encoding takes.
+_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]")
+
+
+def decoded(data: bytes) -> str:
+    """Turn bytes of unknown origin into text: UTF-8, or else the Western code page of old instruments."""
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
+
+
+def cleaned(text: str) -> str:
+    """Return text that any output takes and no terminal obeys, on one line.
+
+    Bytes that were no UTF-8 (a file's name, an HDF5 attribute) are read as the Western code page; control
+    characters become blanks, and runs of blanks one.
+    """
+    if text.isascii() and text.isprintable() and "  " not in text:
+        return text.strip()
+    if any("\udc80" <= letter <= "\udcff" for letter in text):
+        text = decoded(text.encode("utf-8", "surrogateescape")) if _is_escaped(text) else text
+    return " ".join(_UNSAFE.sub(" ", text).split())
+
+
+def _is_escaped(text: str) -> bool:
+    """Tell whether the odd characters stand for bytes, as Python writes what it could not decode."""
+    try:
+        text.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError:
+        return False
+    return True

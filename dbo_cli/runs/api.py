@@ -1,0 +1,331 @@
+"""The public functions; ``import dbo_cli as dbo`` finds them as ``dbo.identify`` and so on."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.runs.model import Model, read_model
+from dbo_cli.runs.remarks import DboWarning
+from dbo_cli.runs.roles import recording_wishes
+from dbo_cli.runs.source import ArraySource
+from dbo_cli.runs.tables import is_file, is_table, table_source
+
+if TYPE_CHECKING:
+    import pandas
+
+    from dbo_cli.runs.comparison import ComparisonReport
+    from dbo_cli.runs.identifying import RecordedLog
+
+__all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
+
+Floats = NDArray[np.float64]
+
+
+def read_log(
+    path: str | os.PathLike[str],
+    *,
+    voltage: str | None = None,
+    displacement: str | None = None,
+    desired: str | None = None,
+    time: str | None = None,
+    rows: str | None = None,
+    **reading: Any,
+) -> pandas.DataFrame:
+    """Read a log as the commands read it.
+
+    Parameters
+    ----------
+    path
+        A file, or ``FILE::/group`` of an HDF5 file.
+    voltage, displacement, desired, time
+        The columns: a header name, a dataset path, or a number counted from 1; guessed where not given.
+    rows
+        ``A:B``, data rows counted from 1, both ends included.
+    **reading
+        Whatever else ``ReadingOptions`` knows: ``sample_rate``, ``skip_bad``, ``delimiter``, …
+
+    Returns
+    -------
+    DataFrame
+        Columns ``time`` (s), ``voltage``, ``displacement``, ``desired``, as far as they are there. ``attrs``:
+        ``units`` (by column), ``sample_rate`` (Hz, where no stamps tell the time), ``notes``, and
+        ``provenance`` (name, sha256 and rows).
+
+    Raises
+    ------
+    InputError
+        The log is absent, unreadable or empty, or holds neither voltage nor displacement.
+    UsageError
+        An option is senseless.
+    """
+    import pandas as pd
+
+    options = _reading(time, rows, reading)
+    want = {
+        "voltage": wish("voltage", voltage, required=False, option="voltage"),
+        "desired": wish("desired", desired, required=False, option="desired"),
+        "displacement": wish("displacement", displacement, required=False, option="displacement"),
+    }
+    with open_log(os.fspath(path), want, options, digest=True) as log:
+        if not log.columns:
+            recording = recording_wishes(voltage, displacement)
+            open_log(os.fspath(path), recording, options).close()  # says what is there and what to give
+        block = log.read()
+        record = dict(log.record())
+    stamps = {"time": block.time} if block.time is not None and log.even_rate is None else {}
+    frame = pd.DataFrame(stamps | dict(block.values))
+    units = {role: column.unit for role, column in log.columns.items()}
+    frame.attrs |= {"units": ({"time": "s"} if stamps else {}) | units, "notes": list(log.notes)}
+    frame.attrs["warnings"] = list(log.warnings)
+    frame.attrs["provenance"] = record
+    if log.even_rate is not None:
+        frame.attrs["sample_rate"] = log.even_rate
+    return frame
+
+
+def identify(
+    log: Any,
+    displacement: ArrayLike | None = None,
+    *,
+    time: Any = None,
+    sample_rate: float | None = None,
+    validate: Any = (),
+    voltage_unit: str | None = None,
+    displacement_unit: str | None = None,
+    **options: Any,
+) -> Model:
+    """Identify a model of an actuator from logs of its drive voltage and displacement.
+
+    Parameters
+    ----------
+    log : array_like, DataFrame, file name, or a list of tables and files
+        The drive voltage of shape (samples,) beside ``displacement``; or one or more logs of one actuator.
+    displacement : array_like of shape (samples,), optional
+        The measured displacement, where ``log`` is the voltage.
+    time, sample_rate
+        Seconds of shape (samples,), or samples a second (Hz), for arrays; for tables and files a column's
+        name or number, or the rate of a log without time.
+    validate
+        Another log, or a list of logs, to say how well the model predicts.
+    voltage_unit, displacement_unit : str, optional
+        Units of arrays, for the model to carry.
+    **options
+        What ``IdentificationOptions`` knows (``gears``, ``points``, ``relaxation``, ``delay``, ``slopes``,
+        ``skip_seconds``, ``method``, ``zero``, ``rated``, ``force``); all else is found on data left out.
+
+    Returns
+    -------
+    Model
+        With ``summary`` and ``warnings``; warnings also go the way of Python's own (``DboWarning``).
+
+    Raises
+    ------
+    InputError
+        A log cannot be read, or an array is none of finite numbers.
+    FitError
+        Nothing trustworthy can be identified.
+    UsageError
+        The options contradict each other or the logs.
+    """
+    from dbo_cli.hysteresis.identification import IdentificationOptions
+    from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings
+
+    known = {field.name for field in dataclasses.fields(IdentificationOptions)}
+    for name in options:
+        if name not in known:
+            raise UsageError(f"`{name}` is no parameter of identify; there are: {', '.join(sorted(known))}")
+    asked = IdentificationOptions(**options)
+    if displacement is not None:
+        units = {"voltage": voltage_unit, "displacement": displacement_unit}
+        logs = [_recorded_arrays(log, displacement, time, sample_rate, units)]
+    else:
+        logs = [_recorded(one, time, sample_rate) for one in _listed(log)]
+    checks = [_recorded(one, time, sample_rate) for one in _listed(validate)]
+    names = [[str(one.record["name"]) for one in some] for some in (logs, checks)]
+    arguments = arguments_of(names[0], names[1], chosen_of(asked))
+    found = identify_recordings(logs, asked, checks, arguments)
+    for text in found.remarks.warnings:
+        warnings.warn(text, DboWarning, stacklevel=2)
+    return Model(found.model, found.summary, found.remarks)
+
+
+def simulate(model: Model | str | os.PathLike[str], x: Any, **options: Any) -> Any:
+    """Run a model, or the model in a file, over its input signal: ``Model.simulate``."""
+    return _model(model).simulate(x, **options)
+
+
+def compensate(model: Model | str | os.PathLike[str], wanted: Any, **options: Any) -> Any:
+    """Return the drive that makes an actuator follow a trajectory: ``Model.compensate``."""
+    return _model(model).compensate(wanted, **options)
+
+
+def report(
+    wanted: Any,
+    measured: Any = None,
+    *,
+    time: Any = None,
+    sample_rate: float | None = None,
+    voltage: Any = None,
+    model: Model | str | os.PathLike[str] | None = None,
+    unit: str | None = None,
+    lag: int | str = 0,
+    remove_offset: bool = False,
+    segment: float | str | None = None,
+    name: str = "log",
+    **columns: Any,
+) -> ComparisonReport:
+    """Report how well what was measured follows what was wanted, or what a model predicts.
+
+    Parameters
+    ----------
+    wanted : array_like of shape (samples,), DataFrame or file name
+        The desired displacement beside ``measured``; with ``model`` the drive voltage it predicts from; or a
+        table or log that holds both columns.
+    measured : array_like of shape (samples,), optional
+        The measured displacement.
+    time, sample_rate
+        Seconds of shape (samples,), or samples a second (Hz).
+    voltage : array_like or column, optional
+        The drive beside the two, for the figures.
+    model : Model, optional
+        Compare its prediction with the measurement.
+    unit : str, optional
+        Unit of arrays.
+    lag : int or "auto"
+        Samples by which measured is taken later than desired.
+    remove_offset : bool
+        Take the mean of the error off first.
+    segment : "cycles" or float, optional
+        Also report every cycle, or every so many seconds.
+    name : str
+        What the report calls arrays.
+    **columns
+        For a table or file: ``desired``, ``measured``, and how it is to be read.
+
+    Returns
+    -------
+    ComparisonReport
+        ``report`` holds the numbers; ``to_frame()``, ``to_html()``, ``figures(folder)`` and so on show them.
+
+    Raises
+    ------
+    InputError
+        There is nothing to compare, or units differ.
+    """
+    from dbo_cli.reports.report import ReportOptions
+    from dbo_cli.runs.comparison import Comparison, comparison_wishes
+
+    predicting = None if model is None else _model(model).actuator
+    labels = ("desired", "measured") if model is None else ("model", "measured")
+    how = ReportOptions(_lag(lag), remove_offset, _segment(segment), labels)
+    comparison = Comparison(how, predicting, traced=True)
+    if measured is None and (is_file(wanted) or is_table(wanted)):
+        selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
+        want = comparison_wishes(*selectors, with_model=model is not None)
+        if is_table(wanted):
+            comparison.add(table_source(wanted, want, time, sample_rate), name)
+        else:
+            rows = columns.pop("rows", None)
+            with open_log(
+                os.fspath(wanted), want, _reading(time, rows, columns | {"sample_rate": sample_rate})
+            ) as log:
+                comparison.add(log, os.path.basename(os.fspath(wanted)))
+        return comparison.result()
+    if measured is None:
+        raise InputError(
+            "what was measured is missing: give two arrays, or a table or file with both columns"
+        )
+    first = "desired" if model is None else "voltage"
+    values = {first: wanted, "measured": measured}
+    if voltage is not None and model is None:
+        values["voltage"] = voltage
+    source = ArraySource(values, time, sample_rate)
+    source.columns = {
+        role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
+        for role, column in source.columns.items()
+    }
+    comparison.add(source, name)
+    return comparison.result()
+
+
+def _model(model: Model | str | os.PathLike[str]) -> Model:
+    return model if isinstance(model, Model) else read_model(model)
+
+
+def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
+    known = {field.name for field in dataclasses.fields(ReadingOptions)}
+    for name in options:
+        if name not in known:
+            raise UsageError(
+                f"`{name}` says nothing about reading a log; there are: {', '.join(sorted(known))}"
+            )
+    return ReadingOptions(time=time, rows=ALL_ROWS if rows is None else parse_rows(rows), **options)
+
+
+def _listed(logs: Any) -> Sequence[Any]:
+    return [logs] if is_file(logs) or is_table(logs) else list(logs)
+
+
+def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
+    """Return one log, a table or a file, ready to be identified from."""
+    from dbo_cli.runs.identifying import RecordedLog, read_recordings, recording_of
+
+    if is_file(log):
+        options = ReadingOptions(time=time, sample_rate=sample_rate)
+        return read_recordings([os.fspath(log)], [], options)[0][0]
+    if not is_table(log):
+        raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
+    source = table_source(log, recording_wishes(None, None), time, sample_rate)
+    record = log.attrs.get("provenance") or _record(source)
+    return RecordedLog(recording_of(source, record["name"]), record, list(log.attrs.get("notes", [])))
+
+
+def _recorded_arrays(
+    voltage: ArrayLike,
+    displacement: ArrayLike,
+    time: ArrayLike | None,
+    sample_rate: float | None,
+    units: dict[str, str | None],
+) -> RecordedLog:
+    from dbo_cli.runs.identifying import RecordedLog, recording_of
+
+    source = ArraySource({"voltage": voltage, "displacement": displacement}, time, sample_rate)
+    source.columns = {
+        role: dataclasses.replace(column, unit=units[role]) for role, column in source.columns.items()
+    }
+    return RecordedLog(recording_of(source, "arrays"), _record(source), source.notes)
+
+
+def _record(source: ArraySource) -> dict[str, Any]:
+    """Return what a model says of arrays it was identified from: a digest of their numbers."""
+    digest = hashlib.sha256()
+    for values in source.values.values():
+        digest.update(values.astype("<f8").tobytes())
+    count = next(iter(source.values.values())).size
+    return {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}
+
+
+def _lag(lag: int | str) -> Any:
+    if lag == "auto" or (isinstance(lag, int) and not isinstance(lag, bool)):
+        return lag
+    raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
+
+
+def _segment(segment: float | str | None) -> Any:
+    if segment is None or segment == "cycles":
+        return segment
+    if isinstance(segment, int | float) and 0.0 < segment < float("inf"):
+        return float(segment)
+    raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")

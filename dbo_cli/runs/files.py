@@ -1,0 +1,267 @@
+"""The use cases from files to files, in constant memory: what a command does, without its words.
+
+``reading.format`` tells the format where no file name does; ``live`` hands on each row as it arrives.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import TYPE_CHECKING
+
+from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
+from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.hysteresis.operators import Outside
+from dbo_cli.logs.addresses import check_format, format_for, parse_output
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
+from dbo_cli.runs.compensation import check_range, compensation
+from dbo_cli.runs.model import start_of
+from dbo_cli.runs.model_run import ModelRun
+from dbo_cli.runs.remarks import SILENT, Listener, Remarks
+from dbo_cli.runs.roles import check_unit, quantity_wish
+
+if TYPE_CHECKING:
+    from dbo_cli.hysteresis.identification import IdentificationOptions
+    from dbo_cli.runs.identifying import Identified
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where a response goes: the file, the state after it, and the inputs that must not be overwritten.
+
+    ``command`` is what an HDF5 output says it was made by.
+    """
+
+    output: str
+    save_state: str | None = None
+    protect: Sequence[str] = ()
+    live: bool = False
+    command: str = ""
+
+    def check(self) -> None:
+        """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
+        if list(self.protect).count("-") > 1:
+            raise UsageError("standard input can be read once only: give the model or the signal as a file")
+        parse_output(self.output)
+        check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
+
+
+def simulate_log(
+    model_file: str,
+    log_file: str,
+    destination: Destination,
+    reading: ReadingOptions,
+    *,
+    column: str | None = None,
+    outside: Outside = "extend",
+    state: str = "auto",
+    listener: Listener = SILENT,
+) -> Remarks:
+    """Run a model over its input signal; write time (when known), the input column and the result."""
+    destination.check()
+    _check_order(model_file, log_file)
+    check_format(reading.format, [log_file, destination.output])
+    model = read_model(model_file)
+    taken = model.input
+    want = {taken.quantity: quantity_wish(taken, column, option="input")}
+    ahead = model.direction == "inverse" and model.delay_seconds > 0.0
+    with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
+        check_unit(log, taken.quantity, taken, _spoken(model_file))
+        last = reading.rows[1] if ahead else None
+        run = ModelRun(model, log, start_of(state, model), outside, last_row=last)
+        given = _column_of(log, taken)
+        return _write(run, log, given, destination, reading, listener)
+
+
+def compensate_trajectory(
+    model_file: str,
+    trajectory: str,
+    destination: Destination,
+    reading: ReadingOptions,
+    *,
+    column: str | None = None,
+    v_min: float | None = None,
+    v_max: float | None = None,
+    max_slew: float | None = None,
+    refuse_clipping: bool = False,
+    state: str = "auto",
+    condition: bool = False,
+    listener: Listener = SILENT,
+) -> Remarks:
+    """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
+    check_range(v_min, v_max)
+    destination.check()
+    _check_order(model_file, trajectory)
+    check_format(reading.format, [trajectory, destination.output])
+    model = read_model(model_file)
+    model.require("forward", _spoken(model_file))
+    wanted = model.output
+    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
+    ahead = model.delay_seconds > 0.0
+    with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
+        check_unit(log, wanted.quantity, wanted, _spoken(model_file))
+        run = compensation(
+            model,
+            log,
+            v_min=v_min,
+            v_max=v_max,
+            max_slew=max_slew,
+            refuse_clipping=refuse_clipping,
+            start="auto" if state == "auto" else start_of(state, model),
+            condition=condition,
+            last_row=reading.rows[1] if ahead else None,
+        )
+        # Not under the name of what will be measured: a drive must not be taken for a recording.
+        given = OutColumn("desired", log.columns[wanted.quantity].unit or wanted.unit, "desired")
+        return _write(run, log, given, destination, reading, listener)
+
+
+def invert_model(model_file: str, output: str) -> ActuatorModel:
+    """Write the exact inverse of a model."""
+    inverse = read_model(model_file).inverse()
+    write_whole(output, model_to_bytes(inverse), protect=[model_file])
+    return inverse
+
+
+def write_excitation(
+    output: str,
+    v_min: float,
+    v_max: float,
+    sample_rate: float,
+    duration: float,
+    frequency: float,
+    max_slew: float | None,
+    form: str | None,
+) -> int:
+    """Write the drive that identifies well; returns its rows."""
+    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew)
+    check_format(form, [output])
+    columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
+    attributes = {"sample_rate": sample_rate}
+    with signal_writer(output, columns, format=format_for(output, form), attributes=attributes) as writer:
+        writer.write(time, voltage)
+    return len(time)
+
+
+def _opened(
+    address: str,
+    want: Mapping[str, ColumnWish],
+    reading: ReadingOptions,
+    live: bool,
+    listener: Listener,
+    ahead: bool = False,
+) -> SignalLog:
+    """Open a log; where it is to be read ahead, the rows after the last one asked for are there, too."""
+    options = dataclasses.replace(reading, format=format_for(address, reading.format))
+    if ahead and reading.resample is None:
+        options = dataclasses.replace(options, rows=(reading.rows[0], None))
+    log = open_log(address, want, options, live=live)
+    listener.opened(log.describe())
+    return log
+
+
+def _write(
+    run: ModelRun,
+    log: SignalLog,
+    given: OutColumn,
+    destination: Destination,
+    reading: ReadingOptions,
+    listener: Listener,
+) -> Remarks:
+    """Run to the end of the log and write what comes out, then the state."""
+    result = run.given
+    out = OutColumn(result.quantity, result.unit)
+    if out.header == given.header:
+        out = OutColumn(f"model_{result.quantity}", result.unit)
+    columns = [*([OutColumn("time", "s")] if log.has_time else []), given, out]
+    attributes: dict[str, str | float] = {"model_sha256": run.model.digest, "command": destination.command}
+    if log.stated_rate is not None:
+        attributes["sample_rate"] = log.stated_rate
+    responses = run.responses()
+    # Computed before anything is opened: a log that is bad from the start leaves not even a header.
+    first = next(responses)
+    with all_or_none():
+        try:
+            with signal_writer(
+                destination.output,
+                columns,
+                format=format_for(destination.output, reading.format),
+                attributes=attributes,
+                flush=destination.live,
+                protect=destination.protect,
+            ) as writer:
+                for response in chain([first], responses):
+                    writer.write(*(part for part in response if part is not None))
+                    listener.progressed(len(response.result))
+                listener.finished()
+        except BrokenPipeError:
+            if destination.save_state is None:
+                raise
+            raise OutputError(
+                "standard output: its reader left before the end, so there is no last state to save"
+            ) from None
+        if destination.save_state is not None and run.state is not None:
+            write_whole(destination.save_state, state_to_bytes(run.state, run.model))
+    return run.remarks()
+
+
+def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
+    """Return the input column under its own name."""
+    column = log.columns[taken.quantity]
+    name = column.name if column.quantity else taken.quantity
+    return OutColumn(name, column.unit or taken.unit, taken.quantity)
+
+
+def _check_order(model_file: str, log_file: str) -> None:
+    """Recognise a model and a log that were given in each other's place (UsageError)."""
+    if not _is_model(model_file) and _is_model(log_file):
+        raise UsageError(
+            f"{log_file} is a model: the model comes first, then the log ({log_file} {model_file})"
+        )
+
+
+def _is_model(path: str) -> bool:
+    """Tell whether a file begins as a model does."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(1) == b"{" and b'"dbo-model"' in file.read(400)
+    except OSError:
+        return False
+
+
+def _spoken(address: str) -> str:
+    return "standard input" if address == "-" else address
+
+
+def identify_logs(
+    logs: Sequence[str],
+    validation: Sequence[str],
+    output: str,
+    reading: ReadingOptions,
+    options: IdentificationOptions,
+    *,
+    voltage: str | None = None,
+    displacement: str | None = None,
+    listener: Listener = SILENT,
+) -> Identified:
+    """Identify a model from logs and write it; ``reading.rows`` are not those of the validation's logs."""
+    from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings, read_recordings
+
+    check_output(output, [*logs, *validation])
+    check_format(reading.format, [*logs, *validation])
+    fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
+    columns = {"voltage": voltage, "displacement": displacement}
+    chosen = {name: column for name, column in columns.items() if column is not None}
+    arguments = arguments_of(logs, validation, chosen_of(options) | reading.chosen() | chosen)
+    found = identify_recordings(fitted, options, checks, arguments)
+    write_whole(output, model_to_bytes(found.model))
+    return found

@@ -1,0 +1,158 @@
+"""Identification: recordings read whole, a model with its provenance out."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
+from dbo_cli.hysteresis.identification import identify as identify_model
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.addresses import format_for
+from dbo_cli.logs.provenance import program_version_string
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.sample_block import joined
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.runs.remarks import SILENT, Listener, Remarks
+from dbo_cli.runs.roles import recording_wishes, short_names
+from dbo_cli.runs.source import Source
+
+
+@dataclass(frozen=True)
+class RecordedLog:
+    """A recording ready to be identified from, and what the model says of where it came from."""
+
+    recording: Recording
+    record: Mapping[str, Any]
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A model, what was found (``summary``), and what was said on the way."""
+
+    model: ActuatorModel
+    summary: list[str]
+    remarks: Remarks
+
+
+def recording_of(source: Source, name: str | None = None) -> Recording:
+    """Read a source whole."""
+    block = joined(list(source.blocks()))
+    rate = source.even_rate
+    return Recording(
+        name or source.name,
+        block.values["voltage"],
+        block.values["displacement"],
+        time=block.time if rate is None else None,
+        sample_period=None if rate is None else 1.0 / rate,
+        voltage_unit=source.columns["voltage"].unit,
+        displacement_unit=source.columns["displacement"].unit,
+    )
+
+
+def read_recordings(
+    logs: Sequence[str],
+    validation: Sequence[str],
+    reading: ReadingOptions,
+    voltage: str | None = None,
+    displacement: str | None = None,
+    listener: Listener = SILENT,
+) -> tuple[list[RecordedLog], list[RecordedLog]]:
+    """Read the logs to identify from and those to validate on; ``reading.rows`` are the first ones' alone."""
+    names = short_names([*logs, *validation])
+
+    def read(address: str, options: ReadingOptions) -> RecordedLog:
+        told = dataclasses.replace(options, format=format_for(address, options.format))
+        with open_log(address, recording_wishes(voltage, displacement), told, digest=True) as log:
+            listener.opened(log.describe())
+            recording = recording_of(log, names.get(address))
+            return RecordedLog(recording, dict(log.record()), log.notes, log.warnings)
+
+    whole = dataclasses.replace(reading, rows=ALL_ROWS)
+    return [read(one, reading) for one in logs], [read(one, whole) for one in validation]
+
+
+def identify_recordings(
+    logs: Sequence[RecordedLog],
+    options: IdentificationOptions,
+    validation: Sequence[RecordedLog] = (),
+    arguments: Sequence[str] = (),
+) -> Identified:
+    """Identify a model, and keep in it what it was identified from.
+
+    Parameters
+    ----------
+    logs, validation
+        What is fitted, and what the model's prediction is judged on.
+    options
+        What is fixed beforehand.
+    arguments
+        How the identification was called; folders differ between machines and are taken off.
+
+    Raises
+    ------
+    FitError
+        Nothing trustworthy can be identified.
+    UsageError
+        The options contradict each other or the recordings.
+    """
+    found = identify_model([log.recording for log in logs], options, [log.recording for log in validation])
+    provenance = {
+        "program": program_version_string(),
+        "arguments": list(arguments),
+        "inputs": [dict(log.record) for log in [*logs, *validation]],
+    }
+    remarks = Remarks(warnings=list(found.warnings))
+    for log in [*logs, *validation]:
+        remarks.note(log.notes)
+        remarks.warnings.extend(log.warnings)
+    return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
+
+
+def arguments_of(logs: Sequence[str], validation: Sequence[str], chosen: Mapping[str, object]) -> list[str]:
+    """Return how an identification was called, as the shell would spell it, without folders.
+
+    Parameters
+    ----------
+    logs, validation
+        The logs' addresses or names.
+    chosen
+        Parameters that are not at their default; True for a switch.
+    """
+    words = ["identify", *map(os.path.basename, logs)]
+    for name in validation:
+        words += ["--validate", os.path.basename(name)]
+    for name, value in chosen.items():
+        several = isinstance(value, tuple) and all(isinstance(one, str) for one in value)
+        for one in value if isinstance(value, tuple) and several and value else [value]:
+            words.append("--" + name.replace("_", "-"))
+            if one is not True:
+                words.append(_word(one))
+    return words
+
+
+def chosen_of(options: IdentificationOptions) -> dict[str, object]:
+    """Return the parameters that are not at their default, under the command line's names."""
+    changed: dict[str, object] = {}
+    for one in dataclasses.fields(options):
+        value = getattr(options, one.name)
+        if value == one.default:
+            continue
+        if one.name == "rated":
+            changed |= {"v_min": value[0], "v_max": value[1]}
+        else:
+            changed[{"skip_seconds": "skip"}.get(one.name, one.name)] = value
+    return changed
+
+
+def _word(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+    if isinstance(value, tuple):
+        return ",".join(map(_word, value)) or "0"
+    return str(value)

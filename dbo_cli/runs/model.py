@@ -1,0 +1,399 @@
+"""The model as a program in Python meets it: arrays in and out, everything a command would do included."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import read_model as read_model_file
+from dbo_cli.hysteresis.model_state import ModelState, Quantity
+from dbo_cli.hysteresis.operators import Outside
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.runs.compensation import compensation
+from dbo_cli.runs.model_run import ModelRun
+from dbo_cli.runs.remarks import DboWarning, Remarks
+from dbo_cli.runs.roles import quantity_wish
+from dbo_cli.runs.source import ArraySource, Source
+from dbo_cli.runs.tables import is_file, is_table, table_source
+
+if TYPE_CHECKING:
+    from dbo_cli.runs.controller import Controller
+
+Floats = NDArray[np.float64]
+Start = StartName | ModelState | str | os.PathLike[str]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A run with all that belongs to it.
+
+    Attributes
+    ----------
+    values : array of shape (samples,)
+        What came out, in the unit of the model's output (of its input, for a drive).
+    time : array of shape (samples,), or None
+        Seconds; below 0 where a sweep stands before the trajectory.
+    state : ModelState
+        After the last sample, to go on from.
+    notes, warnings : list of str
+        What is good to know, and what may spoil the result.
+    clipped, outside : int
+        Samples in which the drive's limits were met, or which lie outside the model's range.
+    """
+
+    values: Floats
+    time: Floats | None
+    state: ModelState
+    notes: list[str]
+    warnings: list[str]
+    clipped: int
+    outside: int
+
+
+class Model:
+    """A model of an actuator, forward (voltage to displacement) or inverse.
+
+    Parameters
+    ----------
+    actuator : ActuatorModel
+        The cascade of stages.
+    summary, remarks
+        What was said when it was identified.
+    """
+
+    def __init__(
+        self, actuator: ActuatorModel, summary: list[str] | None = None, remarks: Remarks | None = None
+    ) -> None:
+        self.actuator = actuator
+        self.summary = summary or []
+        self.remarks = remarks or Remarks()
+
+    def __repr__(self) -> str:
+        """Return what the model turns into what."""
+        a, b = self.input, self.output
+        return f"<dbo Model, {self.direction}: {_named(a)} to {_named(b)}, {self.actuator.backlash.n} gears>"
+
+    @property
+    def direction(self) -> str:
+        """``forward`` or ``inverse``."""
+        return self.actuator.direction
+
+    @property
+    def input(self) -> Quantity:
+        """Name, unit and range of what goes in."""
+        return self.actuator.input
+
+    @property
+    def output(self) -> Quantity:
+        """Name, unit and slowly reached range of what comes out."""
+        return self.actuator.output
+
+    @property
+    def fit(self) -> Mapping[str, object]:
+        """Figures of the identification."""
+        return self.actuator.fit
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the identification warned of."""
+        return list(self.remarks.warnings)
+
+    def inverse(self) -> Model:
+        """Return the exact inverse (17)-(18)."""
+        return Model(self.actuator.inverse())
+
+    def to_json(self) -> bytes:
+        """Return the model file (docs/model-file.md): the same model gives the same bytes."""
+        return model_to_bytes(self.actuator)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model file, whole or not at all.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written.
+        """
+        write_whole(os.fspath(path), self.to_json())
+
+    def save_state(self, state: ModelState, path: str | os.PathLike[str]) -> None:
+        """Write a state of this model, for a later run to go on from."""
+        write_whole(os.fspath(path), state_to_bytes(state, self.actuator))
+
+    def read_state(self, path: str | os.PathLike[str]) -> ModelState:
+        """Read a state file of this model or its inverse.
+
+        Raises
+        ------
+        InputError, ModelError
+            The file cannot be read, or is no state, or one of another model.
+        """
+        return read_state(os.fspath(path), self.actuator)
+
+    @overload
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., state: Start = ...,
+                 outside: Outside = ..., return_state: Literal[False] = ..., details: Literal[False] = ...,
+                 ) -> Floats: ...  # fmt: skip
+    @overload
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., state: Start = ...,
+                 outside: Outside = ..., return_state: Literal[True], details: Literal[False] = ...,
+                 ) -> tuple[Floats, ModelState]: ...  # fmt: skip
+    @overload
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., state: Start = ...,
+                 outside: Outside = ..., return_state: bool = ..., details: Literal[True],
+                 ) -> Result: ...  # fmt: skip
+    def simulate(
+        self,
+        x: Any,
+        *,
+        time: Any = None,
+        sample_rate: float | None = None,
+        state: Start = "auto",
+        outside: Outside = "extend",
+        return_state: bool = False,
+        details: bool = False,
+    ) -> Any:
+        """Run the model over its input signal.
+
+        Parameters
+        ----------
+        x : array_like of shape (samples,), DataFrame or file name
+            The input, in the unit of ``input``; an inverse model reads it ahead by its delay.
+        time : array_like of shape (samples,), or a column's name
+            Seconds; needed (or ``sample_rate``, Hz) by a model with lag, creep or delay.
+        state
+            ``auto``, ``empty``, ``full``, ``settled``, a state returned before, or a state file.
+        outside : {"extend", "hold", "error"}
+            Beyond the model's range: go on with the last slope, hold, or refuse.
+        return_state : bool
+            Also return the state after the last sample.
+        details : bool
+            Return a ``Result``; otherwise warnings go the way of Python's own (``DboWarning``).
+
+        Returns
+        -------
+        array of shape (samples,), a pair of it and the state, or a Result
+
+        Raises
+        ------
+        InputError
+            The signal is no array of finite numbers, time is missing or goes backwards, or a sample is
+            outside and that is refused.
+        ModelError
+            The state is of another model.
+        UsageError
+            No state is called so.
+        """
+        role = self.input.quantity
+        source = _source(x, role, quantity_wish(self.input, option="x"), time, sample_rate)
+        run = ModelRun(self.actuator, source, self._start(state), _one_of("outside", outside, OUTSIDE))
+        return _finished(run, return_state, details)
+
+    def compensate(
+        self,
+        wanted: Any,
+        *,
+        time: Any = None,
+        sample_rate: float | None = None,
+        v_min: float | None = None,
+        v_max: float | None = None,
+        max_slew: float | None = None,
+        on_limit: Literal["clip", "error"] = "clip",
+        state: Start = "auto",
+        condition: bool = False,
+        return_state: bool = False,
+        details: bool = False,
+    ) -> Any:
+        """Return the drive that makes the actuator follow a trajectory.
+
+        Delay, limits and start are seen to: ``simulate`` of the drive gives the trajectory back, to rounding.
+
+        Parameters
+        ----------
+        wanted : array_like of shape (samples,), DataFrame or file name
+            The desired displacement, in the unit of ``output``.
+        time : array_like of shape (samples,), or a column's name
+            Seconds; needed (or ``sample_rate``, Hz) by a model with lag, creep or delay and by ``max_slew``.
+        v_min, v_max, max_slew : float, optional
+            What the drive may do, in the unit of ``input`` (and per second); by default the model's range.
+        on_limit : {"clip", "error"}
+            Clip and count, or raise LimitError, where a limit is met.
+        state, return_state, details
+            As in ``simulate``.
+        condition : bool
+            Put the sweep that brings the actuator into a known state before the trajectory; the drive is
+            then longer than the trajectory, and ``details`` tells the times.
+
+        Returns
+        -------
+        array of shape (samples,), a pair of it and the state, or a Result
+
+        Raises
+        ------
+        InputError, ModelError, UsageError
+            As in ``simulate``; the model is an inverse one; the limits are not in order.
+        LimitError
+            A limit was met and ``on_limit`` is ``error``.
+        """
+        role = self.output.quantity
+        source = _source(
+            wanted, role, quantity_wish(self.output, option="wanted", trajectory=True), time, sample_rate
+        )
+        run = compensation(
+            self.actuator,
+            source,
+            v_min=v_min,
+            v_max=v_max,
+            max_slew=max_slew,
+            refuse_clipping=_one_of("on_limit", on_limit, ON_LIMIT) == "error",
+            start=self._start(state),
+            condition=condition,
+        )
+        return _finished(run, return_state, details)
+
+    def controller(
+        self,
+        sample_rate: float | None = None,
+        *,
+        v_min: float | None = None,
+        v_max: float | None = None,
+        max_slew: float | None = None,
+        state: Start = "auto",
+        dac: ArrayLike | None = None,
+        ahead: bool = False,
+    ) -> Controller:
+        """Return a controller that plans and commits one sample at a time.
+
+        Parameters
+        ----------
+        sample_rate : float, optional
+            Samples a second (Hz); needed by a model with lag or creep and by ``max_slew``.
+        v_min, v_max, max_slew, state
+            As in ``compensate``.
+        dac : array_like, optional
+            The voltage of every code of a digital-to-analogue converter, from code 0 on; codes are then
+            planned, and the state follows the voltage of the code.
+        ahead : bool
+            A model with a delay needs what is wanted later; with ``ahead`` the caller passes that.
+
+        Raises
+        ------
+        ModelError
+            The model is an inverse one, or has a delay and ``ahead`` is not given.
+        UsageError
+            The rate is missing, or the limits or the converter's curve are not in order.
+        """
+        from dbo_cli.runs.controller import Controller
+
+        return Controller(
+            self.actuator,
+            sample_rate,
+            v_min=v_min,
+            v_max=v_max,
+            max_slew=max_slew,
+            state=self._start(state),
+            dac=dac,
+            ahead=ahead,
+        )
+
+    def _start(self, state: Start) -> StartName | ModelState:
+        return start_of(state, self.actuator)
+
+
+OUTSIDE = ("extend", "hold", "error")
+ON_LIMIT = ("clip", "error")
+
+
+def read_model(path: str | os.PathLike[str]) -> Model:
+    """Read a model file; ``-`` is standard input.
+
+    Raises
+    ------
+    InputError, ModelError
+        The file cannot be read, is no model, or contradicts itself; the message names file and key.
+    """
+    actuator = read_model_file(os.fspath(path))
+    said = actuator.fit.get("warnings")
+    return Model(actuator, remarks=Remarks(warnings=list(said) if isinstance(said, list) else []))
+
+
+def start_of(state: Start, model: ActuatorModel) -> StartName | ModelState:
+    """Return a start: a name or a state as it is, anything else as a state file.
+
+    Raises
+    ------
+    UsageError
+        There is neither a start nor a file of that name.
+    """
+    if isinstance(state, ModelState):
+        return state
+    path = os.fspath(state)
+    if path in START_NAMES:
+        return path  # type: ignore[return-value]
+    if not os.path.exists(path):
+        names = ", ".join(START_NAMES)
+        raise UsageError(f"`state`: '{path}' is none of {names}, and there is no such file")
+    return read_state(path, model)
+
+
+def _source(data: Any, role: str, want: ColumnWish, time: Any, sample_rate: float | None) -> Source:
+    if is_file(data):
+        return open_log(os.fspath(data), {role: want}, ReadingOptions(time=time, sample_rate=sample_rate))
+    if is_table(data):
+        return table_source(data, {role: want}, time, sample_rate)
+    name = want.option
+    source = ArraySource({name: data}, time, sample_rate, name=f"`{name}`")
+    source.values = {role: source.values[name]}
+    source.columns = {role: dataclasses.replace(source.columns[name], unit=None)}
+    return source
+
+
+def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
+    """Run to the end and return what was asked for."""
+    try:
+        responses = list(run.responses())
+    finally:
+        if isinstance(run.source, SignalLog):
+            run.source.close()
+    values = np.concatenate([response.result for response in responses])
+    told = run.remarks()
+    assert run.state is not None
+    if details:
+        times = [response.time for response in responses if response.time is not None]
+        return Result(
+            values,
+            np.concatenate(times) if times else None,
+            run.state,
+            told.notes,
+            told.warnings,
+            run.clipped.count,
+            run.beyond.count,
+        )
+    for text in told.warnings:
+        warnings.warn(text, DboWarning, stacklevel=3)
+    return (values, run.state) if return_state else values
+
+
+def _one_of(name: str, value: Any, choices: tuple[str, ...]) -> Any:
+    if value not in choices:
+        raise UsageError(f"`{name}`: '{value}' is none of {', '.join(choices)}")
+    return value
+
+
+def _named(quantity: Quantity) -> str:
+    unit = f" {quantity.unit}" if quantity.unit else ""
+    return f"{quantity.quantity} {quantity.minimum:g} to {quantity.maximum:g}{unit}"

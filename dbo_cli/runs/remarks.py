@@ -1,0 +1,61 @@
+"""What must be said of a run: returned as data, said by whoever called."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+
+class DboWarning(UserWarning):
+    """Something that may spoil the result; the text says what to do about it."""
+
+
+class Listener(Protocol):
+    """Hears how far a run has come."""
+
+    def opened(self, what: str) -> None:
+        """Learn how a log was understood."""
+
+    def progressed(self, rows: int) -> None:
+        """Learn that so many rows more are done."""
+
+    def finished(self) -> None:
+        """Learn that all rows are done."""
+
+
+class _Silence:
+    """Hears, and says nothing."""
+
+    def opened(self, what: str) -> None:
+        """Say nothing."""
+
+    def progressed(self, rows: int) -> None:
+        """Say nothing."""
+
+    def finished(self) -> None:
+        """Say nothing."""
+
+
+SILENT: Listener = _Silence()
+
+
+@dataclass
+class Remarks:
+    """Lines in the library's words: ``notes`` are good to know, ``warnings`` may spoil the result."""
+
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def note(self, texts: Iterable[str]) -> None:
+        """Add notes."""
+        self.notes.extend(texts)
+
+    def add(self, other: Remarks) -> None:
+        """Add all that another run had to say."""
+        self.notes.extend(other.notes)
+        self.warnings.extend(other.warnings)
+
+    def warn(self, text: str) -> None:
+        """Add a warning."""
+        self.warnings.append(text)

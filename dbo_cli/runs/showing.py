@@ -1,0 +1,121 @@
+"""What is in a model, from its data: a screen of text, or the same as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, PointStage
+from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.logs.whole_output import write_whole
+
+WIDTH = 96  # characters of a line on the screen
+
+
+def show_model(model_file: str, output: str, form: str | None, figures: str | None) -> list[str]:
+    """Write what is in a model; returns notes (where figures went)."""
+    model = read_model(model_file)
+    chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    content = contents(model)
+    text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
+    write_whole(output, (text + "\n").encode(), protect=[model_file])
+    if figures is None:
+        return []
+    from dbo_cli.reports.drawing import check_folder, save
+    from dbo_cli.reports.model_figures import plots_of_model
+
+    save(plots_of_model(model), check_folder(figures), "model")
+    return [f"figures are in {figures}"]
+
+
+def contents(model: ActuatorModel) -> dict[str, Any]:
+    """Return what is in a model as plain values; lengths and voltages in the model's units, times in s."""
+    fit, provenance = model.fit, model.provenance
+    backlash = model.backlash
+    delay = next((abs(s.seconds) for s in model.stages if isinstance(s, DelayStage)), 0.0)
+    relaxation = [] if backlash.relaxation is None else list(backlash.relaxation.tau)
+    return {
+        "format": "dbo-show",
+        "version": 1,
+        "direction": model.direction,
+        "input": _quantity(model.input),
+        "output": _quantity(model.output),
+        "gears": backlash.n,
+        "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
+        "relaxation_seconds": relaxation,
+        "delay_seconds": delay,
+        "fit": {key: fit[key] for key in fit if key not in ("warnings", "logs", "validation")},
+        "logs": fit.get("logs", []),
+        "validation": fit.get("validation", []),
+        "warnings": fit.get("warnings", []),
+        "program": provenance.get("program"),
+        "arguments": provenance.get("arguments", []),
+        "inputs": provenance.get("inputs", []),
+    }
+
+
+def as_text(content: Mapping[str, Any]) -> str:
+    """Return the contents as lines for a terminal."""
+    given, made = content["input"], content["output"]
+    lines = [
+        f"{content['direction']} model: {_range(given)} to {_range(made)}",
+        f"{content['gears']} gears"
+        + "".join(f", {count} segments of asymmetry" for count in content["segments"])
+        + _lag(content),
+    ]
+    lines += _goodness(content, made["unit"])
+    if content["inputs"]:
+        names = ", ".join(f"{one.get('name')} ({one.get('rows'):,} rows)" for one in content["inputs"])
+        lines.append(f"from {names}, by {content['program']}")
+    if content["arguments"]:
+        lines.append("dbo " + " ".join(map(str, content["arguments"])))
+    lines += [f"warning: {text}" for text in content["warnings"]]
+    return "\n".join(_wrapped(line) for line in lines)
+
+
+def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
+    """Return how well the model fits and what that is worth."""
+    fit: Mapping[str, Any] = content["fit"]
+    suffix = f" {unit}" if unit else ""
+    lines = []
+    if "rmse" in fit:
+        percent = f" ({fit['rmse_percent']:.2f} % of range)" if "rmse_percent" in fit else ""
+        lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from")
+    if "expected_rmse" in fit and fit["expected_rmse"] is not None:
+        lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range")
+    lines += [
+        f"validated: RMSE {one['rmse']:.4g}{suffix} on {one['name']}, which took no part in the fit"
+        for one in content["validation"]
+    ]
+    if "loop_width_percent" in fit:
+        lines.append(f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes")
+    return lines
+
+
+def _lag(content: Mapping[str, Any]) -> str:
+    taus = ", ".join(f"{tau:.3g}" for tau in content["relaxation_seconds"])
+    said = f"; lag and creep with time constants of {taus} s" if taus else "; no lag, no creep"
+    delay = content["delay_seconds"]
+    return said + (f"; a delay of {1e3 * delay:.3g} ms" if delay else "")
+
+
+def _quantity(quantity: Quantity) -> dict[str, Any]:
+    return {
+        "quantity": quantity.quantity,
+        "unit": quantity.unit,
+        "min": quantity.minimum,
+        "max": quantity.maximum,
+    }
+
+
+def _range(quantity: Mapping[str, Any]) -> str:
+    unit = f" {quantity['unit']}" if quantity["unit"] else ""
+    return f"{quantity['quantity']} {quantity['min']:.6g} to {quantity['max']:.6g}{unit}"
+
+
+def _wrapped(line: str) -> str:
+    import textwrap
+
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False)

@@ -1,0 +1,146 @@
+"""Where a run takes its samples from: a log, or arrays that look like one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.clock import TimeCheck
+from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+
+
+class Source(Protocol):
+    """What a run needs of a log; ``logs.signal_log.SignalLog`` is one."""
+
+    name: str
+    columns: dict[str, ColumnInfo]
+    notes: list[str]
+    warnings: list[str]
+
+    @property
+    def has_time(self) -> bool:
+        """Whether samples carry a time."""
+
+    @property
+    def even_rate(self) -> float | None:
+        """Samples a second (Hz) where they are evenly spaced by definition, else None."""
+
+    @property
+    def stated_rate(self) -> float | None:
+        """Samples a second (Hz) as it was given, rows that were dropped aside, or None."""
+
+    def require_time(self, why: str) -> None:
+        """Refuse a source without time (InputError)."""
+
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Return the samples in blocks, by role."""
+
+
+def samples(name: str, values: ArrayLike) -> FloatArray:
+    """Return a signal as float64 of shape (samples,).
+
+    Raises
+    ------
+    InputError
+        It has another shape, no samples, or one that is not a finite number.
+    """
+    try:
+        signal = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"`{name}`: is no array of numbers") from None
+    if signal.ndim == 0 or signal.size == 0:
+        raise InputError(f"`{name}`: holds no samples")
+    if signal.ndim > 1:
+        raise InputError(f"`{name}`: has the shape {signal.shape}; give one dimension")
+    good = np.isfinite(signal)
+    if not good.all():
+        row = int(np.argmin(good))
+        raise InputError(f"`{name}`: sample {row + 1} is not finite: {float(signal[row])!r} (leave it out)")
+    return signal
+
+
+class ArraySource:
+    """Arrays as a source: one block.
+
+    Parameters
+    ----------
+    values : mapping of str to array_like
+        Role to signal; all of one length.
+    time : array_like, optional
+        Seconds, of the same length.
+    sample_rate : float, optional
+        Samples a second (Hz) where ``time`` is not given.
+    columns : mapping, optional
+        What is known of each role's column.
+    name : str
+        How messages call the arrays.
+
+    Raises
+    ------
+    InputError
+        A signal is no array of finite numbers, or the lengths differ.
+    UsageError
+        Both a time and a rate are given, or the rate is none.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, ArrayLike],
+        time: ArrayLike | None = None,
+        sample_rate: float | None = None,
+        columns: Mapping[str, ColumnInfo] | None = None,
+        name: str = "the arrays",
+    ) -> None:
+        if time is not None and sample_rate is not None:
+            raise UsageError("`time` and `sample_rate` exclude each other: give the one or the other")
+        if sample_rate is not None and not 0.0 < sample_rate < float("inf"):
+            raise UsageError(f"`sample_rate` {sample_rate:g}: give a positive number of samples a second")
+        self.name = name
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+        self.values = {role: samples(role, signal) for role, signal in values.items()}
+        self.time = None if time is None else samples("time", time)
+        first, count = next((role, signal.size) for role, signal in self.values.items())
+        for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
+            if signal.size != count:
+                raise InputError(f"`{role}` has {signal.size} samples where `{first}` has {count}")
+        self.columns = dict(columns or {role: column_info(role, n + 1) for n, role in enumerate(values)})
+        self.sample_rate = sample_rate
+
+    @property
+    def has_time(self) -> bool:
+        """Whether samples carry a time."""
+        return self.time is not None or self.sample_rate is not None
+
+    @property
+    def even_rate(self) -> float | None:
+        """Samples a second (Hz), or None where stamps tell the time."""
+        return self.sample_rate
+
+    @property
+    def stated_rate(self) -> float | None:
+        """Samples a second (Hz), or None where stamps tell the time."""
+        return self.sample_rate
+
+    def require_time(self, why: str) -> None:
+        """Refuse arrays without time (InputError)."""
+        if not self.has_time:
+            raise InputError(f"{self.name}: no time is given, and {why} (`time` or `sample_rate` HZ)")
+
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Return all samples as one block."""
+        count = next(iter(self.values.values())).size
+        time = self.time
+        if time is None and self.sample_rate is not None:
+            time = np.arange(count) / self.sample_rate
+        rows = range(1, count + 1)
+        if self.time is not None:
+            check = TimeCheck(self.name, has_lines=False)
+            check.feed(self.time, rows, None)
+            self.notes.extend(check.notes())
+        yield SampleBlock(rows, None, time, self.values)

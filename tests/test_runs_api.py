@@ -1,0 +1,208 @@
+"""The program from Python: the commands' bits, the shell's messages, exceptions of one kind each."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT, SMALL_MODEL
+from test_cli_signals import lagging_model
+
+import dbo_cli as dbo_api
+
+LOG = ROOT / "sample_data" / "identification.csv"
+TRAJECTORY = ROOT / "sample_data" / "trajectory.csv"
+
+
+def column(path: str, number: int) -> np.ndarray[Any, Any]:
+    return np.loadtxt(path, delimiter=",", skiprows=1)[:, number]
+
+
+@pytest.fixture(scope="module")
+def sample_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the model of the sample log, identified by the command."""
+    path = tmp_path_factory.mktemp("model") / "model.json"
+    from dbo_cli.cli.app import main
+
+    assert main(["identify", str(LOG), "-o", str(path), "-q"]) == 0
+    return path
+
+
+@pytest.fixture
+def lagging(tmp_path: Path) -> dbo_api.Model:
+    path = tmp_path / "lagging.json"
+    path.write_text(json.dumps(lagging_model()))
+    return dbo_api.read_model(path)
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> dbo_api.Model:
+    path = tmp_path / "small.json"
+    path.write_text(json.dumps(SMALL_MODEL))
+    return dbo_api.read_model(path)
+
+
+def test_identify_gives_the_bytes_of_the_command(sample_model: Path, tmp_path: Path) -> None:
+    model = dbo_api.identify(dbo_api.read_log(LOG))
+    model.save(tmp_path / "api.json")
+    assert (tmp_path / "api.json").read_bytes() == sample_model.read_bytes()
+    log = dbo_api.read_log(LOG)
+    arrays = dbo_api.identify(
+        log["voltage"], log["displacement"], time=log["time"], voltage_unit="V", displacement_unit="um"
+    )
+    assert json.loads(arrays.to_json())["stages"] == json.loads(sample_model.read_text())["stages"]
+
+
+def test_compensate_and_simulate_give_the_bits_of_the_commands(dbo: Any, sample_model: Path) -> None:
+    model = dbo_api.read_model(sample_model)
+    assert dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").code == 0
+    table = dbo_api.read_log(TRAJECTORY)
+    for given in (table, str(TRAJECTORY)):
+        assert model.compensate(given).tolist() == column("drive.csv", 2).tolist()
+    drive = model.compensate(table["displacement"], time=table["time"])
+    assert drive.tolist() == column("drive.csv", 2).tolist()
+    assert dbo("simulate", sample_model, "drive.csv", "-o", "back.csv").code == 0
+    back = model.simulate(drive, time=table["time"])
+    assert back.tolist() == column("back.csv", 2).tolist()
+    assert dbo_api.simulate(sample_model, drive, time=table["time"]).tolist() == back.tolist()
+    assert dbo_api.compensate(sample_model, table).tolist() == drive.tolist()
+
+
+def test_a_report_has_the_numbers_of_the_command(dbo: Any, sample_model: Path) -> None:
+    done = dbo("report", LOG, "--model", sample_model, "--format", "json", "--segment", "cycles")
+    report = dbo_api.report(LOG, model=sample_model, segment="cycles")
+    assert report.to_json() == done.out
+    log = dbo_api.read_log(LOG)
+    arrays = dbo_api.report(
+        log["voltage"], log["displacement"], time=log["time"], model=sample_model, unit="um"
+    )
+    assert arrays.rmse == report.rmse
+    assert arrays.to_frame().loc["log", "rmse"] == report.rmse
+    report.figures("figures")
+    assert any(path.suffix == ".png" for path in Path("figures").iterdir())
+    assert report.to_html().startswith("<!")
+
+
+def test_compensate_from_arrays_reads_ahead_by_the_models_delay(tmp_path: Path) -> None:
+    document = json.loads(json.dumps(SMALL_MODEL))
+    document["stages"].append({"type": "delay", "seconds": 0.02})
+    (tmp_path / "delayed.json").write_text(json.dumps(document))
+    model = dbo_api.read_model(tmp_path / "delayed.json")
+    t = np.arange(2000) / 1000
+    wanted = 5.0 + 3.5 * np.sin(2 * np.pi * 2 * t)
+    drive = model.compensate(wanted, time=t, state="empty")
+    back = model.simulate(drive, time=t, state="empty")
+    assert np.abs(back - wanted)[20:].max() < 1e-12
+
+
+def test_states_go_on(lagging: dbo_api.Model, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    t, v = np.cumsum(rng.uniform(0.01, 0.1, 400)), 5.0 + 4.0 * np.sin(np.cumsum(rng.normal(0, 0.3, 400)))
+    whole = lagging.simulate(v, time=t)
+    first, state = lagging.simulate(v[:137], time=t[:137], return_state=True)
+    lagging.save_state(state, tmp_path / "s.json")
+    rest = lagging.simulate(v[137:], time=t[137:], state=tmp_path / "s.json")
+    assert np.concatenate([first, rest]).tolist() == whole.tolist()
+    assert lagging.read_state(tmp_path / "s.json") == state
+
+
+def test_what_must_be_said_is_data_or_a_warning(small: dbo_api.Model) -> None:
+    with pytest.warns(dbo_api.DboWarning, match=r"1 of 2 samples \(row 2\) beyond what the limits"):
+        small.compensate([2.0, 20.0])
+    result = small.compensate([2.0, 20.0], details=True)
+    assert (result.clipped, result.values[-1], len(result.warnings)) == (1, 10.0, 1)
+    with pytest.warns(dbo_api.DboWarning, match="outside the range of the model"):
+        small.simulate([0.0, 12.0])
+    with pytest.raises(dbo_api.LimitError, match=r"\(`on_limit` clip goes on\)$"):
+        small.compensate([2.0, 20.0], on_limit="error")
+
+
+def test_a_slew_limit_holds_from_the_first_sample_on(small: dbo_api.Model) -> None:
+    drive = small.compensate([6.0] * 40, sample_rate=10.0, max_slew=5.0, state="empty", details=True)
+    assert np.diff(drive.values, prepend=0.0).max() <= 0.5 * (1 + 1e-12)
+    assert drive.values[0] == pytest.approx(0.5)
+
+
+BAD_ARRAYS: list[tuple[Any, dict[str, Any], str]] = [
+    ([], {}, "`x`: holds no samples"),
+    ([1.0, float("nan")], {}, "`x`: sample 2 is not finite: nan (leave it out)"),
+    ([[1.0, 2.0]], {}, "`x`: has the shape (1, 2); give one dimension"),
+    (["a"], {}, "`x`: is no array of numbers"),
+    ([1.0, 2.0], {"time": [0.0]}, "`time` has 1 samples where `x` has 2"),
+    ([1.0, 2.0], {}, "`x`: no time is given, and this model's lag, creep or delay depends on it "
+     "(`time` or `sample_rate` HZ)"),
+    ([1.0, 2.0, 3.0], {"time": [0.0, 0.2, 0.1]}, "`x`: row 3: time goes backwards, and this model's lag and "
+     "creep depend on the time between samples (cut the log with `rows` A:B)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("x", "more", "message"), BAD_ARRAYS, ids=lambda value: str(value)[:30])
+def test_bad_arrays_are_refused(lagging: dbo_api.Model, x: Any, more: dict[str, Any], message: str) -> None:
+    with pytest.raises(dbo_api.InputError) as raised:
+        lagging.simulate(x, **more)
+    assert str(raised.value) == message
+
+
+def test_repeated_stamps_are_noted(lagging: dbo_api.Model) -> None:
+    result = lagging.simulate([1.0, 2.0, 3.0], time=[0.0, 0.1, 0.1], details=True)
+    assert any("repeats at row 3" in note for note in result.notes)
+
+
+def test_a_table_without_the_columns_is_refused() -> None:
+    with pytest.raises(dbo_api.InputError) as raised:
+        dbo_api.identify(pd.DataFrame({"a": [1.0], "b": [2.0]}))
+    assert str(raised.value) == (
+        "the table: no column is recognised as the voltage: it has 1 a, 2 b (choose with `voltage` NAME or "
+        "NUMBER)"
+    )
+
+
+def test_a_state_of_another_model_is_refused(
+    lagging: dbo_api.Model, small: dbo_api.Model, tmp_path: Path
+) -> None:
+    _, state = lagging.simulate([1.0, 2.0], time=[0.0, 0.1], return_state=True)
+    lagging.save_state(state, tmp_path / "s.json")
+    with pytest.raises(dbo_api.ModelError, match="the state belongs to another model"):
+        small.simulate([1.0], state=tmp_path / "s.json")
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ({"state": "warm"}, "`state`: 'warm' is none of auto, empty, full, settled, and there is no such "
+         "file"),
+        ({"outside": "ignore"}, "`outside`: 'ignore' is none of extend, hold, error"),
+        ({"sample_rate": -1.0}, "`sample_rate` -1: give a positive number of samples a second"),
+        ({"sample_rate": 1.0, "time": [0.0]}, "`time` and `sample_rate` exclude each other: give the one or "
+         "the other"),
+    ],
+)  # fmt: skip
+def test_senseless_calls_are_refused(small: dbo_api.Model, call: dict[str, Any], message: str) -> None:
+    with pytest.raises(dbo_api.UsageError) as raised:
+        small.simulate([1.0], **call)
+    assert str(raised.value) == message
+
+
+def test_an_unknown_parameter_is_named() -> None:
+    with pytest.raises(dbo_api.UsageError, match=r"^`gear` is no parameter of identify; there are: "):
+        dbo_api.identify([1.0], [1.0], gear=3)
+    with pytest.raises(dbo_api.UsageError, match=r"^`delimeter` says nothing about reading a log"):
+        dbo_api.read_log(LOG, delimeter=",")
+
+
+def test_importing_the_package_loads_nothing() -> None:
+    script = "import sys; before = set(sys.modules); import dbo_cli; print(sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "['dbo_cli']\n"
+
+
+def test_every_public_name_is_there() -> None:
+    for name in dbo_api.__all__:
+        assert getattr(dbo_api, name).__doc__
+    assert set(dbo_api.__all__) <= set(dir(dbo_api))

@@ -1,0 +1,80 @@
+"""A run cut anywhere, at any block size, on any clock, goes on with the bytes of one run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_cli_signals import lagging_model
+
+SAMPLES = 240
+
+
+def clock(kind: str, rng: np.random.Generator) -> np.ndarray[Any, Any]:
+    """Return time stamps: even, jittered, or even with pauses."""
+    steps = np.full(SAMPLES, 0.02)
+    if kind == "jittered":
+        steps = rng.uniform(0.001, 0.06, SAMPLES)
+    if kind == "paused":
+        steps[rng.integers(1, SAMPLES, 8)] += rng.uniform(0.5, 30.0, 8)
+    return np.round(1.5 + np.cumsum(steps), 6)
+
+
+def write_signal(name: str, kind: str, rng: np.random.Generator) -> None:
+    moves = 5.0 + 3.8 * np.sin(np.cumsum(rng.normal(0.0, 0.3, SAMPLES)))
+    header = f"time_s,{name}" if kind != "rate" else name
+    columns = [moves] if kind == "rate" else [clock(kind, rng), moves]
+    lines = [",".join(map(repr, row)) for row in np.column_stack(columns).tolist()]
+    Path("in.csv").write_text("\n".join([header, *lines]) + "\n")
+
+
+def body(text: str) -> list[str]:
+    return text.splitlines()[1:]
+
+
+@pytest.mark.parametrize("kind", ["even", "jittered", "paused", "rate"])
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_a_run_cut_anywhere_gives_the_bytes_of_one_run(dbo: Any, command: str, kind: str) -> None:
+    rng = np.random.default_rng(["even", "jittered", "paused", "rate"].index(kind) + 10 * len(command))
+    Path("model.json").write_text(json.dumps(lagging_model()))
+    write_signal("voltage_V" if command == "simulate" else "displacement_um", kind, rng)
+    more = ["--sample-rate", "50"] if kind == "rate" else []
+    if command == "compensate":
+        more += ["--max-slew", "60", "--v-max", "9"]
+    whole = dbo(command, "model.json", "in.csv", "-q", *more)
+    assert whole.code == 0
+    for _ in range(8):
+        cuts = np.sort(rng.choice(np.arange(1, SAMPLES), 3, replace=False)).tolist()
+        ends = [*cuts, SAMPLES]
+        joined, state = [], "auto"
+        for first, last in zip([0, *cuts], ends, strict=True):
+            block = ["--block-rows", str(rng.integers(1, 90))]
+            rows = ["--rows", f"{first + 1}:{last}", "--state", state, "--save-state", f"s{last}.json"]
+            part = dbo(command, "model.json", "in.csv", "-q", *more, *block, *rows)
+            assert part.code == 0, part.err
+            joined += body(part.out)
+            state = f"s{last}.json"
+        assert joined == body(whole.out), cuts
+
+
+def test_a_state_knows_its_time(dbo: Any) -> None:
+    Path("model.json").write_text(json.dumps(lagging_model()))
+    Path("in.csv").write_text("time_s,voltage_V\n3.5,1\n3.75,2\n")
+    dbo("simulate", "model.json", "in.csv", "-o", "out.csv", "--save-state", "s.json")
+    state = json.loads(Path("s.json").read_text())
+    assert (state["format"], state["version"], state["time"]) == ("dbo-state", 2, 3.75)
+
+
+def test_a_clock_that_began_anew_goes_on_one_step_later(dbo: Any) -> None:
+    Path("model.json").write_text(json.dumps(lagging_model()))
+    Path("first.csv").write_text("time_s,voltage_V\n10,1\n10.1,2\n10.2,3\n")
+    Path("second.csv").write_text("time_s,voltage_V\n0,4\n0.1,5\n")
+    Path("all.csv").write_text("time_s,voltage_V\n10,1\n10.1,2\n10.2,3\n10.3,4\n10.4,5\n")
+    dbo("simulate", "model.json", "first.csv", "-o", "out.csv", "--save-state", "s.json")
+    rest = dbo("simulate", "model.json", "second.csv", "--state", "s.json").out.splitlines()[1:]
+    whole = dbo("simulate", "model.json", "all.csv").out.splitlines()[4:]
+    got = [float(line.split(",")[2]) for line in rest]
+    assert got == pytest.approx([float(line.split(",")[2]) for line in whole], abs=1e-12)
