@@ -8,6 +8,7 @@ its own faults. Everything follows from a seed.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -35,7 +36,7 @@ def first_order(signal: Floats, step: float, tau: float) -> Floats:
 
 
 def plays(drive: Floats, radii: Floats, start: Floats) -> Floats:
-    """Outputs of play operators, shape (samples, plays)."""
+    """Return the outputs of play operators, shape (samples, plays)."""
     held = start.copy()
     out = np.empty((len(drive), len(radii)))
     for k, u in enumerate(drive.tolist()):
@@ -113,7 +114,7 @@ class BoucWen:
 
 @dataclass(frozen=True)
 class Friction:
-    """A spring behind dry friction of several strengths: the loop softens after a turn the other way round."""
+    """A spring behind dry friction of several strengths: steep loops with corners."""
 
     radii: tuple[float, ...] = (0.03, 0.08)
     weights: tuple[float, ...] = (0.3, 0.5)
@@ -220,7 +221,8 @@ class Bench:
             seen = np.round(seen / (self.steps * stroke)) * self.steps * stroke
         if self.spikes:
             hit = rng.random(len(seen)) < self.spikes
-            seen[hit] += stroke * rng.choice([-1.0, 1.0], int(hit.sum())) * rng.uniform(0.1, 0.6, int(hit.sum()))
+            sizes = rng.choice([-1.0, 1.0], int(hit.sum())) * rng.uniform(0.1, 0.6, int(hit.sum()))
+            seen[hit] += stroke * sizes
         if self.stuck:
             begin = int(0.55 * len(seen))
             seen[begin : begin + int(self.stuck * len(seen))] = seen[begin]
@@ -234,7 +236,7 @@ class Bench:
 
 
 def nested_turns(seed: int, rate: float, seconds: float, speeds: tuple[float, float]) -> Floats:
-    """A drive of 0 to 1: two full sweeps, then random turns at log-spread speeds (ranges a second) and holds."""
+    """Return a drive of 0 to 1: full sweeps, then random turns at log-spread speeds (ranges a second)."""
     rng = np.random.default_rng(seed)
     middle = float(np.sqrt(speeds[0] * speeds[1]))
     turns, times = [0.0, 1.0, 0.0], [1.0 / middle, 1.0 / middle]
@@ -246,13 +248,13 @@ def nested_turns(seed: int, rate: float, seconds: float, speeds: tuple[float, fl
         if rng.random() < 0.15:
             times.append(0.4 / middle)
             turns.append(turns[-1])
-    return swept(turns + [0.0], [*times, 1.0 / middle], rate)
+    return swept([*turns, 0.0], [*times, 1.0 / middle], rate)
 
 
 def swept(turns: list[float], seconds: list[float], rate: float) -> Floats:
     """Half-cosine swings through ``turns``."""
     parts = [np.array([turns[0]])]
-    for a, b, duration in zip(turns[:-1], turns[1:], seconds, strict=True):
+    for (a, b), duration in zip(itertools.pairwise(turns), seconds, strict=True):
         count = max(round(duration * rate), 2)
         parts.append(a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, count + 1) / count)))
     return np.concatenate(parts)
@@ -289,8 +291,10 @@ def drive(kind: str, seed: int) -> tuple[Floats, float]:
     if kind == "few":
         return sines([1.0, 1.0, 0.6, 0.3], 2.0, 80.0), 80.0
     if kind == "ramps":
-        turns = [0.0, 1.0, 0.0, 1.0, 0.2, 0.8, 0.3, 0.7, 0.4, 1.0, 0.0, 0.6, 0.3, 0.5, 0.1, 0.9, 0.0, 1.0, 0.5, 0.75, 0.0]
-        return np.concatenate([np.linspace(a, b, 150, endpoint=False) for a, b in zip(turns, turns[1:])]), RATE
+        turns = [0.0, 1.0, 0.0, 1.0, 0.2, 0.8, 0.3, 0.7, 0.4, 1.0, 0.0]
+        turns += [0.6, 0.3, 0.5, 0.1, 0.9, 0.0, 1.0, 0.5, 0.75, 0.0]
+        ramps = [np.linspace(a, b, 150, endpoint=False) for a, b in itertools.pairwise(turns)]
+        return np.concatenate(ramps), RATE
     raise ValueError(kind)
 
 
@@ -312,7 +316,7 @@ class Case:
 
 
 def case(name: str, actuator: Actuator, bench: Bench, kinds: str, seed: int, slow: bool = False) -> Case:
-    """Play an actuator: the drives named in ``kinds`` (separated by +), then new moves over the whole range."""
+    """Play an actuator: the drives named in ``kinds`` (separated by +), then new moves over the range."""
     logs = []
     for number, kind in enumerate(kinds.split("+")):
         shape, rate = drive(kind.split("@")[0], seed + 17 * number)
@@ -357,23 +361,30 @@ def cases(seed: int = 1) -> Iterator[Case]:
 
     structures: dict[str, Callable[[], Actuator]] = {
         "piezo": piezo,
-        "inverted": lambda: Actuator(Plays(r(0.3, 0.5), r(0.1, 0.2)), stroke=-15.0, curve=bent(0.1), lag=0.002,
-                                     creep=CREEP),
+        "inverted": lambda: Actuator(
+            Plays(r(0.3, 0.5), r(0.1, 0.2)), stroke=-15.0, curve=bent(0.1), lag=0.002, creep=CREEP
+        ),
         "bent drive": bent_drive,
-        "relays": lambda: Actuator(Relays(r(0.4, 0.7), r(0.1, 0.2), r(-0.8, 0.8)), curve=bent(r(-0.1, 0.1)),
-                                   lag=0.002),
+        "relays": lambda: Actuator(
+            Relays(r(0.4, 0.7), r(0.1, 0.2), r(-0.8, 0.8)), curve=bent(r(-0.1, 0.1)), lag=0.002
+        ),
         "bouc-wen": lambda: Actuator(BoucWen(r(0.25, 0.45), r(0.08, 0.16), r(0.1, 0.5)), lag=r(0.001, 0.004)),
         "softening": lambda: Actuator(Plays(-r(0.4, 0.9), r(0.06, 0.12)), curve=bent(0.06), lag=0.002),
         "friction": lambda: Actuator(Friction((r(0.02, 0.05), r(0.07, 0.12)), (r(0.2, 0.4), r(0.3, 0.5)))),
-        "tendon": lambda: Actuator(Friction((0.06, 0.1), (0.6, 0.38)), curve=bent(r(-0.1, 0.1), r(0.05, 0.2))),
+        "tendon": lambda: Actuator(
+            Friction((0.06, 0.1), (0.6, 0.38)), curve=bent(r(-0.1, 0.1), r(0.05, 0.2))
+        ),
         "saturating": lambda: Actuator(Plays(0.45, 0.12), curve=saturating(r(1.2, 1.8)), lag=0.002),
         "wing": lambda: Actuator(Plays(0.6, 0.2), curve=wing(r(6.0, 9.0)), lag=0.01),
         "dead zone": lambda: Actuator(Plays(0.4, 0.15), curve=dead_zone(r(0.4, 0.6), r(0.1, 0.2))),
-        "rate-widening": lambda: Actuator(Plays(0.4, 0.15), curve=bent(0.1), widening=r(0.008, 0.02), lag=0.002),
-        "creeping": lambda: Actuator(Plays(0.4, 0.15), curve=bent(-0.1), lag=0.002,
-                                     creep=((0.1, 0.012), (1.5, 0.025), (20.0, 0.04))),
+        "rate-widening": lambda: Actuator(
+            Plays(0.4, 0.15), curve=bent(0.1), widening=r(0.008, 0.02), lag=0.002
+        ),
+        "creeping": lambda: Actuator(
+            Plays(0.4, 0.15), curve=bent(-0.1), lag=0.002, creep=((0.1, 0.012), (1.5, 0.025), (20.0, 0.04))
+        ),
         "delayed": lambda: Actuator(Plays(0.4, 0.15), curve=bent(0.1), delay=int(rng.integers(2, 6))),
-    }  # fmt: skip
+    }
     number = seed * 1000
     for name, make in structures.items():
         number += 1
@@ -391,13 +402,21 @@ def cases(seed: int = 1) -> Iterator[Case]:
     ):  # fmt: skip
         number += 1
         yield case(f"{name}, {kinds}", structures[name](), Bench(), kinds, number)
-    for fault, bench in (
-        ("hum 1 %", Bench(hum=0.01)), ("hum 5 %", Bench(hum=0.05)), ("spikes 1 %", Bench(spikes=0.01)),
-        ("spikes 4 %", Bench(spikes=0.04)), ("read-back 0.5 %", Bench(read_back=0.005)),
-        ("sensor lag", Bench(sensor_lag=0.008)), ("drift 1 %", Bench(drift=0.01)), ("drift 5 %", Bench(drift=0.05)),
-        ("warm-up 3 %", Bench(warm_up=0.03)), ("8 bit", Bench(steps=1 / 256)), ("stuck", Bench(stuck=0.06)),
-        ("rows lost", Bench(lost=0.02)),
-    ):  # fmt: skip
+    faults = {
+        "hum 1 %": Bench(hum=0.01),
+        "hum 5 %": Bench(hum=0.05),
+        "spikes 1 %": Bench(spikes=0.01),
+        "spikes 4 %": Bench(spikes=0.04),
+        "read-back 0.5 %": Bench(read_back=0.005),
+        "sensor lag": Bench(sensor_lag=0.008),
+        "drift 1 %": Bench(drift=0.01),
+        "drift 5 %": Bench(drift=0.05),
+        "warm-up 3 %": Bench(warm_up=0.03),
+        "8 bit": Bench(steps=1 / 256),
+        "stuck": Bench(stuck=0.06),
+        "rows lost": Bench(lost=0.02),
+    }
+    for fault, bench in faults.items():
         number += 1
         yield case(f"piezo, {fault}", piezo(), bench, "excite", number)
         if fault in ("drift 5 %", "warm-up 3 %", "drift 1 %"):

@@ -204,7 +204,11 @@ def test_completion_scripts_are_printed(shell: str) -> None:
 
 
 def test_a_shell_is_told_what_could_be_typed() -> None:
-    asked = os.environ | {"_DBO_COMPLETE": "complete_bash", "COMP_WORDS": "dbo identify --ge", "COMP_CWORD": "2"}
+    asked = os.environ | {
+        "_DBO_COMPLETE": "complete_bash",
+        "COMP_WORDS": "dbo identify --ge",
+        "COMP_CWORD": "2",
+    }
     done = subprocess.run([sys.executable, "-m", "dbo_cli"], capture_output=True, text=True, env=asked)
     assert (done.returncode, done.stdout, done.stderr) == (0, "--gears\n", "")
 

@@ -420,7 +420,7 @@ class ActuatorModel:
         begun = self._inverted.start(first_desired, state, limits)
         inner = self._inverted._inner_limits(limits)
         if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
-            drive = self._core.x_range[0 if state == "empty" else 1]
+            drive = self._covered_gears.operator.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
         return begun
 
@@ -431,7 +431,9 @@ class ActuatorModel:
         """
         gears = self.forward_backlash
         drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
-        ends = [gears.run([drive], state)[0] for state in (gears.empty(), gears.full())]
+        covered = self._covered_gears
+        pasts = (covered.operator.empty(), covered.operator.full())
+        ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]
         bent = self._tail if self.direction == "forward" else [s.inverse() for s in reversed(self._head)]
         low, high = (float(through(bent, end)[0]) for end in ends)
         return abs(high - low)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
-from dbo_cli.hysteresis.identification.recordings import DriveShape
+from dbo_cli.hysteresis.identification.recordings import DriveShape, Floats
 from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 
@@ -29,26 +29,38 @@ TRIAL_SLOPES, TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 64, 8, 8, 1e-8
 TRIAL_RATIO = 3.0  # between the time constants of the memories that drift has to compete with
 
 
-def drift_order(shape: DriveShape, has_clock: bool) -> int:
+LEVEL_MOVES = 0.02
+"""Scatter of the cycles' mean levels, over the drive's range, from which creep can be told from drift."""
+
+
+def level_moves(shape: DriveShape, voltage: Floats) -> bool:
+    """Whether the mean level of the drive differs from cycle to cycle."""
+    if shape.cycle_count < CYCLES_PER_ORDER:
+        return False
+    begins = shape.cycles
+    sums = np.add.reduceat(voltage[: begins[-1]], begins[:-1])
+    return float(np.std(sums / np.diff(begins))) > LEVEL_MOVES * float(np.ptp(voltage))
+
+
+def drift_order(shape: DriveShape, has_clock: bool, moving_level: bool) -> int:
     """Highest order of the drift polynomial that a log of so many cycles can tell from anything else."""
     if not has_clock or shape.cycle_count < CYCLES_PER_ORDER:
         return 0
-    if shape.one_amplitude:
-        return 2 if shape.cycle_count >= 2 * CYCLES_PER_ORDER else 1
-    return min(HIGHEST_ORDER, shape.cycle_count // CYCLES_PER_ORDER)
+    highest = HIGHEST_ORDER if moving_level else 2 if shape.one_amplitude else 1
+    return min(highest, shape.cycle_count // CYCLES_PER_ORDER)
 
 
 def with_drift_needed(
-    logs: Sequence[PreparedLog], low: float, high: float, one_amplitude: bool
+    logs: Sequence[PreparedLog], low: float, high: float, one_level: bool
 ) -> list[PreparedLog]:
     """Return the logs with as many drift columns as they ask for.
 
-    With one amplitude the drive has one mean level, and slow creep after the first cycle cannot be told from
-    drift; the drift then stays, since a creep that is none does more harm on the next recording (measured on
-    a warm-up of 3 %: 0.38 % of the range instead of 0.12).
+    With one mean level of the drive, slow creep after the first cycle cannot be told from drift; the drift
+    then stays, since a creep that is none does more harm on the next recording (measured on a warm-up of 3 %:
+    0.38 % of the range instead of 0.12).
     """
     highest = max(log.drift_order for log in logs)
-    if highest == 0 or one_amplitude or any(log.seconds is None for log in logs):
+    if highest == 0 or one_level or any(log.seconds is None for log in logs):
         return list(logs)
     some = fewer_rows(logs)
     values = np.concatenate([log.output[log.used] for log in some])

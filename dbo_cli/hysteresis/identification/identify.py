@@ -11,6 +11,7 @@ import numpy as np
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification import diagnostics
 from dbo_cli.hysteresis.identification.assembly import model_of
+from dbo_cli.hysteresis.identification.cleaning import cleaned
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     loop_width_percent,
@@ -77,8 +78,11 @@ def identify(
         )
     cycle = median_cycle_seconds(recordings) if clocked else None
     options.sensor.check(cycle)
-    recordings, glitches = without_voltage_glitches([options.sensor.taken_off(log) for log in recordings])
-    prepared = prepare(recordings, options.skip_seconds)
+    recordings, said = without_voltage_glitches([options.sensor.taken_off(log) for log in recordings])
+    logs = [cleaned(log) for log in recordings]
+    recordings = [one.recording for one in logs]
+    said += [note for one in logs for note in one.notes]
+    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs])
     orders = Orders(
         options.gears,
         None if options.points is None else max(options.points, 1),
@@ -106,9 +110,8 @@ def identify(
         )
     if rmse > NO_BETTER * line:
         message = (
-            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the "
-            "log shows no loop "
-            "that this class of models can follow; check the columns and the sensor"
+            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows "
+            "no loop that this class of models can follow; check the columns and the sensor"
         )
         if not options.force:
             raise FitError(f"{message} (`force` keeps the model)")
@@ -116,7 +119,7 @@ def identify(
     checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     expected = expect(prepared.logs, choice.basis, choice.structure, choice.score.rmse, choice.delay_interval)
     figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected)
-    summary = glitches + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
+    summary = said + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
     figures["warnings"] = list(warnings)
@@ -229,15 +232,13 @@ def _summary(
     unit = f" {model.output.unit}" if model.output.unit else ""
     volt = f" {model.input.unit}" if model.input.unit else ""
     lines = [
-        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles "
-        "left out "
-        f"{figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles left "
+        f"out {figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
         f"straight line {figures['straight_line_rmse']:.4g}{unit}"
     ]
     lines.extend(
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE "
-        f"({100.0 * one.rmse / abs(prepared.scale):.2f} % "
-        "of range), offset removed"
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / abs(prepared.scale):.2f} "
+        "% of range), offset removed"
         for one in checks
     )
     lines.append(
@@ -245,9 +246,9 @@ def _summary(
         f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
     )
     lines.append(
-        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of "
-        "asymmetry, loop "
-        f"{figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to {prepared.high:g}{volt}"
+        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, "
+        f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "
+        f"{prepared.high:g}{volt}"
     )
     lines.append(_lag_line(figures, choice, sensor))
     lines.extend(
@@ -272,8 +273,8 @@ def _lag_line(figures: dict[str, object], choice: Choice, sensor: Sensor) -> str
     lag = figures["lag_seconds"]
     assert isinstance(lag, float)
     line = (
-        f"lag {1e3 * lag:.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories}), "
-        f"drive bent by {100.0 * choice.basis.bend:.0f} %"
+        f"lag {1e3 * lag:.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories}), drive "
+        f"bent by {100.0 * choice.basis.bend:.0f} %"
     )
     if choice.delay_interval is not None:
         low, high = choice.delay_interval

@@ -203,7 +203,7 @@ def _bounded(
         equation = np.zeros((1, both.shape[1]))
         equation[0, free.shape[1] + tie[0] :] = weight
         rows = np.vstack((rows, equation))
-        goal = np.append(goal, weight * tie[1]).astype(np.float64)
+        goal = np.append(goal, weight * tie[1])
     length = np.linalg.norm(rows, axis=0)
     rotation, factor = qr(rows / length, mode="economic", check_finite=False)
     target = rotation.T @ goal
@@ -232,16 +232,14 @@ def _check_optimum(matrix: Floats, target: Floats, answer: Floats) -> None:
     )
     if not falls_short <= 1e-7 * size:
         raise FitError(
-            "the least-squares solver stopped away from the optimum (gradient "
-            f"{falls_short / size:.1e} of its "
-            "size): give fewer gears (`gears`) or leave out bad rows"
+            f"the least-squares solver stopped away from the optimum (gradient {falls_short / size:.1e} of "
+            "its size): give fewer gears (`gears`) or leave out bad rows"
         )
 
 
 def least_squares(gram: Floats, products: Floats) -> Floats:
     """Solve symmetric normal equations; columns that say the same, or nothing, share or get zero."""
-    answer: Floats = np.linalg.lstsq(gram, products, rcond=1e-10)[0]
-    return answer
+    return np.asarray(np.linalg.lstsq(gram, products, rcond=1e-10)[0], dtype=np.float64)
 
 
 def squared_error(gram: Floats, vector: Floats) -> float:

@@ -47,7 +47,7 @@ BEND_STEP = 0.1
 BEND_TRIALS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
 BEND_GAIN = 0.1  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
 TIME_CONSTANT_RATIO = 3.0
-LONGEST_DELAY_SHARE = 0.125  # of a cycle
+LONGEST_DELAY = 0.125  # of a cycle
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # sample periods
 CREEP_EVIDENCE = (
     0.02  # of the drive's range: how much a slow memory must move for creep to be told from drift
@@ -276,7 +276,7 @@ def _delays(
 
     tried: dict[float, float] = {}
     for step in DELAY_TRIALS:
-        if step * period > LONGEST_DELAY_SHARE * cycle:
+        if step * period > LONGEST_DELAY * cycle:
             break
         tried[step] = error(step * period)
         if len(tried) > 4 and tried[step] > 1.5 * min(tried.values()):
@@ -284,7 +284,7 @@ def _delays(
     best = min(tried, key=lambda step: tried[step])
     for width in (0.5, 0.25):
         for step in (best - width, best + width):
-            if step > 0.0 and step not in tried and step * period <= LONGEST_DELAY_SHARE * cycle:
+            if step > 0.0 and step not in tried and step * period <= LONGEST_DELAY * cycle:
                 tried[step] = error(step * period)
         best = min(tried, key=lambda step: tried[step])
     return scanned
@@ -329,5 +329,7 @@ def _gears(
         return basis, structure, score
     sized = [replace(basis, split=total // basis.gears) for total in GEAR_CHOICES if total >= basis.gears]
     scores = [cross_validate(gather(logs, one, segments), structure) for one in sized]
-    fewest = simplest_of(scores, FINE_INDIFFERENCE, excuse=0.0)  # gears cost nothing: no excuse for few
+    fewest = simplest_of(
+        scores, FINE_INDIFFERENCE, max_standard_error=0.0
+    )  # gears cost nothing: no excuse for few
     return sized[fewest], structure, scores[fewest]

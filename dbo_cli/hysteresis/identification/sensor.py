@@ -77,7 +77,7 @@ def slope(values: Floats, seconds: Floats, width: float) -> Floats:
     steps = np.diff(seconds)
     step = float(np.median(steps[steps > 0.0]))
     if float(np.abs(steps - step).max()) > EVEN * step:
-        even = np.arange(seconds[0], seconds[-1] + step, step)
+        even = np.linspace(seconds[0], seconds[-1], max(round((seconds[-1] - seconds[0]) / step) + 1, 5))
         filled = slope(np.interp(even, seconds, values), even, width)
         spread: Floats = np.interp(seconds, even, filled)
         return spread
