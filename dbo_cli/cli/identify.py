@@ -71,7 +71,7 @@ def identify(
         displacement=displacement,
         listener=Progress(voice, "read"),
     )
-    voice.notes([*found.remarks.notes, *found.summary])
+    voice.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
     voice.warnings(found.remarks.warnings)
 
 

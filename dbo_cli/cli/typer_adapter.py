@@ -23,10 +23,10 @@ from typing import Annotated, Any, get_args, get_origin
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from dbo_cli import __version__
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Voice
 from dbo_cli.errors import UsageError
+from dbo_cli.version import __version__
 
 COMMANDS = ("identify", "show", "invert", "simulate", "compensate", "report", "excite")
 SHELLS = ("bash", "zsh", "fish")

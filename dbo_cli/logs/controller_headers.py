@@ -35,7 +35,7 @@ def read_pi_array(place: str, lines: list[str]) -> HeaderReading | None:
         return None
     settings: dict[str, str] = {}
     for line in lines[:end]:
-        found = re.fullmatch(r"\s*#\s*([A-Z_]+\s?\d*)\s*=\s*(.*?)\s*", line)
+        found = re.fullmatch(r"\s*#\s*([A-Z_]+\s?\d*)\s*=\s*(.*?)\s*", line[:300])
         if found is not None:
             settings[found[1].replace(" ", "")] = found[2]
     if not {"SAMPLE_TIME", "NDATA", "DIM"} & set(settings):

@@ -12,7 +12,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.text_logs import TextTable
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.signal_log import Table
+    from dbo_cli.logs.log_table import Table
 
 # First bytes, and the module and function that read such a file; a library is imported only then.
 _SIGNATURES = {

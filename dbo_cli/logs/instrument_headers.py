@@ -38,10 +38,9 @@ _MAKERS = (
     read_infiniium,
     read_rohde_schwarz,
 )
-_LONGEST_HEADER = 200  # lines; a statement of the rate stands well above that
-_KEY_VALUE = re.compile(
-    r"\s*[#%;!/*]*\s*(?P<key>[^\d=:;,\t]+?)\s*(?P<mark>[=:;,\t])\s*(?P<value>.+?)\s*[,;\t]*\s*"
-)
+_LOOKED_AT = 400  # lines; no instrument's header is half as long
+_LONGEST_STATEMENT = 300  # characters
+_MARK = re.compile(r"[=:;,\t]")
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
     InputError
         The header is a known maker's and contradicts itself.
     """
-    lines = [decode_line(line.removesuffix(b"\r")) for line in head.split(b"\n")]
+    lines = [decode_line(line.removesuffix(b"\r")) for line in head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]]
     if lines and lines[0].startswith("\ufeff"):
         lines[0] = lines[0][1:]
     forced = (options.delimiter, options.decimal, options.comment, options.skip_lines, options.header_lines)
@@ -102,17 +101,20 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
 
 def _stated(lines: list[str]) -> Iterator[Statement]:
     """Find the lines above the data that state a rate or a step: ``key = value``, ``key: value``."""
-    for line in lines[:_LONGEST_HEADER]:
-        found = _KEY_VALUE.fullmatch(line)
-        if found is None or not is_clock_name(found["key"]):
+    for line in lines:
+        mark = _MARK.search(line) if len(line) <= _LONGEST_STATEMENT else None
+        if mark is None:
             continue
-        value = _first_value(found["value"], found["mark"])
+        key = line[: mark.start()].strip().lstrip("#%;!/*").strip()
+        if not is_clock_name(key):
+            continue
+        value = _first_value(line[mark.end() :].strip(" ,;\t"), mark[0])
         thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)
         if thousands is not None:
-            said = f"'{found['key']}' {value}"
+            said = f"'{key}' {value}"
             yield Statement(said, None, f"{said} may be {thousands[1]} or {thousands[1]}{thousands[2]}")
             continue
-        statement = read_statement(found["key"], value)
+        statement = read_statement(key, value)
         if statement is not None:
             yield statement
 

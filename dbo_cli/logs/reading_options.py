@@ -6,12 +6,14 @@ import codecs
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import FORMATS
 from dbo_cli.logs.cell_grammar import BLANKS
-from dbo_cli.logs.time_units import parse_time_unit
-from dbo_cli.logs.units import Scale, parse_scale
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.units import Scale
 
 Rows = tuple[int, int | None]
 """The first and the last data row that take part, counted from 1; None: to the end."""
@@ -106,6 +108,8 @@ class ReadingOptions:
     def _check_units(self) -> None:
         """Refuse a unit of time or a scale that is none."""
         if self.time_unit is not None:
+            from dbo_cli.logs.time_units import parse_time_unit
+
             parse_time_unit(self.time_unit)
             if self.sample_rate is not None:
                 raise UsageError(
@@ -116,6 +120,10 @@ class ReadingOptions:
     @property
     def scales(self) -> tuple[Scale, ...]:
         """The factors by role (UsageError where one is none)."""
+        if not self.scale:
+            return ()
+        from dbo_cli.logs.units import parse_scale
+
         return tuple(parse_scale(text) for text in self.scale)
 
     def chosen(self) -> dict[str, object]:

@@ -11,6 +11,9 @@ from dbo_cli.logs.cell_grammar import is_number, split_cells
 from dbo_cli.logs.header_parts import HeaderReading, make_dialect, number_row, to_float
 from dbo_cli.logs.stated_clock import Statement, read_statement
 
+_LONGEST = 300  # characters of a line of settings
+_SETTING = re.compile(r"([A-Za-z][A-Za-z ]*)[:,\t](.*)")
+
 
 def _statement(name: str, value: str, unit: str | None = None) -> tuple[Statement, ...]:
     found = read_statement(name, value, unit, sure=True)
@@ -92,7 +95,7 @@ def read_rigol(place: str, lines: list[str]) -> HeaderReading | None:
         units = ["s" if names[0] == "time" else "", *second[1:channels]]
         dialect = make_dialect(",", ".", 3, names, units, width)
         return HeaderReading(dialect, _step("Increment", second[at]), start)
-    found = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0])
+    found = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST])
     if found is None or len(lines) < 2:
         return None
     named = [cell for cell in lower if not cell.startswith(("t0", "tinc"))]
@@ -122,9 +125,7 @@ def read_infiniivision(place: str, lines: list[str]) -> HeaderReading | None:
     if first is None or len(units) != len(names) or is_number(units[0], "."):
         return None
     width = len(split_cells(lines[first], ","))
-    return HeaderReading(
-        make_dialect(",", ".", first + 1, names, units, width)
-    )
+    return HeaderReading(make_dialect(",", ".", first + 1, names, units, width))
 
 
 def read_infiniium(place: str, lines: list[str]) -> HeaderReading | None:
@@ -132,7 +133,7 @@ def read_infiniium(place: str, lines: list[str]) -> HeaderReading | None:
     settings: dict[str, str] = {}
     first = None
     for index, line in enumerate(lines[:100]):
-        found = re.fullmatch(r"\s*([A-Za-z ]+?)\s*:?\s*[,:\t]\s*(.*?)\s*", line)
+        found = _SETTING.match(line[:_LONGEST].strip())
         if line.strip().lower().rstrip(":,") == "data" and "xinc" in settings:
             first = number_row(lines, index + 1, ",", ".")
             break
@@ -140,7 +141,7 @@ def read_infiniium(place: str, lines: list[str]) -> HeaderReading | None:
             if "xinc" in settings and number_row([line], 0, ",", ".") == 0:
                 first = index
             break
-        settings[found[1].lower()] = found[2].strip()
+        settings[found[1].strip().lower()] = found[2].strip(" :,\t")
     if first is None or not {"xinc", "xorg"} <= set(settings):
         return None
     unit, measured = settings.get("xunits", ""), settings.get("yunits", "")

@@ -7,9 +7,10 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -19,38 +20,13 @@ from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.joined_logs import join_files, other_file
+from dbo_cli.logs.log_table import Table
 from dbo_cli.logs.provenance import InputRecord, input_record
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.reading_summary import ReadColumn, ReadingSummary
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
 from dbo_cli.logs.time_column import TimeColumn, find_time_column
-from dbo_cli.logs.units import Scale, kind_of_unit
-
-
-class Table(Protocol):
-    """What a format gives: its columns at once, its rows in blocks."""
-
-    place: str
-    columns: list[ColumnInfo]
-    notes: list[str]
-
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Tell the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
-
-    def describe(self) -> str:
-        """Tell in one line how the log is written."""
-
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
-        """Read the wanted columns in blocks."""
-
-    @property
-    def sha256(self) -> str | None:
-        """The digest of what was read, where it was asked for."""
-
-    def close(self) -> None:
-        """Close the file."""
+from dbo_cli.logs.units import ONE, Scale, kind_of_unit, match_units
 
 
 class SignalLog:
@@ -168,7 +144,7 @@ class SignalLog:
             self.name,
             [
                 ReadColumn(role, column, column.unit, self._scale_text(role))
-                for role, column in self.columns.items()
+                for role, column in self._picks.items()
             ],
             clock,
             rows,
@@ -181,6 +157,23 @@ class SignalLog:
     def _scale_text(self, role: str) -> str | None:
         scale = self._scales.get(role)
         return None if scale is None else f"times {str(scale).partition('=')[2]}"
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, and say so (see ``match_units``).
+
+        Raises
+        ------
+        InputError
+            The units measure unlike things.
+        """
+        column = self.columns[role]
+        match = match_units(self.name, column, wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        self.warnings.extend([match.warning] if match.warning else [])
+        if not match.factor.is_one:
+            known = self._factors.get(role, ONE)
+            self._factors[role] = known.times(match.factor.numerator, match.factor.denominator)
+            self.columns = self.columns | {role: replace(column, unit=wanted)}
 
     def require_time(self, why: str) -> None:
         """Refuse a log without time, naming the remedy.

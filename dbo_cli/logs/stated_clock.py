@@ -35,6 +35,7 @@ _HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in
 # Steps a second of each unit, so that dividing keeps 0.1 ms at exactly 10,000 samples a second.
 _PER_STEP = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ps": 1e12, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
 _AMOUNT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
+_LONGEST = 80  # characters of a name or of an amount with its unit; the patterns' time grows with the square
 _SAME = 1e-6  # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 
 
@@ -53,7 +54,7 @@ class Statement:
 
 def is_clock_name(name: str) -> bool:
     """Tell whether an attribute, variable or header line of this name states a rate or a step."""
-    return bool(_kind_of(name)[0])
+    return len(name) <= _LONGEST and bool(_kind_of(name)[0])
 
 
 def _kind_of(name: str) -> tuple[str, str, str | None]:
@@ -135,7 +136,8 @@ def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -
 def _amount(value: object) -> tuple[float | None, str]:
     """Take a value apart into its number (None where it is not exactly one) and the unit behind it."""
     if isinstance(value, str | bytes):
-        found = _AMOUNT.fullmatch(clean_text(value))
+        text = clean_text(value).strip()
+        found = _AMOUNT.fullmatch(text) if len(text) <= _LONGEST else None
         return (float(found[1]), found[2]) if found else (None, "")
     try:
         array = np.asarray(value).ravel()

@@ -112,6 +112,8 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
         return StatedTime(*parse_time_unit(given))
     words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
     units = {_UNIT_OF[word] for word in words if word in _WORDS}
+    behind = _behind(column.quantity)
+    units |= {unit for word in behind if (unit := time_unit(word))}
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
         since = _SINCE.fullmatch(column.unit)
         unit = time_unit(since["unit"] if since else column.unit)
@@ -128,7 +130,7 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     if len(units) == 1:
         unit = units.pop()
         return StatedTime(unit, UnitFactor(*_SIZES[unit]))
-    counted = [word for word in words[1:] if word in _COUNTED] or sorted(units) or _behind(column.quantity)
+    counted = [word for word in words[1:] if word in _COUNTED] or sorted(units) or behind
     if counted:
         raise InputError(_unknown(place, column, counted[0]))
     return StatedTime(None)

@@ -9,7 +9,7 @@ from itertools import chain
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.excitation import condition as conditioning_drive
+from dbo_cli.hysteresis.conditioning import condition as conditioning_drive
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
@@ -34,11 +33,6 @@ def short_names(addresses: Sequence[str]) -> dict[str, str]:
     return short if len(set(short.values())) == len(short) else {}
 
 
-def check_unit(source: Source, role: str, wanted: Quantity, model: str) -> None:
-    """Refuse a column whose unit is known and differs from the model's (InputError)."""
-    column = source.columns[role]
-    if column.unit is not None and wanted.unit is not None and column.unit != wanted.unit:
-        raise InputError(
-            f"{source.name}: column '{column.name}' is in {column.unit}, but {model} takes {wanted.quantity} "
-            f"in {wanted.unit} (convert the column)"
-        )
+def bring_to(source: Source, role: str, wanted: Quantity, model: str) -> None:
+    """Take a column in the model's unit: prefixes are converted, unlike units refused (InputError)."""
+    source.convert(role, wanted.unit, f"{model} takes {wanted.quantity}")

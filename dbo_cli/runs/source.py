@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
@@ -12,6 +13,8 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.units import match_units
+from dbo_cli.runs.remarks import Remarks
 
 
 class Source(Protocol):
@@ -37,8 +40,20 @@ class Source(Protocol):
     def require_time(self, why: str) -> None:
         """Refuse a source without time (InputError)."""
 
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, and say so (or InputError)."""
+
+    def reading_line(self) -> str | None:
+        """Say what was read, once it was; None where nothing was."""
+
     def blocks(self) -> Iterator[SampleBlock]:
         """Return the samples in blocks, by role."""
+
+
+def remarks_of(source: Source) -> Remarks:
+    """Return what is to be said of a source that was read."""
+    line = source.reading_line()
+    return Remarks(list(source.notes), list(source.warnings), [] if line is None else [line])
 
 
 def samples(name: str, values: ArrayLike) -> FloatArray:
@@ -131,6 +146,19 @@ class ArraySource:
         """Refuse arrays without time (InputError)."""
         if not self.has_time:
             raise InputError(f"{self.name}: no time is given, and {why} (`time` or `sample_rate` HZ)")
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit; arrays of an unknown unit are taken as they are."""
+        column = self.columns[role]
+        if column.unit is None or wanted is None:
+            return
+        match = match_units(self.name, column, wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        self.values[role] = match.factor.apply(self.values[role])
+        self.columns[role] = dataclasses.replace(column, unit=wanted)
+
+    def reading_line(self) -> None:
+        """Return nothing: arrays were not read from anywhere."""
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Return all samples as one block."""
