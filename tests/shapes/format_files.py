@@ -105,11 +105,7 @@ def parquet(make: Callable[[], Any], **more: Any) -> Callable[[Path], None]:
 def frame_with_attributes() -> Any:
     table = frame().rename(columns={"voltage_V": "voltage", "displacement_um": "displacement"})
     table = table.drop(columns="time_s")
-    table.attrs = {
-        "units": {"voltage": "V", "displacement": "µm"},
-        "sample_rate": 1000.0,
-        "sample_rate_unit": "Hz",
-    }
+    table.attrs = {"units": {"voltage": "V", "displacement": "µm"}, "sample_rate": 1000.0, "sample_rate_unit": "Hz"}
     return table
 
 
@@ -117,9 +113,7 @@ def polars_stamps(path: Path) -> None:
     import polars
 
     stamps = polars.Series("time", [1_767_323_045_000_000 + 1000 * n for n in range(4)], dtype=polars.Int64)
-    table = polars.DataFrame(
-        {"time": stamps.cast(polars.Datetime("us")), "voltage_V": V, "displacement_um": D}
-    )
+    table = polars.DataFrame({"time": stamps.cast(polars.Datetime("us")), "voltage_V": V, "displacement_um": D})
     table.write_ipc(path)
 
 
@@ -139,9 +133,7 @@ def excel(*head: list[Any], columns: tuple[Any, ...] = (T, V, D), sheets: int = 
     return write
 
 
-def tdms(
-    path: Path, groups: dict[str, dict[str, tuple[Any, dict[str, Any]]]], root: dict[str, Any] | None = None
-) -> None:
+def tdms(path: Path, groups: dict[str, dict[str, tuple[Any, dict[str, Any]]]], root: dict[str, Any] | None = None) -> None:
     import nptdms
 
     objects: list[Any] = [nptdms.RootObject(root or {})]
@@ -154,15 +146,7 @@ def tdms(
 
 def tdms_waveforms(path: Path) -> None:
     timing = {"wf_increment": 0.001, "wf_start_offset": 0.0, "wf_xunit_string": "s", "wf_xname": "Time"}
-    tdms(
-        path,
-        {
-            "Run": {
-                "Voltage": (V, timing | {"unit_string": "V"}),
-                "Position": (D, timing | {"unit_string": "µm"}),
-            }
-        },
-    )
+    tdms(path, {"Run": {"Voltage": (V, timing | {"unit_string": "V"}), "Position": (D, timing | {"unit_string": "µm"})}})
 
 
 def tdms_two_rates(path: Path) -> None:
@@ -205,9 +189,7 @@ def nexus(path: Path) -> None:
     voltage = nx.NXfield(V, name="voltage", units="V")
     position = nx.NXfield(D, name="displacement", units="um")
     time = nx.NXfield(T, name="time", units="s")
-    other = nx.NXdata(
-        nx.NXfield(np.zeros(7), name="counts"), nx.NXfield(np.arange(7.0), name="time", units="s")
-    )
+    other = nx.NXdata(nx.NXfield(np.zeros(7), name="counts"), nx.NXfield(np.arange(7.0), name="time", units="s"))
     entry = nx.NXentry(other=other, data=nx.NXdata(position, time, voltage=voltage))
     root = nx.NXroot(entry)
     root.attrs["default"], entry.attrs["default"] = "entry", "data"
@@ -294,9 +276,7 @@ def v73_struct(file: Any, put: Callable[..., Any]) -> None:
 
 
 def v73_object(file: Any, put: Callable[..., Any]) -> None:
-    put(file, "tt", np.zeros((1, 6), dtype=np.uint32), "timetable").attrs["MATLAB_object_decode"] = np.int32(
-        3
-    )
+    put(file, "tt", np.zeros((1, 6), dtype=np.uint32), "timetable").attrs["MATLAB_object_decode"] = np.int32(3)
     file.create_group("#subsystem#")
 
 
@@ -338,10 +318,7 @@ SIMULINK = {
     "simout": {
         "time": np.array([T]).T,
         "signals": np.array(
-            [
-                {"values": np.array([V]).T, "label": "voltage_V"},
-                {"values": np.array([D]).T, "label": "displacement_um"},
-            ]
+            [{"values": np.array([V]).T, "label": "voltage_V"}, {"values": np.array([D]).T, "label": "displacement_um"}]
         ),
     }
 }

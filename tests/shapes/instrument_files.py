@@ -35,9 +35,7 @@ _TWINCAT = ["Name\tYT Scope Project", "File\tC:\\run.tcscopex", "Starttime of ex
             "Endtime of export\t134000000000030000\t2 January", ""]  # fmt: skip
 
 
-def twincat(
-    steps: str = "1\tSampleTime[ms]\t1", scale: str = "1", end: tuple[str, ...] = ("EOF",)
-) -> list[str]:
+def twincat(steps: str = "1\tSampleTime[ms]\t1", scale: str = "1", end: tuple[str, ...] = ("EOF",)) -> list[str]:
     return [*_TWINCAT, "Name\tVoltage\tName\tPosition", "SymbolComment\t\tSymbolComment\t",
             "Data-Type\tREAL64\tData-Type\tREAL64", f"SampleTime[ms]\t{steps}",
             "SymbolName\tMAIN.fVoltage\tSymbolName\tMAIN.fPosition", "Offset\t0\tOffset\t0",
