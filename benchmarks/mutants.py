@@ -113,8 +113,8 @@ def main() -> None:
                 found = copy.try_fault(fault)
             finally:
                 copies.put(copy)
-            print(f"{'LIVES' if found is None else 'found'}  {fault.file.removeprefix('dbo_cli/')}: {fault.breaks}")
-            print(f"       {found or fault.text}", flush=True)
+            verdict, where = "LIVES" if found is None else "found", fault.file.removeprefix("dbo_cli/")
+            print(f"{verdict}  {where}: {fault.breaks}\n       {found or fault.text}", flush=True)
             return found is None
 
         with ThreadPoolExecutor(asked.jobs) as pool:

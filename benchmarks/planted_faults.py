@@ -1,4 +1,4 @@
-"""Faults in the mathematics for ``mutants.py``: where, the text that stands there, the faulty one, what it breaks.
+"""Faults in the mathematics for ``mutants.py``: where, the text there, the faulty text, what it breaks.
 
 The text must stand exactly once in its file (tests/test_planted_faults.py holds that). Take faults that a
 person could make: a wrong end, a lost sign, a tolerance left out, a special case forgotten.
