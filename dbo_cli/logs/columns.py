@@ -127,7 +127,7 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     by_number, by_name = selector.startswith("number="), selector.startswith("name=")
     if by_number or by_name:
         selector = selector.partition("=")[2]
-    if re.fullmatch(r"[+-]?\d+", selector) and not by_name:
+    if re.fullmatch(r"[+-]?\d{1,15}", selector) and not by_name:
         number = int(selector)
         if not by_number:
             _ask_about_number(place, columns, selector, option)

@@ -33,6 +33,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
 
 
+MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
+
+
 @dataclass(frozen=True)
 class IdentificationOptions:
     """What the user asked for.
@@ -58,6 +61,8 @@ class IdentificationOptions:
         """Refuse what contradicts itself."""
         if self.gears is not None and self.gears < 1:
             raise UsageError(f"`gears` {self.gears}: at least one gear is needed")
+        if self.gears is not None and self.gears > MOST_GEARS:
+            raise UsageError(f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart")
         if self.points is not None and self.points < 0:
             raise UsageError(f"`points` {self.points}: a number of segments is not negative")
         if self.delay is not None and not 0.0 <= self.delay < np.inf:
