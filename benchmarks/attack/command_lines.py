@@ -48,7 +48,7 @@ VALUES = [
     "-o", "--", "1" * 5000, "9" * 400, "x" * 300, "\udcff", "µ", "\x1b[31m", "\n", "\x00", "💥", "s", "ms", "um/V",
     "voltage=20", "displacement=10um/V", "=", "voltage=", "1e6", "123456789", "0x10", "1_000", "１", "٣",
 ]  # fmt: skip
-COMMANDS = ["simulate", "compensate", "invert", "report", "excite", "identify", "show", "x", ""]
+COMMANDS = ["simulate", "compensate", "invert", "report", "excite", "identify", "show", "x"]
 
 
 class Lines:
@@ -66,10 +66,10 @@ class Lines:
     def words(self) -> list[str]:
         """Return the words of one command line."""
         pick = self.pick
-        words = pick.choice(GOOD).split() if pick.random() < 0.6 else [pick.choice(COMMANDS)]
+        words = pick.choice(GOOD).split() if pick.random() < 0.9 else [pick.choice(COMMANDS)]
         for _ in range(pick.randrange(5)):
             way = pick.random()
-            place = pick.randrange(len(words) + 1)
+            place = pick.randrange(min(len(words), pick.random() < 0.9), len(words) + 1)
             if way < 0.55:
                 words[place:place] = [pick.choice(OPTIONS), pick.choice(VALUES)]
             elif way < 0.7:
