@@ -15,6 +15,8 @@ SLOPES = ("growing", "falling", "free")
 ZEROS = ("none", "mean", "first")
 NOT_FOR_PAPER = ("relaxation", "delay", "slopes", "skip_seconds", "rated", "sensor_delay", "sensor_lag")
 
+MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
+
 
 @dataclass(frozen=True)
 class IdentificationOptions:
@@ -65,6 +67,8 @@ class IdentificationOptions:
     def __post_init__(self) -> None:
         """Refuse what is not of its kind or contradicts the rest."""
         self._check_count("gears", self.gears, 1)
+        if self.gears is not None and self.gears > MOST_GEARS:
+            raise UsageError(f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart")
         self._check_count("points", self.points, 0)
         _seconds("skip", self.skip_seconds)
         _seconds("sensor_delay", self.sensor_delay)
