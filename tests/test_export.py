@@ -284,6 +284,22 @@ def test_arduino_layout(tmp_path: Path) -> None:
     subprocess.run(["./t"], cwd=folder, check=True, capture_output=True)
 
 
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck")
+def test_a_static_check_finds_nothing(tmp_path: Path) -> None:
+    for arithmetic, gears in (("double", None), ("float", None), ("q31", None), ("double", 8)):
+        folder = tmp_path / f"{arithmetic}{gears}"
+        export_model(
+            made_model(1), str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE, gears=gears,  # type: ignore[arg-type]
+            lookup=gears is not None,
+        )  # fmt: skip
+        done = subprocess.run(
+            ["cppcheck", "--std=c99", "--enable=warning,style,performance,portability", "--inconclusive",
+             "--quiet", "--error-exitcode=3", "."],
+            cwd=folder, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_the_same_model_gives_the_same_bytes(tmp_path: Path) -> None:
     for arithmetic in ("double", "float", "q31"):
         contents = []

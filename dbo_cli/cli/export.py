@@ -70,6 +70,7 @@ def _told(summary: ExportSummary) -> list[str]:
     if summary.bounds:
         lines.append(
             f"error at most {summary.bounds['same_gears_percent']:.2g} % of the range while both cross the"
-            f" same gears, {summary.bounds['after_close_turn_percent']:.2g} % after a turn close to a gear's end"
+            f" same gears, {summary.bounds['after_close_turn_percent']:.2g} % after a turn close to a"
+            " gear's end"
         )
     return lines + list(summary.notes)

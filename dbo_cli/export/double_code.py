@@ -15,13 +15,19 @@ from dbo_cli.export.cascade_plan import CascadePlan
 from dbo_cli.export.self_test_moves import self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import buffer_words
-from dbo_cli.hysteresis.model import NEGLIGIBLE, ModelState
+from dbo_cli.hysteresis.model import NEGLIGIBLE, ModelState, Quantity
 from dbo_cli.hysteresis.operators import BacklashState
 
 Floats = NDArray[np.float64]
 
 IGNORED_BEYOND = 1e6
 """An input so many ranges beyond the model's counts as no number: what it leads to would not be finite."""
+
+
+def ignored_beyond(source: Quantity) -> str:
+    """Return the C constant beyond which an input counts as no number: a power of two, in decimals."""
+    largest = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
+    return repr(2.0 ** min(math.ceil(math.log2(largest)), 126))
 
 
 MOST_LOOKUP_GEARS = 12
@@ -95,11 +101,9 @@ def _recursion(plan: CascadePlan, limits: str) -> _Gears:
     if plan.limits is not None or (plan.terms > 0 and gears.memory_on == "output"):
         more, extra = _fixed_step(plan, gears.equal_run)
         text, size = text + more, size + extra
-        step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, &counts);"
+        step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, 0);"
     else:
-        step = (
-            f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, &counts);"
-        )
+        step = f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, 0);"
     words = buffer_words(gears.n)
     memory = "state->memory" if plan.terms else "0"
     return _Gears(
@@ -109,7 +113,7 @@ def _recursion(plan: CascadePlan, limits: str) -> _Gears:
         "    dbo_backlash_load(&op, &state->gears);\n"
         f"    state->gears.last = {hex_double(plan.drive_origin)};",
         f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, x);",
-        step.replace("    x =", "    dbo_counts counts = {0, 0, 0, 0};\n    x =", 1),
+        step,
     )  # fmt: skip
 
 
@@ -211,12 +215,8 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         if count:
             members.append(f"{kind} {name}[{count}];")
             clear += f"    for (size_t k = 0; k < {count}; k++) state->{name}[k] = 0;\n"
-    initialise, step = clear + gears.attach + gears.initialise, gears.step
-    if step.startswith("    dbo_counts"):
-        counts, step = step.split("\n", 1)
-        step = f"{counts}\n{gears.attach}{stages.before}{step}"
-    else:
-        step = gears.attach + stages.before + step
+    initialise = clear + gears.attach + gears.initialise
+    step = gears.attach + stages.before + gears.step
     step += "\n" + stages.behind.rstrip("\n") if stages.behind else ""
     if plan.direction == "forward" and plan.delay > 0.0:
         whole, part = _delay_samples(plan)
@@ -225,7 +225,7 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         members += more
         initialise, step = initialise + "\n" + empty, step + "\n" + line
     source = plan.model.input
-    reach = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
+    reach = ignored_beyond(source)
     parts = SourceParts(
         number="double",
         tables=gears.tables + limit_text + stages.tables,
@@ -233,8 +233,8 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         initialise=initialise,
         start=stages.drive + gears.settle,
         step=step,
-        lowest=hex_double(-reach),
-        highest=hex_double(reach),
+        lowest=f"-{reach}",
+        highest=reach,
         first_output=hex_double(first_output(plan)),
         drive_is_output=plan.direction == "inverse",
         macros=common_macros(plan),

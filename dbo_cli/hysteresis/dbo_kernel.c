@@ -364,7 +364,7 @@ INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const
             int outside;
             slope = rising ? cross_up(op, &w, u, &up, &down, first, &outside)
                            : cross_down(op, &w, u, &up, &down, first, &outside);
-            if (outside) note(&counts->outside, &counts->first_outside, k);
+            if (outside && counts) note(&counts->outside, &counts->first_outside, k);
             quiet = 0;
         }
         if (remembers) {
@@ -520,8 +520,8 @@ INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, 
     } else {
         y = op->y0 + solve(op, w, u, kappa, -ENDLESS, ENDLESS, fixed, &outside);
     }
-    if (outside) note(&counts->outside, &counts->first_outside, k);
-    if (clipped) note(&counts->clipped, &counts->first_clipped, k);
+    if (outside && counts) note(&counts->outside, &counts->first_outside, k);
+    if (clipped && counts) note(&counts->clipped, &counts->first_clipped, k);
     drive = y - op->reference;
     for (size_t j = 0; j < op->terms; j++) state->memory[j] += (rest ? rest[j] : 1.0 - a[j]) * drive;
     state->last = y;

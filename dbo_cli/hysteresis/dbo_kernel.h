@@ -109,7 +109,7 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, double drive);
 
 /* One input, one output. `decay` has one factor exp(-dt/tau_j) per term (all zero: at rest at this
- * sample); `limits` may be NULL. */
+ * sample); `limits` and `counts` may be NULL. */
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
                          const double *decay, const dbo_limits *limits, dbo_counts *counts);
 
