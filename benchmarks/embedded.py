@@ -176,7 +176,8 @@ def main() -> None:
     options = parser.parse_args()
     rows = []
     print(
-        "chip        gears arithmetic memory  wrong    mean   worst  full step    plays    code  tables   RAM  stack"
+        "chip        gears arithmetic memory  wrong    mean   worst  full step    plays    code  tables   RAM"
+        "  stack"
     )
     for key in options.chips.split(","):
         chip = CHIPS[key]

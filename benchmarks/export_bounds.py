@@ -116,8 +116,8 @@ def compare(model: ActuatorModel, rate: float, direction: Any, arithmetic: Any, 
         100.0 * v / result.span for v in (same, bounds["same_gears"], every, bounds["after_close_turn"])
     ]
     return (
-        f"{summary.gears:5} {direction:8} {arithmetic:6} {percent[0]:9.2e} {percent[1]:9.2e} {percent[2]:9.2e}"
-        f" {percent[3]:9.2e} {100.0 * differing / samples:8.3f}  {verdict}"
+        f"{summary.gears:5} {direction:8} {arithmetic:6} {percent[0]:9.2e} {percent[1]:9.2e}"
+        f" {percent[2]:9.2e} {percent[3]:9.2e} {100.0 * differing / samples:8.3f}  {verdict}"
     )
 
 
