@@ -205,6 +205,26 @@ DelaySeconds = Annotated[
         parse=values.auto_or(values.not_negative),
     ),
 ]
+SensorDelay = Annotated[
+    float,
+    _option(
+        "--sensor-delay",
+        "SECONDS",
+        "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
+SensorLag = Annotated[
+    float,
+    _option(
+        "--sensor-lag",
+        "SECONDS",
+        "First-order time constant of the sensor or its filter: taken off likewise.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
 Skip = Annotated[
     float,
     _option(
@@ -316,6 +336,45 @@ Condition = Annotated[
     ),
 ]
 
+Bandwidth = Annotated[
+    float | None,
+    _option(
+        "--bandwidth",
+        "HZ",
+        "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
+        parse=values.positive,
+    ),
+]
+TrackedLogs = Annotated[
+    list[str] | None,
+    _option(
+        "--tracked",
+        "LOG",
+        "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
+    ),
+]
+Periodic = Annotated[
+    bool,
+    _option("--periodic", None, "The trajectory is one period of a loop: write the settled loop's drive."),
+]
+Passes = Annotated[
+    int,
+    _option(
+        "--passes",
+        "N",
+        "With --periodic, passes of run-in before it (time < 0).",
+        "-n",
+        default="0",
+        parse=values.whole(0),
+    ),
+]
+TrackedVoltage = Annotated[
+    str | None, _reading("--voltage", COLUMN, "The drive in a --tracked log; guessed by name.")
+]
+TrackedMeasured = Annotated[
+    str | None, _reading("--measured", COLUMN, "What was measured in a --tracked log; guessed by name.")
+]
+
 # --- report ---
 Lag = Annotated[
     int | Literal["auto"],
@@ -334,6 +393,28 @@ RemoveOffset = Annotated[
 ReportModel = Annotated[
     str | None,
     _option("--model", "MODEL", "Compare this model's prediction with the measurement."),
+]
+ReportTrajectory = Annotated[
+    str | None,
+    _option("--trajectory", "FILE", "Where the desired signal lies, if not in the logs themselves."),
+]
+Match = Annotated[
+    Literal["auto", "time", "rows"],
+    _option(
+        "--match",
+        "auto|time|rows",
+        "How logs and --trajectory belong together; auto: by time where both have one.",
+        default="auto",
+        parse=values.choice(("auto", "time", "rows")),
+    ),
+]
+CountSweep = Annotated[
+    bool,
+    _option(
+        "--count-sweep",
+        None,
+        "Let a conditioning sweep (rows before time 0) take part; so do --rows that cover it.",
+    ),
 ]
 Figures = Annotated[
     str | None,
@@ -410,10 +491,14 @@ ExciteRate = Annotated[
     float, _option("--sample-rate", "HZ", "Rows per second.", default="1000", parse=values.positive)
 ]
 Duration = Annotated[
-    float, _option("--duration", "SECONDS", "Length of the drive.", default="30", parse=values.positive)
+    float, _option("--duration", "SECONDS", "Length of the drive.", default="15", parse=values.positive)
 ]
 Frequency = Annotated[
     float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
+]
+Seed = Annotated[
+    int,
+    _option("--seed", "N", "Another number, another drive.", default="1", parse=values.whole(0)),
 ]
 OutputFormat = Annotated[
     str | None,

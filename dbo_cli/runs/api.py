@@ -7,7 +7,7 @@ import hashlib
 import os
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -184,6 +184,9 @@ def report(
     lag: int | str = 0,
     remove_offset: bool = False,
     segment: float | str | None = None,
+    trajectory: str | os.PathLike[str] | None = None,
+    match: Literal["auto", "time", "rows"] = "auto",
+    count_sweep: bool = False,
     name: str = "log",
     **columns: Any,
 ) -> ComparisonReport:
@@ -210,10 +213,17 @@ def report(
         Take the mean of the error off first.
     segment : "cycles" or float, optional
         Also report every cycle, or every so many seconds.
+    trajectory : file name, optional
+        Where the desired signal lies, if not in the log itself; for a log that is a file.
+    match : {"auto", "time", "rows"}
+        How log and trajectory belong together; auto: by time where both have one.
+    count_sweep : bool
+        Let a conditioning sweep (rows before time 0, where others follow) take part.
     name : str
         What the report calls arrays.
     **columns
-        For a table or file: ``desired``, ``measured``, and how it is to be read.
+        For a table or file: ``desired``, ``measured``, and how it is to be read. ``rows`` are the desired
+        rows that count; a model is run from the first row on.
 
     Returns
     -------
@@ -224,26 +234,37 @@ def report(
     ------
     InputError
         There is nothing to compare, or units differ.
+    UsageError
+        The options contradict each other.
     """
     from dbo_cli.reports.report import ReportOptions
     from dbo_cli.runs.comparison import Comparison, comparison_wishes
+    from dbo_cli.runs.reporting import add_file
 
     predicting = None if model is None else _model(model).actuator
     labels = ("desired", "measured") if model is None else ("model", "measured")
     how = ReportOptions(_lag(lag), remove_offset, _segment(segment), labels)
     comparison = Comparison(how, predicting, traced=True)
-    if measured is None and (is_file(wanted) or is_table(wanted)):
+    if measured is None and (is_file(wanted) or (is_table(wanted) and trajectory is None)):
         selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
-        want = comparison_wishes(*selectors, with_model=model is not None)
         if is_table(wanted):
-            comparison.add(table_source(wanted, want, time, sample_rate), name)
+            want = comparison_wishes(*selectors, with_model=model is not None)
+            comparison.add(table_source(wanted, want, time, sample_rate), name, count_sweep=count_sweep)
         else:
-            rows = columns.pop("rows", None)
-            with open_log(
-                os.fspath(wanted), want, _reading(time, rows, columns | {"sample_rate": sample_rate})
-            ) as log:
-                comparison.add(log, os.path.basename(os.fspath(wanted)))
+            reading = _reading(time, columns.pop("rows", None), columns | {"sample_rate": sample_rate})
+            add_file(
+                comparison,
+                os.fspath(wanted),
+                reading,
+                selectors,
+                trajectory=None if trajectory is None else os.fspath(trajectory),
+                match=match,
+                count_sweep=count_sweep,
+                name=os.path.basename(os.fspath(wanted)),
+            )
         return comparison.result()
+    if trajectory is not None:
+        raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
     if measured is None:
         raise InputError(
             "what was measured is missing: give two arrays, or a table or file with both columns"
@@ -257,7 +278,7 @@ def report(
         role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
         for role, column in source.columns.items()
     }
-    comparison.add(source, name)
+    comparison.add(source, name, count_sweep=count_sweep)
     return comparison.result()
 
 
