@@ -104,15 +104,18 @@ def _recursion(plan: CascadePlan, limits: str) -> _Gears:
         step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, 0);"
     else:
         step = f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, 0);"
-    words = buffer_words(gears.n)
+    words, spare, engage = buffer_words(gears.n), plan.spare_words(64), ""
+    if spare:
+        text += array("uint64_t", "spare", spare)
+        engage = f"    for (size_t k = 0; k < {len(spare)}; k++) state->words[k] = spare[k];\n"
     memory = "state->memory" if plan.terms else "0"
     return _Gears(
         text, size, [f"uint64_t words[{words}];", "dbo_backlash_state gears;"],
         f"    state->gears.words = state->words;\n    state->gears.memory = {memory};\n",
-        f"    for (size_t k = 0; k < {words}; k++) state->words[k] = 0;\n"
+        f"    for (size_t k = 0; k < {words}; k++) state->words[k] = 0;\n" + engage +
         "    dbo_backlash_load(&op, &state->gears);\n"
-        f"    state->gears.last = {hex_double(plan.drive_origin)};",
-        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, x);",
+        f"    state->gears.last = {hex_double(plan.start_drive)};",
+        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, {'spare' if spare else '0'}, x);",
         step,
     )  # fmt: skip
 
@@ -144,8 +147,9 @@ def _lookup(plan: CascadePlan, limits: str) -> _Gears:
     return _Gears(
         text + more, size + extra + 17 * len(states), ["dbo_lookup_state gears;"],
         f"    state->gears.memory = {memory};\n",
-        f"    state->gears.state = 0U;\n    state->gears.last = {hex_double(plan.drive_origin)};",
-        f"    dbo_lookup_settle(&lookup, &state->gears, {plan.covered}U, x);",
+        f"    state->gears.state = {plan.spare_bits}U;\n"
+        f"    state->gears.last = {hex_double(plan.start_drive)};",
+        f"    dbo_lookup_settle(&lookup, &state->gears, {plan.covered}U, {plan.spare_bits}U, x);",
         f"    x = dbo_lookup_step(&lookup, &state->gears, x, {limits});",
     )  # fmt: skip
 
@@ -255,8 +259,10 @@ def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
 
 
 def first_output(plan: CascadePlan) -> float:
-    """Return the output at B = 0 after a rest at the lower end."""
-    y = float(through(plan.tail, np.array([plan.backlash.y0]))[0])
+    """Return the output after a rest at the lower end, no covered gear engaged."""
+    covered = plan.model._covered_gears.operator
+    at = covered.x0 if plan.direction == "inverse" else covered.y0
+    y = float(through(plan.tail, np.array([at]))[0])
     if plan.limits is not None:
         y = min(max(y, plan.limits.v_min), plan.limits.v_max)
     return y

@@ -124,9 +124,15 @@ def single_parts(plan: CascadePlan, q31: bool) -> tuple[SourceParts, int, dict[s
         more, count = _segments(label, segments, text)
         tables, size = tables + more, size + (24 if q31 else 12) * count
         counts.append(count)
+    spare = plan.spare_words(32)
     members, attach, clear = _start(t)
+    if spare:
+        tables += array("uint32_t", "spare", spare)
+        clear += f"    for (uint32_t k = 0U; k < {len(spare)}U; k++) state->words[k] = spare[k];\n"
     step = _step(plan, t, counts, attach, text)
-    initialise = clear + attach + "    dbo_backlash_load(&op, &state->gears);\n    state->gears.last = 0;"
+    initialise = (
+        clear + attach + "    dbo_backlash_load(&op, &state->gears);\n    state->gears.last = state->gears.y;"
+    )
     if t.delay[0] >= 0:
         more_members, empty, line = delay_line(t.delay[0], number, _lagged(t, text))
         members, initialise, step = members + more_members, initialise + "\n" + empty, step + "\n" + line
@@ -139,7 +145,10 @@ def single_parts(plan: CascadePlan, q31: bool) -> tuple[SourceParts, int, dict[s
         tables=tables,
         members=members,
         initialise=initialise,
-        start=f"    dbo_backlash_settle(&op, &state->gears, {t.covered}U,\n                        {drive});",
+        start=(
+            f"    dbo_backlash_settle(&op, &state->gears, {t.covered}U, {'spare' if spare else '0'},\n"
+            f"                        {drive});"
+        ),
         step=step,
         lowest=None if q31 else f"-{reach}F",
         highest=None if q31 else f"{reach}F",

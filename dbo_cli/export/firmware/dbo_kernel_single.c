@@ -325,10 +325,12 @@ dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state
 }
 
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
-                         dbo_signal drive) {
-    const dbo_position target = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
-    dbo_position low = 0, high = 0, slack;
-    for (uint32_t k = 0U; 32U * k < op->n; k++) state->words[k] = 0U;
+                         const uint32_t *spare, dbo_signal drive) {
+    const dbo_position place = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
+    dbo_position low = 0, high = 0, slack, target;
+    for (uint32_t k = 0U; 32U * k < op->n; k++) state->words[k] = spare == NULL ? 0U : spare[k];
+    dbo_backlash_load(op, state);
+    target = place - (op->memory_on_output ? state->y : state->x);
     for (uint32_t i = 0U; i < covered; i++)
         high += op->memory_on_output ? gear_at(op, i)->height : gear_at(op, i)->width;
     slack = high / 1048576; /* a tie, as with even gears halfway, stays 1 */
@@ -342,13 +344,13 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint
             high -= width;
         }
     }
-    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(state->memory + j, drive_of(op, target));
+    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(state->memory + j, drive_of(op, place));
     dbo_backlash_load(op, state);
     if (op->memory_on_output)
-        follow_output(op, state, target, target >= state->y);
+        follow_output(op, state, place, place >= state->y);
     else
-        (void)pass_gears(op, state, target, target >= state->x ? FARTHEST : -FARTHEST, target >= state->x);
-    state->last = target;
+        (void)pass_gears(op, state, place, place >= state->x ? FARTHEST : -FARTHEST, place >= state->x);
+    state->last = place;
 }
 
 /* ---- points and scales, folded into one piecewise linear function ------------------------------------ */

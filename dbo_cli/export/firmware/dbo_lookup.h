@@ -28,6 +28,7 @@ typedef struct {
 double dbo_lookup_step(const dbo_lookup *t, dbo_lookup_state *s, double x, const dbo_limits *limits);
 
 /* As dbo_backlash_settle. */
-void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covered, double drive);
+void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covered, uint32_t spare,
+                       double drive);
 
 #endif
