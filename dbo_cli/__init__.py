@@ -6,6 +6,8 @@ docs/python.md.
 
 from __future__ import annotations
 
+from dbo_cli.version import __version__
+
 TYPE_CHECKING = False  # as in typing, which is not imported for it
 if TYPE_CHECKING:
     from typing import Any
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from dbo_cli.runs.model import Model
     from dbo_cli.runs.remarks import DboWarning
 
-__version__ = "0.1.0"
-
 __all__ = [
     "DboError",
     "DboWarning",
@@ -35,6 +35,7 @@ __all__ = [
     "ModelError",
     "OutputError",
     "UsageError",
+    "__version__",
     "compensate",
     "identify",
     "read_log",

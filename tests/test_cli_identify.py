@@ -152,10 +152,23 @@ def test_force_keeps_what_would_be_refused(dbo: Any) -> None:
 
 def test_logs_of_different_units_are_not_mixed(dbo: Any, small_log: Path) -> None:
     text = small_log.read_text()
-    Path("nano.csv").write_text(text.replace("displacement_um", "displacement_nm"))
-    done = dbo("identify", "log.csv", "nano.csv", *QUICK)
+    Path("angle.csv").write_text(text.replace("displacement_um", "displacement_rad"))
+    done = dbo("identify", "log.csv", "angle.csv", *QUICK)
     assert (done.code, done.out) == (1, "")
-    assert "its displacement is in nm, that of log.csv in um: bring the logs to one unit" in done.err
+    assert "column 'displacement_rad' is in rad, but the first log is in um" in done.err
+
+
+def test_logs_of_one_unit_in_two_sizes_are_brought_to_the_first_ones(dbo: Any, small_log: Path) -> None:
+    rows = [line.split(",") for line in small_log.read_text().splitlines()]
+    at = rows[0].index("displacement_um")
+    for row in rows[1:]:
+        row[at] = repr(1000.0 * float(row[at]))
+    rows[0][at] = "displacement_nm"
+    Path("nano.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    done = dbo("identify", "log.csv", "nano.csv", *QUICK, "-o", "two.json")
+    assert done.code == 0
+    assert "nano.csv: column 'displacement_nm' is converted from nm to um" in done.err
+    assert json.loads(Path("two.json").read_text())["output"]["unit"] == "um"
 
 
 def test_paper_method_takes_its_scale_from_one_cycle(dbo: Any, small_log: Path) -> None:

@@ -64,14 +64,15 @@ def ended(running: subprocess.Popen[bytes]) -> tuple[int, bytes, bytes]:
 def test_pipe_in_and_out(folder: Path) -> None:
     done = subprocess.run(
         [*DBO, "simulate", "model.json", "-"],
-        input=b"0\n5\n10\n3\n",
+        input=b"voltage_V\n0\n5\n10\n3\n",
         capture_output=True,
         cwd=folder,
         env=environment(),
         check=False,
     )
     expected = b"voltage_V,displacement_um\n0.0,1.0\n5.0,4.2\n10.0,9.0\n3.0,4.0\n"
-    assert (done.returncode, done.stdout, done.stderr) == (0, expected, b"")
+    told = b"dbo: standard input: 4 rows, no time; voltage 'voltage_V' (V)\n"
+    assert (done.returncode, done.stdout, done.stderr) == (0, expected, told)
 
 
 def test_three_commands_in_one_pipe(folder: Path) -> None:
@@ -117,7 +118,8 @@ def test_flush_gives_each_sample_as_it_comes(folder: Path) -> None:
         answers.append(running.stdout.readline())
     assert answers == [b"voltage_V,displacement_um\n", b"0.0,1.0\n", b"5.0,4.2\n", b"10.0,9.0\n"]
     running.stdin.close()
-    assert ended(running) == (0, b"", b"")
+    told = b"dbo: standard input: no time; voltage 'voltage_V' (V)\n"
+    assert ended(running) == (0, b"", told)
 
 
 def wait_until_quiet(folder: Path) -> None:

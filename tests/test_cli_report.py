@@ -146,9 +146,9 @@ def test_figures_are_drawn(logs: Any) -> None:
 REFUSED = {
     "none.csv": "none.csv: ",
     "plain.csv": "plain.csv: no column is recognised as the desired",
-    "mixed.csv": "mixed.csv: desired is in nm, measured in um",
+    "mixed.csv": "mixed.csv: column 'desired_V' is in V, but the comparison is in um",
     "after.csv --lag 500": "after.csv: a lag of 500 samples leaves nothing of 200 rows",
-    "after.csv nano.csv": "nano.csv: is in nm, but after.csv in um",
+    "after.csv angle.csv": "angle.csv: column 'displacement_rad' is in rad, but the comparison is in um",
     "after.csv --model inverse.json": "inverse.json: is an inverse model where a forward one is needed (dbo invert turns it)",
     "after.csv --model model.json": "after.csv: no column is recognised as the voltage",
     "after.csv --figures after.csv/figures": "after.csv/figures: figures cannot be written there: ",
@@ -159,8 +159,8 @@ REFUSED = {
 @pytest.mark.parametrize("line", REFUSED)
 def test_refusals_are_one_line_and_leave_nothing(logs: Any, model_file: Path, line: str) -> None:
     Path("plain.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
-    write_log("mixed.csv", 0.0 * T, "time_s,desired_nm,displacement_um")
-    write_log("nano.csv", 0.1 + 0.0 * T, "time_s,desired_nm,displacement_nm")
+    write_log("mixed.csv", 0.0 * T, "time_s,desired_V,displacement_um")
+    write_log("angle.csv", 0.1 + 0.0 * T, "time_s,desired_rad,displacement_rad")
     logs("invert", "model.json", "-o", "inverse.json")
     before = folder_content(Path())
     done = logs("report", *line.split())

@@ -58,7 +58,7 @@ def test_simulate_from_standard_input(dbo: Any, model_file: Path, monkeypatch: p
 
 
 def test_simulate_without_time_writes_none(dbo: Any, model_file: Path) -> None:
-    write("drive.csv", "0\n5\n10\n3\n")
+    write("drive.csv", "voltage_V\n0\n5\n10\n3\n")
     expected = "voltage_V,displacement_um\n0.0,1.0\n5.0,4.2\n10.0,9.0\n3.0,4.0\n"
     assert dbo("simulate", "model.json", "drive.csv") == (0, expected, "")
     assert dbo("simulate", "model.json", "drive.csv", "--sample-rate", "10").out == RESPONSE
@@ -66,8 +66,12 @@ def test_simulate_without_time_writes_none(dbo: Any, model_file: Path) -> None:
 
 def test_simulate_takes_rows_and_columns_by_number(dbo: Any, model_file: Path) -> None:
     write("drive.csv", "7;0\n7;5\n7;10\n7;3\n")
+    no_unit = (
+        "dbo: warning: drive.csv: column '2' has no unit, but model.json takes voltage in V: its figures are taken as "
+        "V (name the unit in the header, or convert with --scale)\n"
+    )
     done = dbo("simulate", "model.json", "drive.csv", "--input", "2", "--rows", "2:3", "--state", "empty")
-    assert done == (0, "voltage_V,displacement_um\n5.0,4.2\n10.0,9.0\n", "")
+    assert done == (0, "voltage_V,displacement_um\n5.0,4.2\n10.0,9.0\n", no_unit)
 
 
 @pytest.mark.parametrize("block_rows", [1, 7, 1000])
@@ -108,7 +112,7 @@ def test_initial_states(dbo: Any, model_file: Path) -> None:
 
 
 def test_outside_the_range(dbo: Any, model_file: Path) -> None:
-    write("drive.csv", "0\n10\n12\n11\n")
+    write("drive.csv", "voltage_V\n0\n10\n12\n11\n")
     where = "outside the range of the model (voltage 0 to 10 V)"
     done = dbo("simulate", "model.json", "drive.csv")
     counted = "dbo: warning: drive.csv: 2 of 4 samples (first in row 3)"
@@ -121,7 +125,7 @@ def test_outside_the_range(dbo: Any, model_file: Path) -> None:
     assert done == (
         1,
         "",
-        f"dbo: error: drive.csv:3: 12 is {where} (--outside extend or hold)\n",
+        f"dbo: error: drive.csv:4: 12 is {where} (--outside extend or hold)\n",
     )
     assert folder_content(Path()) == {"model.json", "drive.csv"}
 
@@ -143,8 +147,8 @@ BAD_INPUT = {
     "or delay depends on it (--time COLUMN or --sample-rate HZ)",
     "simulate lagging.json back.csv": "back.csv:4: time goes backwards, and this model's lag and creep depend "
     "on the time between samples (cut the log with --rows A:B)",
-    "simulate model.json nano.csv": "nano.csv: column 'voltage_mV' is in mV, but model.json takes voltage in V "
-    "(convert the column)",
+    "simulate model.json amps.csv --input 2": "amps.csv: column 'voltage_mA' is in mA, but model.json takes voltage in V "
+    "(--scale ROLE=FACTORV/mA converts it)",
     "simulate model.json drive.csv --state other.json": 'other.json: is not a state file ("format" must be '
     '"dbo-state")',
     "compensate inverse.json wanted.csv": "inverse.json: is an inverse model where a forward one is needed "
@@ -164,7 +168,7 @@ BAD_USE = {
     "simulate model.json drive.csv -o drive.csv": "drive.csv: this output is also an input: write to another file",
     "simulate model.json drive.csv --save-state model.json": "model.json: this output is also an input: write to "
     "another file",
-    "simulate model.json drive.csv -o a.csv --save-state a.csv": "a.csv is one file, and two outputs go there: ",
+    "simulate model.json drive.csv -o a.csv --save-state a.csv": "a.csv is one file, and two outputs go there: give each a file of its own",
     "simulate model.json drive.csv --state warm": "--state: 'warm' is none of auto, empty, full, settled, and "
     "there is no such file",
     "simulate model.json drive.csv --rows 3:2": "--rows 3:2: ",
@@ -187,7 +191,7 @@ def bench(dbo: Any, model_file: Path) -> Any:
     write("empty.csv", "")
     write("bare.csv", "0\n5\n")
     write("back.csv", "time_s,voltage_V\n0,0\n0.1,1\n0.05,2\n")
-    write("nano.csv", "time_s,voltage_mV\n0,0\n0.1,1\n")
+    write("amps.csv", "time_s,voltage_mA\n0,0\n0.1,1\n")
     write("lagging.json", json.dumps(lagging_model()))
     write("other.json", '{"format": "something"}')
     write("newer.json", json.dumps(SMALL_MODEL | {"version": 3}))
@@ -384,3 +388,15 @@ def test_a_foreign_delimiter_is_read_in_a_large_file(dbo: Any, model_file: Path)
     Path("drive.csv").write_text("time_s§voltage_V\n" + rows, encoding="utf-8")
     assert dbo("simulate", "model.json", "drive.csv", "--delimiter", "§", "-o", "out.csv").code == 0
     assert Path("out.csv").read_text().count("\n") == 150_001
+
+
+def test_the_first_line_says_what_was_read(whole_dbo: Any, model_file: Path) -> None:
+    write("drive.csv", "time_ms,CH1_mV\n0,0\n100,5000\n200,10000\n300,3000\n")
+    done = whole_dbo("simulate", "model.json", "drive.csv")
+    assert done.err.splitlines()[0] == (
+        "dbo: drive.csv: 4 rows, 0.3 s at 10 samples/s; time 'time_ms' (ms), voltage 'CH1_mV' (mV)"
+    )
+    assert done.err.splitlines()[1:] == ["dbo: drive.csv: column 'CH1_mV' is converted from mV to V"]
+    assert done.out.splitlines()[0] == "time_s,CH1_V,displacement_um"
+    assert done.out.splitlines()[2] == "0.1,5.0,4.2"
+    assert whole_dbo("simulate", "model.json", "drive.csv", "-q").err == ""

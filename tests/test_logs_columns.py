@@ -15,12 +15,12 @@ from dbo_cli.logs.columns import (
     column_info,
     column_label,
     list_columns,
-    normalise_unit,
     split_header,
 )
 from dbo_cli.logs.provenance import input_record, program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.units import normalise_unit
 
 
 @pytest.mark.parametrize(

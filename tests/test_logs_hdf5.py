@@ -220,7 +220,7 @@ REFUSALS: dict[str, tuple[Callable[[Any], None], str, str]] = {
         cube, "::/data", "{log}::/data: this dataset holds no columns of numbers (2x3x4, float64)"),
     "two groups": (
         twins, "", "{log}: no columns of numbers in this group: it has /a/displacement, /a/time_s, "
-        "/a/voltage, /b/displacement, /b/time_s, /b/voltage"),
+        "/a/voltage, /b/displacement, /b/time_s, /b/voltage (write {log}::/a for the first of 2 tables)"),
     "a link that leads nowhere": (dangling, "", "{log}: no columns of numbers in this group: it is empty"),
 }  # fmt: skip
 

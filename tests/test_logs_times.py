@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.clock import TimeCheck, even_step, require_even, resampled, to_seconds
+from dbo_cli.logs.clock import TimeCheck, even_step, require_even, resampled
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
 from dbo_cli.logs.sample_block import SampleBlock
@@ -107,13 +107,6 @@ def test_rows() -> None:
     assert parse_rows(":5") == (1, 5)
     assert parse_rows("3:") == (3, None)
     assert parse_rows(":") == (1, None)
-
-
-def test_seconds() -> None:
-    assert to_seconds(np.array([5.0]), "ms").tolist() == [0.005]
-    assert to_seconds(np.array([5.0]), "us").tolist() == [5e-6]
-    assert to_seconds(np.array([0.5]), "h").tolist() == [1800.0]
-    assert to_seconds(np.array([5.0]), None).tolist() == [5.0]
 
 
 def test_even_step() -> None:

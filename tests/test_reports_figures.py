@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
@@ -13,10 +15,11 @@ import pytest
 from dbo_cli.errors import OutputError
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
-from dbo_cli.reports.figures import plots_of_log
+from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
 from dbo_cli.reports.model_figures import loop_of, plots_of_model
-from dbo_cli.reports.page import to_html
+from dbo_cli.reports.page import breakable, to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import BATCH
 from dbo_cli.reports.sample_pairs import PairBlock
@@ -296,5 +299,133 @@ def test_unwritable_figure_folder(tmp_path):
 
 
 def test_file_stems_are_different_and_plain():
-    names = ["a/run.csv", "b/run.csv", "run.h5::/trial 1", "-", "µ m.csv", "run.csv.gz"]
-    assert file_stems(names) == ["run", "run-2", "run-3", "stdin", "_m", "run-4"]
+    names = ["a/run.csv", "b/run.csv", "run.h5::/trial 1", "-", "µ m.csv", "run.csv.gz", "Run.CSV"]
+    assert file_stems(names) == ["run", "run-2", "run-trial_1", "stdin", "µ_m", "run-3", "Run-4"]
+
+
+def test_file_stems_tell_what_the_names_tell():
+    names = ["run.1.csv", "run.2.csv", "run.10.csv.gz", "2024-05-02T10.30", "駆動.csv", ".csv", "a\\b c.dat"]
+    assert file_stems(names) == ["run.1", "run.2", "run.10", "2024-05-02T10.30", "駆動", "csv", "b_c"]
+
+
+@pytest.mark.parametrize("letter", ["x", "駆", "𝄞"])
+def test_file_stems_of_long_names_leave_room_in_255_bytes(letter):
+    name = letter * (239 // len(letter.encode()))
+    first, second = file_stems([f"{name}1.csv", f"{name}2.csv"])
+    assert first != second
+    assert max(len(f"{stem}-points-before.png".encode()) for stem in (first, second)) < 160
+
+
+HOSTILE = [
+    "$x_1$.csv",
+    "$\\frac{.csv",
+    "_hidden.csv",
+    "駆動.csv",
+    "\x1b[31mred.csv",
+    "<b>&.csv",
+    "x" * 239 + ".csv",
+]
+
+
+def reports_of(names, unit="$\\um_1$"):
+    options = ReportOptions()
+    logs, traces = [], []
+    for number, name in enumerate(names):
+        report, seen = log_of(2000 if number % 2 else 10_000, unit=unit)
+        logs.append(replace(report.logs[0], name=cleaned(name)))
+        traces.append(seen)
+    return Report.of(logs, options, unit), traces
+
+
+@pytest.mark.parametrize("kind", ["png", "svg", "inline"])
+def test_names_and_units_are_drawn_as_they_are_written(kind):
+    report, traces = reports_of(HOSTILE[:6])
+    plots = plots_of_comparison(report, traces) + plots_of_log(report, report.logs[0], traces[0])
+    drawn = {plot.key: draw(plot, kind, note="$x_1$ 駆動 \x1b[0m") for plot in plots[:3]}
+    if kind == "inline":
+        shown = "".join(ElementTree.fromstring(drawn["errors"].decode()).itertext())
+        for name in ("$x_1$.csv", "$\\frac{.csv", "_hidden.csv", "駆動.csv", "\ufffd[31mred.csv", "<b>&.csv"):
+            assert name in shown
+        assert "Error ($\\um_1$)" in shown
+
+
+def test_errors_of_all_logs_stand_in_one_figure():
+    report, traces = reports_of(["before.csv", "after.csv"], "um")
+    [plot] = plots_of_comparison(report, traces)
+    assert (plot.key, plot.title, plot.head) == ("errors", "Error of all logs against time", 0.0)
+    texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
+    assert {"before.csv", "after.csv", "Error (µm)", "Time (s)"} <= set(texts)
+    assert plots_of_comparison(*reports_of(["alone.csv"])) == []
+    report, traces = reports_of([f"recording_number_{k}_of_many.csv" for k in range(8)], "um")
+    [plot] = plots_of_comparison(report, traces)
+    assert plot.title == "Error of the first 6 of 8 logs against time"
+    assert plot.head == pytest.approx(5 * 0.17)
+    page = to_html(report, [[]] * 8, comparison_plots=[plot])
+    assert page.index("Error of the first 6") < page.index("<h2>")
+
+
+def test_logs_that_begin_at_different_times_are_drawn_from_their_own_beginning():
+    report, traces = reports_of(["a.csv", "b.csv"], "um")
+    traces[1]._whole = (traces[1]._whole[0] + 1000.0, *traces[1]._whole[1:])
+    traces[1].start += 1000.0
+    [plot] = plots_of_comparison(report, traces)
+    texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
+    assert "Time since each log began (s)" in texts
+    assert not any(text.startswith("10") and len(text) >= 4 for text in texts)
+
+
+def test_short_names_do_not_break_on_the_page_and_long_ones_behind_a_separator():
+    assert breakable("compensated_run_1.csv") == '<span class="name">compensated_run_1.csv</span>'
+    pieces = re.findall(r">([^<]+)</span>", breakable("recordings/2024-05-02/a-rather-long-name_3.csv"))
+    assert "".join(pieces) == "recordings/2024-05-02/a-rather-long-name_3.csv"
+    assert "name_" in pieces and "2024-" in pieces
+    assert max(map(len, re.findall(r">([^<]+)</span>", breakable("x" * 239)))) == 28
+    assert "<b>" not in breakable("<b>" * 30)
+
+
+class TestEnvironment:
+    """Figures are drawn, silently, wherever the program is started."""
+
+    SCRIPT = """
+import sys
+sys.path.insert(0, {tests!r})
+from test_reports_figures import log_of
+from dbo_cli.reports.drawing import draw
+from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
+report, traces = log_of(500)
+data = draw(plots_of_log(report, report.logs[0], traces)[0], "png", note="駆動")
+print(len(data))
+"""
+
+    def run(self, tmp_path, **environment):
+        temporary = tmp_path / "temporary"
+        temporary.mkdir()
+        script = self.SCRIPT.format(tests=os.path.dirname(__file__))
+        given = {**os.environ, "TMPDIR": str(temporary), **environment}
+        done = subprocess.run([sys.executable, "-c", script], env=given, capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert int(done.stdout) > 1000
+        assert os.listdir(temporary) == []
+
+    @pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense", "tkagg"])
+    def test_a_notebooks_backend(self, tmp_path, backend):
+        self.run(tmp_path, MPLBACKEND=backend)
+
+    def test_a_configuration_folder_that_cannot_be_made(self, tmp_path):
+        (tmp_path / "file").write_text("")
+        self.run(tmp_path, MPLCONFIGDIR=str(tmp_path / "file" / "folder"))
+
+    def test_a_home_that_cannot_be_written(self, tmp_path):
+        (tmp_path / "file").write_text("")
+        home = str(tmp_path / "file" / "home")
+        self.run(tmp_path, HOME=home, XDG_CONFIG_HOME="", XDG_CACHE_HOME="", MPLCONFIGDIR="")
+
+    def test_the_users_own_settings_change_nothing(self, tmp_path, monkeypatch):
+        report, traces = log_of(500)
+        plot = plots_of_log(report, report.logs[0], traces)[0]
+        before = draw(plot, "svg")
+        import matplotlib
+
+        with matplotlib.rc_context({"lines.linewidth": 9.0, "axes.spines.top": True, "font.size": 30.0}):
+            assert draw(plot, "svg") == before
+            assert matplotlib.rcParams["font.size"] == 30.0

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,8 @@ from dbo_cli.reports.report import (
     parse_lag,
     parse_segment,
 )
-from dbo_cli.reports.sample_pairs import PairBlock
+from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read
+from dbo_cli.reports.thinned_curves import Traces
 
 PAPER = Path(os.environ.get("DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"))
 
@@ -70,6 +72,7 @@ LOG_KEYS = [
     "sample_period_s",
     "not_finite",
     "ratio_to_first",
+    "loop_noise",
     "segments",
 ]
 
@@ -82,7 +85,7 @@ def test_json_keys_are_a_contract():
     assert content["compared"] == ["desired", "measured"]
     assert list(content["logs"][0]) == LOG_KEYS
     part = content["logs"][0]["segments"][0]
-    assert list(part) == ["number", "first_row", "last_row", *LOG_KEYS[1:16], "offset_removed"]
+    assert list(part) == ["number", "first_row", "last_row", *LOG_KEYS[1:16], "offset_removed", "loop_noise"]
     assert content["logs"][0]["rmse"] == 1.0
     assert [log["ratio_to_first"] for log in content["logs"]] == [1.0, 0.25]
 
@@ -308,3 +311,140 @@ def test_published_figure():
     log = evaluate("uncompensated.dat", blocks_of(*table.T), ReportOptions(lag=1, remove_offset=True))
     assert log.figures.samples == 1000
     assert log.figures.rmse == pytest.approx(1.6791, abs=5e-4)
+
+
+class TestRowsThatCount:
+    """A model's prediction depends on all rows before: it is run from the first, and some rows count."""
+
+    def blocks(self, chunk, time=None):
+        rng = np.random.default_rng(3)
+        return blocks_of(sine(), sine() + rng.normal(size=1000), chunk, time)
+
+    @pytest.mark.parametrize("lag", [0, 3, -3])
+    @pytest.mark.parametrize("rows", [(1, None), (101, 600), (600, 601), (990, None), (5, 5)])
+    def test_figures_are_those_of_the_rows_alone(self, rows, lag):
+        first, last = rows
+        read = rows_to_read(rows, lag)
+        part = slice(read[0] - 1, read[1])
+        whole = next(self.blocks(1000))
+        cut = PairBlock(range(1, 1001)[part], whole.desired[part], whole.measured[part])
+        options = ReportOptions(lag=lag)
+        expected = evaluate("a.csv", [cut], options)
+        for chunk in (1, 7, 1000):
+            found = evaluate("a.csv", self.blocks(chunk), options, score_rows=rows)
+            assert found.figures == expected.figures
+        assert found.figures.samples <= (1000 if last is None else last - first + 1)
+
+    def test_nothing_behind_the_last_row_is_read(self):
+        given = 0
+
+        def blocks():
+            nonlocal given
+            for block in self.blocks(10):
+                given += 1
+                yield block
+
+        evaluate("a.csv", blocks(), ReportOptions(lag=2), score_rows=(20, 40))
+        assert given == 5
+
+    def test_rows_that_are_not_there(self):
+        with pytest.raises(InputError):
+            evaluate("a.csv", self.blocks(100), ReportOptions(), score_rows=(2000, None))
+
+    def test_an_automatic_lag_is_that_of_the_rows(self):
+        desired = sine(3000)
+        log = evaluate(
+            "a.csv",
+            blocks_of(desired[10:], desired[7:-3]),
+            ReportOptions(lag="auto"),
+            score_rows=(500, 2000),
+        )
+        assert (log.lag, log.figures.samples, log.figures.rmse) == (3, 1498, 0.0)
+
+
+class TestConditioningSweep:
+    """Rows before time 0 say nothing about tracking, and their range is not that of the trajectory."""
+
+    time = np.arange(1000) / 100.0 - 4.0
+    wanted = np.where(time < 0.0, 5.0 * sine(), sine())
+    measured = wanted + np.where(time < 0.0, 3.0, 0.5)
+
+    def log(self, chunk=100, time=None, **options):
+        clock = self.time if time is None else time
+        return evaluate(
+            "a.csv", blocks_of(self.wanted, self.measured, chunk, clock), ReportOptions(), **options
+        )
+
+    @pytest.mark.parametrize("chunk", [1, 7, 400, 1000])
+    def test_it_takes_no_part(self, chunk):
+        log = self.log(chunk)
+        assert (log.figures.samples, log.figures.rmse) == (600, 0.5)
+        assert log.figures.max_abs_row > 400
+        assert log.figures.desired_max == 20.0
+        assert log.notes == ("a.csv: 400 rows before time 0, a conditioning sweep, left out",)
+        assert log == self.log(100)
+
+    def test_figures_show_the_trajectory_alone(self):
+        traces = Traces()
+        self.log(traces=traces)
+        assert traces.samples == 600
+        assert float(traces.against_time("error").x[0]) == 0.0
+
+    def test_it_counts_where_it_is_asked_for(self):
+        assert self.log(count_sweep=True).figures.samples == 1000
+        assert self.log(score_rows=(1, None)).figures.samples == 1000
+        assert self.log(score_rows=(301, None)).figures.samples == 700
+        assert self.log(count_sweep=True).notes == ()
+
+    def test_a_log_that_ends_before_zero_or_knows_no_time_is_counted(self):
+        assert self.log(time=self.time - 20.0).figures.samples == 1000
+        assert self.log(time=self.time - 20.0).notes == ()
+        log = evaluate("a.csv", blocks_of(self.wanted, self.measured), ReportOptions())
+        assert log.figures.samples == 1000
+
+    def test_a_sweep_without_numbers_is_left_out_too(self):
+        wanted = np.where(self.time < 0.0, np.nan, self.wanted)
+        log = evaluate("a.csv", blocks_of(wanted, self.measured, 100, self.time), ReportOptions())
+        assert (log.figures.samples, log.figures.not_finite) == (600, 0)
+
+    def test_a_fault_of_the_log_is_told_all_the_same(self):
+        def broken():
+            yield from blocks_of(self.wanted[:300], self.measured[:300], 100, self.time[:300])
+            raise InputError("a.csv:302: no number")
+
+        with pytest.raises(InputError, match=r"^a\.csv:302: no number$"):
+            evaluate("a.csv", broken(), ReportOptions())
+
+
+def test_csv_keeps_the_segments():
+    report = report_of({"a.csv": 1.0, "b.csv": 0.5}, ReportOptions(segment=1.0))
+    rows = list(csv.DictReader(io.StringIO(to_csv(report))))
+    assert list(rows[0])[-4:] == ["unit", "segment", "first_row", "last_row"]
+    assert [row["segment"] for row in rows] == ["", "1", "2", "3", "4", "5"] * 2
+    assert [row["name"] for row in rows] == ["a.csv"] * 6 + ["b.csv"] * 6
+    assert (rows[8]["rmse"], rows[8]["first_row"], rows[8]["last_row"]) == ("0.5", "201", "400")
+    assert rows[8]["unit"] == "um" and rows[8]["lag_samples"] == "" and rows[6]["lag_samples"] == "0"
+
+
+@pytest.mark.parametrize("name", ["=cmd|' /C calc'!A1.csv", "+1.csv", "-1+2.csv", "@SUM(A1).csv"])
+def test_no_name_is_a_formula_in_a_spreadsheet(name):
+    rows = list(csv.reader(io.StringIO(to_csv(report_of({name: 1.0}, unit=name)))))
+    assert rows[1][0] == f"'{name}"
+    assert rows[1][-1] == f"'{name}"
+    assert list(csv.reader(io.StringIO(to_csv(report_of({"-": 1.0})))))[1][0] == "-"
+
+
+def test_names_and_units_obey_no_terminal():
+    report = report_of({"\x1b[1mred\x07\u202e.csv\ud800\x9b2J": 1.0}, unit="u\x1b]0;m\n")
+    for text in (to_text(report), to_csv(report), to_json(report)):
+        assert "\ufffd[1mred\ufffd\ufffd.csv\ufffd\ufffd2J" in text
+        assert not any(sign in text for sign in "\x1b\x07\u202e\ud800\x9b")
+        assert "\\u001b" not in text
+        text.encode()
+
+
+def test_wide_letters_keep_their_columns():
+    report = report_of({"駆動電圧の記録.csv": 1.0, "b.csv": 0.5})
+    table = to_text(report).split("\n\n")[1].splitlines()
+    wide = [len(line) + sum(unicodedata.east_asian_width(sign) in "WF" for sign in line) for line in table]
+    assert len(set(wide)) == 1

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import ast
+import graphlib
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parent.parent / "dbo_cli"
-ORDER = ["errors", "hysteresis", "logs", "reports", "runs", "cli"]
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "dbo_cli"
+ORDER = ["version", "errors", "hysteresis", "logs", "reports", "export", "runs", "cli"]
+SIBLINGS = [{"hysteresis", "logs"}, {"reports", "export"}]
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}
+spec = importlib.util.spec_from_file_location("draw_imports", ROOT / "docs" / "draw_imports.py")
+assert spec is not None and spec.loader is not None
+draw_imports = importlib.util.module_from_spec(spec)
+sys.modules["draw_imports"] = draw_imports
+spec.loader.exec_module(draw_imports)
 COMMANDS = ["identify", "show", "invert", "simulate", "compensate", "report", "excite"]
 
 
@@ -63,6 +72,44 @@ def test_only_the_shell_prints_and_exits() -> None:
             if isinstance(node, ast.Call):
                 called = ast.unparse(node.func)
                 assert called not in {"print", "sys.exit", "exit", "quit"}, f"{path}:{node.lineno}: {called}"
+
+
+def test_siblings_know_nothing_of_each_other() -> None:
+    for path in MODULES:
+        rooms = {name.split(".")[1] for name in imported(path) if name.startswith("dbo_cli.")}
+        for siblings in SIBLINGS:
+            if room(path) in siblings:
+                assert not rooms & (siblings - {room(path)}), path
+
+
+def circle(edges: dict[str, set[str]]) -> list[str]:
+    """Return modules that import each other in a circle, the first of them twice; nothing where none do."""
+    try:
+        graphlib.TopologicalSorter(edges).prepare()
+    except graphlib.CycleError as found:
+        return list(found.args[1])
+    return []
+
+
+def test_no_module_is_in_a_circle_of_imports() -> None:
+    """Neither at run time, nor through imports inside functions, nor through those for types alone."""
+    edges: dict[str, set[str]] = {module: set() for module in draw_imports.module_files()}
+    for one in draw_imports.imports():
+        edges[one.importer].add(one.imported)
+    assert len(edges) == len(MODULES)
+    assert sum(map(len, edges.values())) > 2 * len(edges)  # the imports were found
+    assert circle(edges) == []
+    edges["dbo_cli.errors"].add("dbo_cli.hysteresis.model")  # and a circle would be
+    assert set(circle(edges)) >= {"dbo_cli.errors", "dbo_cli.hysteresis.model"}
+
+
+def test_the_picture_of_the_imports_has_no_arrow_up_and_is_up_to_date() -> None:
+    arrows, places = draw_imports.arrows(), draw_imports.PLACES
+    assert {name for pair in arrows for name in pair} <= places.keys()
+    assert [pair for pair in arrows if places[pair[0]][0] <= places[pair[1]][0]] == []
+    drawn = draw_imports.FIGURE.read_text(encoding="utf-8")
+    shown = {name for name in draw_imports.ids(drawn) if name.startswith("arrow-")}
+    assert shown == {draw_imports.arrow_id(*pair) for pair in arrows}, "run docs/draw_imports.py"
 
 
 @pytest.mark.parametrize(

@@ -90,3 +90,67 @@ def test_only_what_changed_is_made_again(engine, bench: Path) -> None:  # type: 
     engine(bench)
     changed = {name for name, stamp in made_at(bench).items() if stamp != first[name]}
     assert changed == {f"left.{kind}" for kind in KINDS} | {"summary.csv"}
+
+
+def small_log(folder: Path, name: str) -> None:
+    (folder / "logs").mkdir(exist_ok=True)
+    time = np.arange(600) / 100
+    drive = 5.0 - 5.0 * np.cos(2 * np.pi * time)
+    bent = drive + 0.3 * np.sign(np.gradient(drive)) * np.sqrt(drive * (10 - drive))
+    rows = zip(time.tolist(), drive.tolist(), bent.tolist(), strict=True)
+    text = "".join(f"{t},{v},{x}\n" for t, v, x in rows)
+    (folder / "logs" / name).write_text("time_s,voltage_V,displacement_um\n" + text)
+
+
+@pytest.mark.skipif(MAKE is None or os.name != "posix", reason="make is not here")
+def test_file_names_are_not_shell(tmp_path: Path) -> None:
+    names = ["x&touch>PWNED&y", "-v,~^{µ}+@"]
+    for name in names:
+        small_log(tmp_path, f"{name}.csv")
+    (tmp_path / "trajectory.csv").write_text("time_s,displacement_um\n0,1\n0.01,2\n0.02,1.5\n")
+    by_make(tmp_path)
+    assert sorted(os.listdir(tmp_path)) == ["logs", "results", "trajectory.csv"]
+    results = {path.name for path in (tmp_path / "results").iterdir()}
+    assert results == {f"{name}.{kind}" for name in names for kind in KINDS} | {"summary.csv"}
+    assert len((tmp_path / "results" / "summary.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.skipif(MAKE is None or os.name != "posix", reason="make is not here")
+@pytest.mark.parametrize("letter", list(" :#$%;|=*?!\\\"'`()[]\t\n"))
+def test_names_that_make_cannot_hold_are_refused_in_a_sentence(letter: str, tmp_path: Path) -> None:
+    small_log(tmp_path, f"a{letter}b.csv")
+    (tmp_path / "trajectory.csv").write_text("time_s,displacement_um\n0,1\n")
+    words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), f"DBO={DBO}"]
+    environment = os.environ | {"MAKEFLAGS": ""}
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    shown = "a b.csv" if letter in "\t\n" else f"a{letter}b.csv"
+    assert f"logs/{shown}: make cannot hold this name (blanks, quotes and :" in done.stderr
+    assert done.returncode == 2
+    assert sorted(os.listdir(tmp_path)) == ["logs", "trajectory.csv"]
+
+
+@pytest.mark.skipif(MAKE is None or os.name != "posix", reason="make is not here")
+def test_two_logs_of_one_name_are_refused(tmp_path: Path) -> None:
+    for ending in ("csv", "dat"):
+        small_log(tmp_path, f"left.{ending}")
+    words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), f"DBO={DBO}"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "two logs in logs/ are called left, and their results would be the same files" in done.stderr
+
+
+@pytest.mark.skipif(MAKE is None or os.name != "posix", reason="make is not here")
+def test_two_makes_in_one_folder_both_succeed(bench: Path) -> None:
+    """Above all when only the summary is left to make: once, 40 of 40 runs lost it."""
+    by_make(bench)
+    summary = bench / "results" / "summary.csv"
+    expected = summary.read_text()
+    words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), f"DBO={DBO}", f"IDENTIFY={OPTIONS}"]
+    environment = os.environ | {"PYTHONPATH": str(WORKFLOW.parent), "MAKEFLAGS": ""}
+    for _ in range(10):
+        summary.unlink()
+        both = [
+            subprocess.Popen(words, cwd=bench, env=environment, stdout=subprocess.DEVNULL) for _ in range(3)
+        ]
+        assert [one.wait(120) for one in both] == [0, 0, 0]
+        assert summary.read_text() == expected
+        assert not list((bench / "results").glob("*.partial"))

@@ -15,6 +15,7 @@ def excite(
     duration: options.Duration,
     frequency: options.Frequency,
     max_slew: options.MaxSlew,
+    seed: options.Seed,
     file_format: options.OutputFormat,
     output: options.Output,
 ) -> None:
@@ -28,5 +29,7 @@ def excite(
     """
     from dbo_cli.runs.files import write_excitation
 
-    rows = write_excitation(output, v_min, v_max, sample_rate, duration, frequency, max_slew, file_format)
+    rows = write_excitation(
+        output, v_min, v_max, sample_rate, duration, frequency, max_slew, file_format, seed
+    )
     voice.detail(f"{rows:,} rows, {duration:g} s, {v_min:g} to {v_max:g} V")

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Progress, Voice, refuse_terminal
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.reading_options import ReadingOptions
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.reading_options import ReadingOptions
 
 
 def identify(
@@ -63,7 +67,7 @@ def identify(
         displacement=displacement,
         listener=Progress(voice, "read"),
     )
-    voice.notes([*found.remarks.notes, *found.summary])
+    voice.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
     voice.warnings(found.remarks.warnings)
 
 

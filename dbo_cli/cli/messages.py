@@ -47,8 +47,8 @@ class Voice:
             self.note(text)
 
     def remarks(self, said: Remarks) -> None:
-        """Say all that a run had to say."""
-        self.notes(said.notes)
+        """Say all that a run had to say, first what was read."""
+        self.notes([*said.read, *said.notes])
         self.warnings(said.warnings)
 
     def warnings(self, texts: Iterable[str]) -> None:
@@ -96,6 +96,10 @@ class Progress:
     def opened(self, what: str) -> None:
         """Say how a log was understood."""
         self.voice.detail(what)
+
+    def reading(self, what: str) -> None:
+        """Say what is being read."""
+        self.voice.note(what)
 
     def progressed(self, rows: int) -> None:
         """Count the rows of one more block."""

@@ -115,6 +115,14 @@ Rows = Annotated[
         parse=values.rows,
     ),
 ]
+TimeUnit = Annotated[
+    str | None,
+    _reading("--time-unit", "UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
+]
+Scale = Annotated[
+    list[str] | None,
+    _reading("--scale", "ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable."),
+]
 SkipBad = Annotated[bool, _reading("--skip-bad", None, "Drop rows that hold no number, and count them.")]
 Resample = Annotated[
     float | None,
@@ -366,6 +374,28 @@ ReportModel = Annotated[
     str | None,
     _option("--model", "MODEL", "Compare this model's prediction with the measurement."),
 ]
+ReportTrajectory = Annotated[
+    str | None,
+    _option("--trajectory", "FILE", "Where the desired signal lies, if not in the logs themselves."),
+]
+Match = Annotated[
+    Literal["auto", "time", "rows"],
+    _option(
+        "--match",
+        "auto|time|rows",
+        "How logs and --trajectory belong together; auto: by time where both have one.",
+        default="auto",
+        parse=values.choice(("auto", "time", "rows")),
+    ),
+]
+CountSweep = Annotated[
+    bool,
+    _option(
+        "--count-sweep",
+        None,
+        "Let a conditioning sweep (rows before time 0) take part; so do --rows that cover it.",
+    ),
+]
 Figures = Annotated[
     str | None,
     _option("--figures", "DIR", "Draw the figures, PNG and SVG, into this folder."),
@@ -445,6 +475,10 @@ Duration = Annotated[
 ]
 Frequency = Annotated[
     float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
+]
+Seed = Annotated[
+    int,
+    _option("--seed", "N", "Another number, another drive.", default="1", parse=values.whole(0)),
 ]
 OutputFormat = Annotated[
     str | None,

@@ -23,10 +23,10 @@ from typing import Annotated, Any, get_args, get_origin
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from dbo_cli import __version__
 from dbo_cli.cli import options
 from dbo_cli.cli.messages import Voice
 from dbo_cli.errors import UsageError
+from dbo_cli.version import __version__
 
 COMMANDS = ("identify", "show", "invert", "simulate", "compensate", "report", "excite")
 SHELLS = ("bash", "zsh", "fish")
@@ -39,7 +39,9 @@ TYPED: ContextVar[tuple[str, ...]] = ContextVar("TYPED", default=())
 
 READING: dict[str, Any] = {
     "time": options.Time,
+    "time_unit": options.TimeUnit,
     "sample_rate": options.SampleRate,
+    "scale": options.Scale,
     "rows": options.Rows,
     "skip_bad": options.SkipBad,
     "resample": options.Resample,
@@ -232,8 +234,11 @@ def _build(name: str) -> Any:
 def _declared(function: Callable[..., None]) -> dict[str, Any]:
     """Return the option of each parameter, bundles taken apart."""
     declared: dict[str, Any] = {}
-    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
-        declared |= BUNDLES[name][0] if name in BUNDLES else {name: parameter.annotation}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if name in BUNDLES:
+            declared |= BUNDLES[name][0]
+        else:  # one by one: the bundles' own types are not imported for a page of help
+            declared[name] = eval(parameter.annotation, function.__globals__)
     return declared
 
 

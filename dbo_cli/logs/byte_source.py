@@ -21,15 +21,16 @@ NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usua
 _PIPE_BYTES = 1 << 18
 _GZIP_MAGIC = b"\x1f\x8b"
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+_AS_FILE = ", not through a pipe or compressed"
 _FOREIGN = {
-    b"\x89HDF\r\n\x1a\n": "HDF5: give it a name ending in .h5",
-    b"PK\x03\x04": "a zip archive or an Excel workbook: export it as CSV",
-    b"\xd0\xcf\x11\xe0": "an old Excel workbook: export it as CSV",
-    b"MATLAB 5.0 MAT-file": "a MATLAB file before version 7.3: save it with -v7.3",
-    b"\x93NUMPY": "a NumPy array: export it as CSV or HDF5",
-    b"PAR1": "a Parquet file: export it as CSV or HDF5",
-    b"TDSm": "a TDMS file: export it as CSV or HDF5",
-    b"CDF\x01": "a NetCDF file before version 4: export it as CSV or HDF5",
+    b"\x89HDF\r\n\x1a\n": "HDF5: give it as a file" + _AS_FILE,
+    b"PK\x03\x04": "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook: give it as a file" + _AS_FILE,
+    b"MATLAB 5.0 MAT-file": "a MATLAB file: give it as a file" + _AS_FILE,
+    b"\x93NUMPY": "a NumPy array: give it as a file" + _AS_FILE,
+    b"PAR1": "Parquet: give it as a file" + _AS_FILE,
+    b"TDSm": "TDMS: give it as a file" + _AS_FILE,
+    b"CDF\x01": "netCDF: give it as a file" + _AS_FILE,
     b"BZh": "compressed with bzip2: unpack it, or compress it with gzip",
     b"\xfd7zXZ": "compressed with xz: unpack it, or compress it with gzip",
     b"(\xb5/\xfd": "compressed with zstd: unpack it, or compress it with gzip",
@@ -70,6 +71,8 @@ class ByteSource:
         Hash the bytes as they are read (for a stream, which cannot be read again).
     encoding
         A codec that the user forced; otherwise a byte-order mark decides, and UTF-8 is the default.
+    content
+        The text itself, where another format has been turned into text (a workbook's sheet).
 
     Raises
     ------
@@ -78,9 +81,16 @@ class ByteSource:
     """
 
     def __init__(
-        self, address: Address, *, live: bool = False, digest: bool = False, encoding: str | None = None
+        self,
+        address: Address,
+        *,
+        live: bool = False,
+        digest: bool = False,
+        encoding: str | None = None,
+        content: bytes | None = None,
     ) -> None:
         self.name = address.name
+        self._content = content
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
         self._file: IO[bytes] | None = None
@@ -166,7 +176,10 @@ class ByteSource:
         self._owned.clear()
 
     def _open(self, address: Address) -> IO[bytes]:
-        stream: IO[bytes] = sys.stdin.buffer if address.is_stream else _open_file(address)
+        if self._content is not None:
+            stream = cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(self._content))))
+        else:
+            stream = sys.stdin.buffer if address.is_stream else _open_file(address)
         if not address.is_stream:
             self._owned.append(stream)
         self._file = stream

@@ -72,21 +72,24 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 SKIP_REMEDY = "(`skip_bad` drops such rows)"
-_CLOCK = re.compile(r"\d{1,2}:\d\d|\d{4}-\d\d-\d\d|\d{1,2}[./]\d{1,2}[./]\d{2,4}")
+MISSING = frozenset({"na", "n/a", "nan", "null", "none", "nil", "missing"})
+"""What programs write where a number is missing: no sign that a row is no row of data."""
 
 
-def remedy(cell: str) -> str:
-    """Say what to do about a cell that holds no finite number."""
-    if _CLOCK.match(cell):
-        return "(clock times and dates are not read: `sample_rate` HZ gives the time instead)"
-    return SKIP_REMEDY
+def is_text(cell: str, decimal: str) -> bool:
+    """Tell whether a cell holds words where others of its column hold numbers (an e alone is none)."""
+    if not any(character >= "@" and character not in "eE" for character in cell):
+        return False
+    return not is_number(cell, decimal) and cell.lower() not in MISSING
 
 
-def complain(cell: str, decimal: str) -> str:
-    """Say what is wrong with a cell that holds no finite number."""
+def complain(cell: str, decimal: str, written: str = "numbers") -> str:
+    """Say what is wrong with a cell that holds no finite number, or none of its column's time stamps."""
     if not cell:
         return "is empty"
     shown = repr(cell if len(cell) <= 40 else cell[:37] + "...")
+    if written != "numbers":
+        return f"is not a time stamp like the others: {shown}"
     if is_number(cell, decimal):
         return f"is not finite: {shown}"
     return f"is not a number: {shown}"

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import SECONDS_PER_UNIT
 from dbo_cli.logs.sample_block import FloatArray, Places, SampleBlock, joined
 
 _LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
@@ -17,16 +16,8 @@ GAP_STEPS = 1.5
 JITTER = 0.05
 
 
-def to_seconds(time: FloatArray, unit: str | None) -> FloatArray:
-    """Convert time stamps to seconds; without a unit (or one that is no time) seconds are assumed."""
-    scale = SECONDS_PER_UNIT.get(unit or "s", 1.0)
-    if scale == 1.0:
-        return time
-    return time * scale if scale > 1.0 else time / round(1.0 / scale)  # dividing keeps 5 ms at exactly 0.005
-
-
 @dataclass
-class _Finding:
+class Finding:
     """How often something odd happened, and where first."""
 
     count: int = 0
@@ -37,6 +28,7 @@ class _Finding:
     def add(
         self, lines: Places | None, rows: Places, at: NDArray[np.intp], before: FloatArray, after: FloatArray
     ) -> None:
+        """Count the places ``at`` (indices into the block)."""
         if len(at) and not self.count:
             index = int(at[0])
             places = rows if lines is None else lines
@@ -48,21 +40,21 @@ class _Finding:
 class TimeCheck:
     """Watches time stamps go by and says what is odd about them, in constant memory.
 
-    The usual step is the median of the first thousand, so that the verdict does not depend on the block size.
-    Feed every block, then ask for ``notes()``.
+    The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
+    the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``.
     """
 
     place: str
     has_lines: bool = True
     step: float = 0.0
-    backward: _Finding = field(default_factory=_Finding)
-    restart: _Finding = field(default_factory=_Finding)
-    repeat: _Finding = field(default_factory=_Finding)
-    gap: _Finding = field(default_factory=_Finding)
+    backward: Finding = field(default_factory=Finding)
+    restart: Finding = field(default_factory=Finding)
+    repeat: Finding = field(default_factory=Finding)
+    gap: Finding = field(default_factory=Finding)
     narrowest: float = np.inf
     widest: float = 0.0
     _kept: list[tuple[FloatArray, Places, Places | None]] = field(default_factory=list)
-    _count: int = 0
+    rows: int = 0
     _last: float | None = None
     _first: float = 0.0
 
@@ -70,10 +62,10 @@ class TimeCheck:
         """Look at one block of time stamps (s)."""
         if not len(time):
             return
+        self.rows += len(time)
         if self.step == 0.0:
             self._kept.append((time, rows, lines))
-            self._count += len(time)
-            if self._count < _LEARNING:
+            if self.rows < _LEARNING:
                 return
             self._learn()
         else:
@@ -85,17 +77,21 @@ class TimeCheck:
         where = "line" if self.has_lines else "row"
         told = []
         for finding, text in (
-            (self.restart, "the clock starts again at {where} {line} (from {before:.6g} s to {after:.6g} s)"),
-            (self.backward, "time goes backwards at {where} {line} (from {before:.6g} s to {after:.6g} s)"),
-            (self.repeat, "the time stamp {after:.6g} s repeats at {where} {line}"),
+            (self.restart, "the clock starts again at {where} {line} (from {before} s to {after} s)"),
+            (self.backward, "time goes backwards at {where} {line} (from {before} s to {after} s)"),
+            (self.repeat, "the time stamp {after} s repeats at {where} {line}"),
             (
                 self.gap,
-                "a gap at {where} {line} (from {before:.6g} s to {after:.6g} s, usual step {step:.4g} s)",
+                "a gap at {where} {line} (from {before} s to {after} s, usual step {step:.4g} s)",
             ),
         ):
             if finding.count:
                 text = text.format(
-                    where=where, line=finding.line, before=finding.before, after=finding.after, step=self.step
+                    where=where,
+                    line=finding.line,
+                    before=_stamp(finding.before),
+                    after=_stamp(finding.after),
+                    step=self.step,
                 )
                 again = f", and {finding.count - 1} more" if finding.count > 1 else ""
                 told.append(f"{self.place}: {text}{again}")
@@ -142,6 +138,11 @@ class TimeCheck:
         if len(usual):
             self.narrowest = min(self.narrowest, float(usual.min()))
             self.widest = max(self.widest, float(usual.max()))
+
+
+def _stamp(time: float) -> str:
+    """Write a time stamp (s); those that count from 1970 need more digits to be told apart."""
+    return f"{time:.6g}" if abs(time) < 1e6 else f"{time:.3f}"
 
 
 def even_step(time: FloatArray) -> float | None:
@@ -222,8 +223,8 @@ def _require_rising(place: str, block: SampleBlock) -> None:
         index = int(stuck[0]) + 1
         where = f"row {block.rows[index]}" if block.lines is None else f"line {block.lines[index]}"
         raise InputError(
-            f"{place}: time does not advance at {where} (from {block.time[index - 1]:.6g} s to "
-            f"{block.time[index]:.6g} s), so it cannot be resampled (cut the log with `rows` A:B)"
+            f"{place}: time does not advance at {where} (from {_stamp(block.time[index - 1])} s to "
+            f"{_stamp(block.time[index])} s), so it cannot be resampled (cut the log with `rows` A:B)"
         )
 
 

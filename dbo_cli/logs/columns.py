@@ -1,7 +1,8 @@
 """Which column is meant: names, units and guesses.
 
 A header such as ``voltage_V``, ``displacement (um)`` or ``Position [µm]`` names a quantity and a unit.  Units
-are carried, never guessed: a suffix after an underscore counts as a unit only when it is a known one.
+are carried, never guessed: a suffix after an underscore counts as a unit only when it is a known one.  Two
+columns that may be meant are asked about, never taken by their order.
 """
 
 from __future__ import annotations
@@ -12,28 +13,31 @@ from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 
-TIME_GUESSES = ("time", "t", "x_value", "zeit")  # x_value: what LabVIEW writes
-
-_PREFIXED = ("V", "A", "m", "N", "Hz", "s", "rad", "Pa", "T", "g", "C", "W", "ohm")
-_PREFIXES = ("", "p", "n", "u", "m", "k", "M", "G")
-KNOWN_UNITS = frozenset(prefix + unit for prefix in _PREFIXES for unit in _PREFIXED) | {
-    "min", "h", "deg", "arcsec", "K", "%", "degC", "counts", "cts", "LSB", "bit", "a.u.", "au", "cm", "dB",
-    "samples", "sample",
-}  # fmt: skip
-_SPELLED = {
-    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "sec": "s", "secs": "s", "second": "s",
-    "seconds": "s", "msec": "ms", "milliseconds": "ms", "microseconds": "us", "usec": "us", "micron": "um",
-    "microns": "um", "micrometer": "um", "micrometers": "um", "micrometre": "um", "micrometres": "um",
-    "nanometer": "nm", "nanometers": "nm", "meter": "m", "meters": "m", "minutes": "min", "hours": "h",
-}  # fmt: skip
 _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
 _SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
+_INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
+_BESIDES = frozenset(
+    ("n", "no", "index", "idx", "row", "sample", "flag", "temp", "temperature", "loop", "cycle", "trigger",
+     "status", "marker", "segment", "remark", "comment", "date", "time")
+)  # fmt: skip
+"""Names of columns that stand beside the signals in many logs and are none."""
+_CHANNEL = re.compile(
+    r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
+    r"[ _.#-]?[a-z]?\d{0,3}",
+    re.IGNORECASE,
+)
+_REMARKS = frozenset(
+    ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
+     "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average")
+)  # fmt: skip
+"""What stands in brackets behind a name and is no unit."""
+
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
-SECONDS_PER_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 
 @dataclass(frozen=True)
@@ -42,25 +46,25 @@ class ColumnWish:
 
     ``selector`` is what the user gave (a header name, a dataset path, a number counted from 1) or None; then
     ``guesses`` are tried, quantity names in lower case.  ``option`` is the parameter named in the remedy.
+
+    What is guessed is held against the rest: ``letters`` are tried as whole names where no name is found,
+    ``kinds`` are what the unit may measure (None: anything), ``contrary`` are words that give a column
+    another role, ``by_unit`` are names that count only with a unit of ``channel_kinds`` (``ch`` stands for
+    all names of channels: ``CH1 (V)``), a column with one of the ``preferred`` names goes before the others,
+    and one with a ``foreign`` name is not taken just because no other is left.
     """
 
     selector: str | None
     guesses: tuple[str, ...] = ()
     required: bool = True
     option: str = "column"
-
-
-def normalise_unit(text: str) -> str | None:
-    """Spell a unit plainly: ``µm`` and ``microns`` are ``um``, ``Volts`` is ``V``; None for an empty one."""
-    plain = text.strip().strip("[](){}<>").strip().replace("µ", "u").replace("μ", "u").replace("°C", "degC")
-    plain = plain.replace("Ω", "ohm")
-    return _SPELLED.get(plain.lower(), plain) or None
-
-
-def is_known_unit(text: str) -> bool:
-    """Tell whether a header suffix is a unit and not a part of the name."""
-    unit = normalise_unit(text)
-    return unit in KNOWN_UNITS
+    letters: tuple[str, ...] = ()
+    kinds: frozenset[str] | None = None
+    contrary: frozenset[str] = frozenset()
+    by_unit: tuple[str, ...] = ()
+    channel_kinds: frozenset[str] = frozenset()
+    preferred: tuple[str, ...] = ()
+    foreign: frozenset[str] = frozenset()
 
 
 def split_header(header: str) -> tuple[str, str | None]:
@@ -68,6 +72,9 @@ def split_header(header: str) -> tuple[str, str | None]:
     text = " ".join(header.split())
     found = _BRACKETED.match(text)
     if found and found["quantity"]:
+        inner = found["unit"].strip().lower()
+        if _INDEX.fullmatch(inner) or inner in _REMARKS:
+            return text, None
         return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
     for pattern in (_SLASHED, _SUFFIXED):
         found = pattern.match(text)
@@ -82,6 +89,13 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
     quantity, own = split_header(header)
     return ColumnInfo(header, normalise_unit(unit or "") or own, quantity, number)
+
+
+def contradicted_unit(column: ColumnInfo) -> str | None:
+    """Return the unit that a column's name states where it is another than the one it was given apart."""
+    own = split_header(column.name.rsplit("/", 1)[-1])[1] if column.quantity else None
+    known = own is not None and column.unit is not None and is_known_unit(own)
+    return own if known and own != column.unit else None
 
 
 def column_label(column: ColumnInfo) -> str:
@@ -110,8 +124,13 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     UsageError
         The number is 0 or negative.
     """
-    if re.fullmatch(r"[+-]?\d+", selector):
+    by_number, by_name = selector.startswith("number="), selector.startswith("name=")
+    if by_number or by_name:
+        selector = selector.partition("=")[2]
+    if re.fullmatch(r"[+-]?\d+", selector) and not by_name:
         number = int(selector)
+        if not by_number:
+            _ask_about_number(place, columns, selector, option)
         if number < 1:
             raise UsageError(f"`{option}` {selector}: columns are counted from 1")
         if number > len(columns):
@@ -129,6 +148,18 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
                 f"{place}: column '{selector}' occurs more than once: give its number (`{option}` {numbers})"
             )
     raise InputError(f"{place}: there is no column '{selector}': {list_columns(columns)}")
+
+
+def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> None:
+    """Refuse a number that is the name of another column than the one at that place (InputError)."""
+    number = int(selector)
+    named = [one for one in columns if one.quantity and one.name.strip() == selector]
+    if any(one.number != number for one in named) and 1 <= number <= len(columns):
+        raise InputError(
+            f"{place}: `{option}` {selector}: column {selector}, '{columns[number - 1].name}', or column "
+            f"{named[0].number}, which is named '{selector}'? "
+            f"(`{option}` number={selector} or name={selector})"
+        )
 
 
 def _same_name(column: ColumnInfo, wanted: str) -> bool:
@@ -149,6 +180,94 @@ def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list
     if exact:
         return exact
     return [column for column in columns if set(_words(column.quantity)) & set(guesses)]
+
+
+def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+    """Find the columns that a wish may mean: by name, by word, by letter, or by a lesser name and the unit.
+
+    What is found by less than a whole name has to stand alone: beside it, whatever has a unit of the kind
+    that is looked for may be meant as well, and so may a name that is only misspelled. Where the only column
+    of a name is in a unit that cannot be meant, no lesser name is taken in its place.
+    """
+    fitting = [column for column in columns if may_be(column, wish)]
+    preferred = guess_columns(fitting, wish.preferred) if wish.preferred else []
+    if preferred:
+        return preferred
+    found = guess_columns(fitting, wish.guesses)
+    if not wish.channel_kinds:
+        return found
+    if found and all(column.quantity.lower() in wish.guesses and _is_sure(column, wish) for column in found):
+        return found
+    slips = [column for column in fitting if _resembles(column, wish)]
+    measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
+    letters = [column for column in fitting if column.quantity.lower() in wish.letters]
+    if found and all(_is_sure(column, wish) for column in found):
+        others = [*slips, *[column for column in letters if column in measuring]]
+        return sorted({one.number: one for one in [*found, *others]}.values(), key=lambda one: one.number)
+    if not found and guess_columns(columns, wish.guesses):
+        return []
+    lesser = [column for column in measuring if _has_lesser_name(column, wish)]
+    if not (found or letters or lesser):
+        return []
+    if not found:  # and what nobody knows may be it as well, where no unit speaks for the lesser name
+        sure = all(kind_of_unit(column.unit) in wish.channel_kinds for column in [*letters, *lesser])
+        long_names = [name for name in wish.guesses if len(name) >= 4]
+        for column in fitting:
+            unknown = not sure and column.unit is None and _is_unknown(column, wish)
+            if unknown or any(name in column.quantity.lower() for name in long_names):  # positionmm
+                slips.append(column)
+    numbers = {column.number for column in [*found, *letters, *measuring, *slips]}
+    return [column for column in fitting if column.number in numbers]
+
+
+def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether a column was found by a whole name, or by a word and a unit of the right kind."""
+    kind = kind_of_unit(column.unit)
+    whole = len(column.quantity) > 1 and column.quantity.lower() in wish.guesses
+    return kind in wish.channel_kinds or (whole and kind is None)
+
+
+def _resembles(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether one of a column's words is a long name but for one letter."""
+    return any(
+        _one_letter_off(word, name)
+        for word in _words(column.quantity)
+        for name in wish.guesses
+        if len(name) >= 4 and abs(len(word) - len(name)) <= 1 and word not in wish.foreign
+    )
+
+
+def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether nothing is known of a column's name: no other role's, and no mere number or flag."""
+    words = set(_words(column.quantity))
+    return bool(words) and not words & (wish.foreign | _BESIDES)
+
+
+def _one_letter_off(one: str, other: str) -> bool:
+    """Tell whether two words differ by one letter: put in, left out, changed, or swapped with the next."""
+    short, long = sorted((one, other), key=len)
+    same = next((k for k, letter in enumerate(short) if letter != long[k]), len(short))
+    if len(short) < len(long):
+        return short[same:] == long[same + 1 :]
+    rest = one[same + 1 :], other[same + 1 :]
+    swapped = one[same : same + 2] == other[same : same + 2][::-1] and rest[0][1:] == rest[1][1:]
+    return one != other and (rest[0] == rest[1] or swapped)
+
+
+def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
+    if set(_words(column.quantity)) & set(wish.by_unit):
+        return True
+    return "ch" in wish.by_unit and bool(_CHANNEL.fullmatch(column.quantity.strip()))
+
+
+def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether nothing in a column's unit and words speaks against a wish."""
+    kind = kind_of_unit(column.unit)
+    if column.written != "numbers":
+        return False
+    if wish.kinds is not None and kind is not None and kind not in wish.kinds:
+        return False
+    return not wish.contrary or not wish.contrary & set(_words(column.name))
 
 
 def _words(quantity: str) -> list[str]:
@@ -184,12 +303,13 @@ def choose_columns(
         if wish.selector is not None:
             chosen[role] = find_column(place, columns, wish.selector, wish.option)
     for role, wish in want.items():
-        if wish.selector is None:
+        if wish.selector is None:  # the only column left is what is meant
             used = {column.number for column in [*taken, *chosen.values()]}
             free = [column for column in columns if column.number not in used]
-            found = guess_columns(free, wish.guesses)
+            found = matching_columns(free, wish)
             if not found and len(want) == 1 and len(free) == 1 and wish.required:
-                found = free  # the only column left is what is meant
+                found = [one for one in free if may_be(one, wish)]
+                found = [one for one in found if one.quantity.lower() not in wish.foreign]
             if len(found) == 1:
                 chosen[role] = found[0]
             elif found or wish.required:

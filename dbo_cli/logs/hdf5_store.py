@@ -53,7 +53,8 @@ class StoreOutput:
         """
         if os.path.isfile(self.path):
             with _locked(self.path):
-                self._refuse_foreign()
+                pass  # not held while the file is looked at: that takes time, and others wait
+            self._refuse_foreign()
 
     def publish(self, temporary: str, keep_open: Callable[[Callable[[], object]], None]) -> bool:
         """Make the finished file ready to take the place of the old one, right before it is renamed.

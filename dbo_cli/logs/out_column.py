@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dbo_cli.logs.columns import is_known_unit, split_header
+from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.units import is_known_unit
 
 _FORMULA_SIGNS = ("=", "+", "-", "@")
 

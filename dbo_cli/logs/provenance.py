@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from typing import TypedDict
 
-import dbo_cli
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import parse_address
+from dbo_cli.version import __version__
 
 
 class InputRecord(TypedDict):
@@ -20,7 +20,7 @@ class InputRecord(TypedDict):
 
 def program_version_string() -> str:
     """Name the program and its version: ``dbo 0.1.0``."""
-    return f"dbo {dbo_cli.__version__}"
+    return f"dbo {__version__}"
 
 
 def file_sha256(path: str) -> str:

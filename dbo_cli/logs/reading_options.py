@@ -6,10 +6,14 @@ import codecs
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import FORMATS
 from dbo_cli.logs.cell_grammar import BLANKS
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.units import Scale
 
 Rows = tuple[int, int | None]
 """The first and the last data row that take part, counted from 1; None: to the end."""
@@ -29,6 +33,10 @@ class ReadingOptions:
     ----------
     time : str, optional
         The time column: a header name, a dataset path, or a number counted from 1.
+    time_unit : str, optional
+        What the figures of the time column count (``ms``, ``10us``); goes before what the header says.
+    scale : tuple of str
+        Factors by role, ``voltage=20`` or ``displacement=10um/V``.
     sample_rate : float, optional
         Samples a second (Hz) of a log without a time column; replaces a column that was only guessed.
     rows : tuple of int
@@ -56,6 +64,8 @@ class ReadingOptions:
     """
 
     time: str | None = None
+    time_unit: str | None = None
+    scale: tuple[str, ...] = ()
     sample_rate: float | None = None
     rows: Rows = ALL_ROWS
     skip_bad: bool = False
@@ -71,6 +81,7 @@ class ReadingOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
+        object.__setattr__(self, "scale", (self.scale,) if isinstance(self.scale, str) else tuple(self.scale))
         for name in ("sample_rate", "resample"):
             rate = getattr(self, name)
             if rate is not None and not (math.isfinite(rate) and rate > 0.0):
@@ -79,6 +90,7 @@ class ReadingOptions:
             raise UsageError(
                 "`time` and `sample_rate` exclude each other: the log has the one or needs the other"
             )
+        self._check_units()
         if self.format is not None and self.format not in FORMATS:
             raise UsageError(f"`format` {self.format}: the formats are {', '.join(FORMATS)}")
         if self.header_lines is not None and self.header_lines not in (0, 1, 2):
@@ -92,6 +104,27 @@ class ReadingOptions:
         self.decimal_sign  # noqa: B018
         if self.encoding is not None:
             check_encoding(self.encoding)
+
+    def _check_units(self) -> None:
+        """Refuse a unit of time or a scale that is none."""
+        if self.time_unit is not None:
+            from dbo_cli.logs.time_units import parse_time_unit
+
+            parse_time_unit(self.time_unit)
+            if self.sample_rate is not None:
+                raise UsageError(
+                    "`time_unit` and `sample_rate` exclude each other: the time column is read or replaced"
+                )
+        self.scales  # noqa: B018 - refuses what is none
+
+    @property
+    def scales(self) -> tuple[Scale, ...]:
+        """The factors by role (UsageError where one is none)."""
+        if not self.scale:
+            return ()
+        from dbo_cli.logs.units import parse_scale
+
+        return tuple(parse_scale(text) for text in self.scale)
 
     def chosen(self) -> dict[str, object]:
         """Return what was said, under its parameter's name; how many rows are held changes nothing."""

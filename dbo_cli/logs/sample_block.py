@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Places = range | NDArray[np.int64]
 
+TIME = "the clock"  # the time column's place among the roles; no quantity of a model is called so
+
 
 @dataclass(frozen=True)
 class ColumnInfo:
@@ -18,12 +20,15 @@ class ColumnInfo:
 
     ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
     unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
+    ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
+    ``date`` (logs.time_cells); such columns are read as seconds.
     """
 
     name: str
     unit: str | None
     quantity: str
     number: int
+    written: str = "numbers"
 
 
 @dataclass(frozen=True)

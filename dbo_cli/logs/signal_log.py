@@ -7,47 +7,26 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from types import TracebackType
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import HDF5_SIGNATURE, Address, parse_address
-from dbo_cli.logs.clock import TimeCheck, resampled, to_seconds
-from dbo_cli.logs.columns import TIME_GUESSES, ColumnWish, choose_columns, find_column, guess_columns
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
+from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
+from dbo_cli.logs.file_kinds import open_table
+from dbo_cli.logs.joined_logs import join_files, other_file
+from dbo_cli.logs.log_table import Table
 from dbo_cli.logs.provenance import InputRecord, input_record
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.reading_summary import ReadColumn, ReadingSummary
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
-from dbo_cli.logs.text_logs import TextTable
-
-_TIME = "the clock"  # its place among the roles; no quantity of a model is called so
-
-
-class Table(Protocol):
-    """What a format gives: its columns at once, its rows in blocks."""
-
-    place: str
-    columns: list[ColumnInfo]
-    sample_rate: float | None
-    notes: list[str]
-
-    def describe(self) -> str:
-        """Tell in one line how the log is written."""
-
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
-        """Read the wanted columns in blocks."""
-
-    @property
-    def sha256(self) -> str | None:
-        """The digest of what was read, where it was asked for."""
-
-    def close(self) -> None:
-        """Close the file."""
+from dbo_cli.logs.time_column import TimeColumn, find_time_column
+from dbo_cli.logs.units import ONE, Scale, kind_of_unit, match_units
 
 
 class SignalLog:
@@ -58,13 +37,15 @@ class SignalLog:
     name
         How messages call the log.
     columns
-        Role to column.
+        Role to column; the unit is the one that the samples are handed out in.
     time
         The time column, or None.
     sample_rate
         Samples a second as given by the user or by an attribute of the file, or None.
     notes
         What is worth saying about the log (odd time stamps, dropped rows); complete after the last block.
+    warnings
+        What may spoil a result (figures that can hardly be seconds); complete after the last block.
     rows_read
         The recorded rows handed out so far (before any resampling).
     """
@@ -74,19 +55,31 @@ class SignalLog:
         address: str,
         table: Table,
         columns: dict[str, ColumnInfo],
-        time: ColumnInfo | None,
+        clock: TimeColumn | None,
         sample_rate: float | None,
         options: ReadingOptions,
+        scales: Mapping[str, Scale] | None = None,
+        start_time: float = 0.0,
     ) -> None:
         self.name = table.place
         self._address = address
-        self.columns = columns
-        self.time = time
+        self._picks = dict(columns)
+        self._scales = dict(scales or {})
+        scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in self._scales.items()}
+        self._factors = {role: factor for role, (factor, _) in scaled.items()}
+        self.columns = columns | {role: column for role, (_, column) in scaled.items()}
+        self._clock = clock
+        self.time = None if clock is None else clock.column
         self.sample_rate = sample_rate
+        self._start_time = start_time
         self.notes = table.notes
+        self.warnings = [text for one in columns.values() if (text := _doubtful_unit(self.name, one))]
         self.rows_read = 0
         self._table = table
         self._options = options
+        self._check: TimeCheck | None = None
+        self._first_time: float | None = None
+        self._last_time: float | None = None
 
     def __enter__(self) -> SignalLog:
         """Use the log as a context manager that closes it."""
@@ -121,6 +114,66 @@ class SignalLog:
         if self.time is not None:
             chosen.insert(0, f"time is column {self.time.number}")
         return f"{self._table.describe()}; {', '.join(chosen)}"
+
+    def opening_line(self) -> str:
+        """Say what is being read, as far as it is known before the first block (for streams)."""
+        return self._summary(None).line()
+
+    def reading_line(self) -> str:
+        """Say what was read, once the blocks have been: rows, duration, rate, and the column of each role."""
+        return self._summary(self.rows_read).line()
+
+    def reading_record(self) -> dict[str, Any]:
+        """Give what ``reading_line`` says as plain values, for a model's provenance."""
+        return self._summary(self.rows_read).record()
+
+    def _summary(self, rows: int | None) -> ReadingSummary:
+        rate, even, seconds = self.sample_rate, True, None
+        if rows and self._first_time is not None and self._last_time is not None:
+            seconds = self._last_time - self._first_time
+        if rows and self._check is not None and 0.0 < self._check.step < np.inf:
+            check = self._check
+            rate, even = 1.0 / check.step, check.widest - check.narrowest <= JITTER * check.step
+        source = None
+        if self.sample_rate is not None:
+            source = "given" if self._options.sample_rate is not None else "from the file"
+        clock = None
+        if self._clock is not None:
+            clock = ReadColumn("time", self._clock.column, self._clock.described())
+        return ReadingSummary(
+            self.name,
+            [
+                ReadColumn(role, column, column.unit, self._scale_text(role))
+                for role, column in self._picks.items()
+            ],
+            clock,
+            rows,
+            seconds,
+            rate,
+            even,
+            source,
+        )
+
+    def _scale_text(self, role: str) -> str | None:
+        scale = self._scales.get(role)
+        return None if scale is None else f"times {str(scale).partition('=')[2]}"
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, and say so (see ``match_units``).
+
+        Raises
+        ------
+        InputError
+            The units measure unlike things.
+        """
+        column = self.columns[role]
+        match = match_units(self.name, column, wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        self.warnings.extend([match.warning] if match.warning else [])
+        if not match.factor.is_one:
+            known = self._factors.get(role, ONE)
+            self._factors[role] = known.times(match.factor.numerator, match.factor.denominator)
+            self.columns = self.columns | {role: replace(column, unit=wanted)}
 
     def require_time(self, why: str) -> None:
         """Refuse a log without time, naming the remedy.
@@ -161,23 +214,28 @@ class SignalLog:
         return input_record(self._address, self.rows_read, self._table.sha256)
 
     def _as_recorded(self) -> Iterator[SampleBlock]:
-        picks = dict(self.columns)
-        if self.time is not None:
-            picks[_TIME] = self.time
+        clock = self._clock
+        picks = self._picks | ({} if clock is None else clock.picks)
         check: TimeCheck | None = None
         empty = True
         most = self._options.block_rows
-        for raw in self._table.blocks(picks, self._options.rows, self._options.skip_bad, most):
+        found = self._table.blocks(picks, self._options.rows, self._options.skip_bad, most)
+        for raw in found if clock is None else clock.held_back(found):
             for start in range(0, len(raw.rows), most):
                 block = self._with_time(raw.part(start, start + most))
-                if self.time is not None and block.time is not None:
-                    check = check or TimeCheck(self.name, has_lines=block.lines is not None)
-                    check.feed(block.time, block.rows, block.lines)
+                if block.time is not None and len(block):
+                    self._first_time = float(block.time[0]) if self._first_time is None else self._first_time
+                    self._last_time = float(block.time[-1])
+                    if clock is not None:
+                        check = check or TimeCheck(self.name, has_lines=block.lines is not None)
+                        check.feed(block.time, block.rows, block.lines)
                 empty = False
                 self.rows_read += len(block)
                 yield block
-        if check is not None:
-            self.notes.extend(check.notes())
+        if check is not None and clock is not None:
+            self.notes.extend([*clock.notes, *check.notes()])
+            self.warnings.extend(clock.warnings(check))
+        self._check = check
         if empty:
             raise InputError(f"{self.name}: {self._nothing()}")
 
@@ -188,14 +246,32 @@ class SignalLog:
         return "no good data row" if self._options.skip_bad else "no data rows"
 
     def _with_time(self, raw: SampleBlock) -> SampleBlock:
-        """Take the time out of the columns, or make it from the sample rate."""
+        """Take the time out of the columns, or make it from the sample rate; apply the scales."""
         values = dict(raw.values)
         time = None
-        if self.time is not None:
-            time = to_seconds(values.pop(_TIME), self.time.unit)
+        if self._clock is not None:
+            time = self._clock.seconds(values)
         elif self.sample_rate is not None:
-            time = (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
+            time = self._start_time + (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
+        for role, factor in self._factors.items():
+            values[role] = factor.apply(values[role])
         return SampleBlock(raw.rows, raw.lines, time, values)
+
+
+def _doubtful_unit(place: str, column: ColumnInfo) -> str:
+    """Say what is odd about the unit of a column, if anything is."""
+    own = contradicted_unit(column)
+    if own is not None:
+        return (
+            f"{place}: column '{column.name}' is in {own} by its name and in {column.unit} by its unit: "
+            f"{column.unit} is taken (`scale` converts)"
+        )
+    if column.unit is not None and kind_of_unit(column.unit) is None:
+        return (
+            f"{place}: the unit '{column.unit}' of column '{column.name}' is not known and carried as it is "
+            "(`scale` ROLE=FACTORUNIT/UNIT converts)"
+        )
+    return ""
 
 
 def open_log(
@@ -229,55 +305,53 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    named = [wish.selector for wish in want.values() if wish.selector]
+    named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
     if options.time:
         named.append(options.time)
-    table = _open_table(parse_address(address, options.format), options, live, digest, named)
+    table = open_table(parse_address(address, options.format), options, live, digest, named)
     try:
-        clock, notes = _find_time(table, options.time, options.sample_rate, want)
-        columns = choose_columns(table.place, table.columns, want, [clock] if clock else [])
+        table, want = join_files(table, want, options)
+        found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
+        columns = choose_columns(table.place, table.columns, want, found.taken)
+        rate, start = options.sample_rate, 0.0
+        if rate is None and found.clock is None:
+            rate, start = table.even_clock(columns.values())
+        scales = _scales_by_role(options, want, columns)
+        table.notes.extend(found.notes)
+        return SignalLog(address, table, columns, found.clock, rate, options, scales, start)
     except BaseException:
         table.close()
         raise
-    table.notes.extend(notes)
-    if options.sample_rate is not None:
-        clock = None
-    rate = options.sample_rate or (None if clock else table.sample_rate)
-    return SignalLog(address, table, columns, clock, rate, options)
 
 
-def _open_table(
-    address: Address, options: ReadingOptions, live: bool, digest: bool, named: Sequence[str]
-) -> Table:
-    kind = address.kind
-    if not address.is_stream and os.path.isfile(address.path) and os.access(address.path, os.R_OK):
-        with open(address.path, "rb") as file:  # what a file is called matters less than what it is
-            if file.read(8) == HDF5_SIGNATURE:
-                kind = "hdf5"
-    if kind == "hdf5":
-        from dbo_cli.logs.hdf5_logs import Hdf5Table
-
-        return Hdf5Table(address, named)
-    return TextTable(address, options, live=live, digest=digest)
+def _named_columns(table: Table, want: Mapping[str, ColumnWish]) -> list[ColumnInfo]:
+    """List the columns that the user named for other roles than the time."""
+    return [
+        find_column(table.place, table.columns, wish.selector, wish.option)
+        for wish in want.values()
+        if wish.selector is not None
+    ]
 
 
-def _find_time(
-    table: Table, selector: str | None, sample_rate: float | None, want: Mapping[str, ColumnWish]
-) -> tuple[ColumnInfo | None, list[str]]:
-    """Find the time column; a sample rate given by the user replaces one that was only guessed."""
-    if selector is not None:
-        return find_column(table.place, table.columns, selector, "time"), []
-    named = []
-    for wish in want.values():
-        if wish.selector is not None:
-            named.append(find_column(table.place, table.columns, wish.selector, wish.option).number)
-    found = [column for column in guess_columns(table.columns, TIME_GUESSES) if column.number not in named]
-    if sample_rate is not None:
-        notes = [f"{table.place}: `sample_rate` replaces the column '{one.name}'" for one in found[:1]]
-        return (found[0] if len(found) == 1 else None), notes
-    if len(found) > 1:
-        names = " or ".join(f"'{column.name}'" for column in found)
-        raise InputError(
-            f"{table.place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)"
-        )
-    return (found[0] if found else None), []
+def _scales_by_role(
+    options: ReadingOptions, want: Mapping[str, ColumnWish], columns: Mapping[str, ColumnInfo]
+) -> dict[str, Scale]:
+    """Give each scale its role, which may be called as the parameter that names its column is.
+
+    Raises
+    ------
+    UsageError
+        There is no such role here, or one is scaled twice.
+    """
+    names = {name: role for role, wish in want.items() for name in (wish.option.lower(), role.lower())}
+    found: dict[str, Scale] = {}
+    for scale in options.scales:
+        role = names.get(scale.role)
+        if role is None:
+            there = ", ".join(dict.fromkeys(names.values()))
+            raise UsageError(f"`scale` {scale}: there is no {scale.role} here, but {there}")
+        if role in found:
+            raise UsageError(f"`scale` {scale}: {role} is scaled twice")
+        if role in columns:
+            found[role] = scale
+    return found

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
-from dbo_cli.logs.columns import is_known_unit
+from dbo_cli.logs.header_blocks import HeaderBlock, find_header_block
 from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.units import is_known_unit
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
@@ -27,7 +28,9 @@ class Dialect:
     """How a text log is written.
 
     ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
-    where the log has none, else ``width`` cells long.
+    where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
+    in most rows; ``writings`` says how each column is written (``ColumnInfo.written``), where any holds time
+    stamps; ``header_block`` is what stands again before each segment of the data.
     """
 
     delimiter: str
@@ -37,6 +40,9 @@ class Dialect:
     first_line: int
     headers: tuple[str, ...]
     units: tuple[str, ...]
+    numeric: frozenset[int] = frozenset()
+    writings: tuple[str, ...] = ()
+    header_block: HeaderBlock | None = None
 
     def describe(self) -> str:
         """Tell in one line what was detected, for ``verbose``."""
@@ -85,9 +91,29 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     decimal = shape.decimal
     if options.decimal is None and shape.delimiter != "," and decimal == "." and shape.whole_numbers:
         decimal = _late_decimal(lines[layout.first :], comments)
-    row = split_cells(lines[layout.first], shape.delimiter) if layout.first < len(lines) else []
-    headers, units = _aligned(place, layout, shape.width, row)
-    return Dialect(shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units)
+    data = [number for number in candidates if number >= layout.first]
+    rows = [split_cells(lines[number], shape.delimiter) for number in data[:3]]
+    headers, units = _aligned(place, layout, shape.width, rows)
+    return Dialect(
+        shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
+        _writings([lines[number] for number in data[-_SAMPLE_LINES:]], shape),
+        find_header_block(lines, layout.first, shape.delimiter),
+    )  # fmt: skip
+
+
+def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:
+    """Find the columns of time stamps; empty where there are none."""
+    others = sorted(set(range(shape.width)) - shape.numeric)
+    if not others:
+        return ()
+    from dbo_cli.logs.time_cells import writing_of
+
+    rows = [split_cells(line, shape.delimiter) for line in sample]
+    rows = [row for row in rows if len(row) >= shape.width]
+    found = {column: writing_of([row[column] for row in rows]) for column in others}
+    if not any(found.values()):
+        return ()
+    return tuple(found.get(column) or "numbers" for column in range(shape.width))
 
 
 @dataclass(frozen=True)
@@ -291,14 +317,14 @@ def _trimmed(cells: list[str], width: int) -> list[str]:
 
 
 def _aligned(
-    place: str, layout: _Layout, width: int, row: list[str]
+    place: str, layout: _Layout, width: int, rows: list[list[str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Bring the header to the width of the rows, or refuse one that cannot be meant for them."""
     names = _trimmed(layout.names, width)
     if names and len(names) == width - 1:
-        if row and not row[-1]:
+        if rows and not rows[0][-1]:
             names = [*names, ""]  # the rows end with a delimiter
-        elif row and row[0].isdigit():
+        elif rows and [row[0] for row in rows] == [str(number + 1) for number in range(len(rows))]:
             names = ["", *names]  # numbered rows, their column without a name
     if names and len(names) != width:
         raise InputError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 from dbo_cli.errors import InputError
@@ -11,9 +11,11 @@ from dbo_cli.logs.background_io import one_ahead
 from dbo_cli.logs.byte_source import ByteSource, LineBlocks
 from dbo_cli.logs.cell_grammar import decode_line, is_number, split_cells
 from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.instrument_headers import InstrumentHeader, read_instrument_header
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
 from dbo_cli.logs.record_end import last_cells, looks_cut
-from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock
+from dbo_cli.logs.stated_clock import agreed_rate
 from dbo_cli.logs.text_dialect import COMMENTS, Dialect, detect, is_comment
 from dbo_cli.logs.text_parsing import PLAIN_BYTES, BlockParser
 
@@ -33,6 +35,8 @@ class TextTable:
         Give each row as it arrives.
     digest
         Hash what is read.
+    content
+        The text itself, where another format has been turned into text (a workbook's sheet).
 
     Raises
     ------
@@ -41,16 +45,23 @@ class TextTable:
     """
 
     def __init__(
-        self, address: Address, options: ReadingOptions, *, live: bool = False, digest: bool = False
+        self,
+        address: Address,
+        options: ReadingOptions,
+        *,
+        live: bool = False,
+        digest: bool = False,
+        content: bytes | None = None,
     ) -> None:
         self.place = address.name
-        self.sample_rate: float | None = None
         self.notes: list[str] = []
-        self.source = ByteSource(address, live=live, digest=digest, encoding=options.encoding)
+        self.source = ByteSource(
+            address, live=live, digest=digest, encoding=options.encoding, content=content
+        )
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and _has_data(text, options))
-            self.dialect = self._detected(head, options, live)
+            self.dialect, self._header = self._detected(head, options, live)
         except BaseException:
             self.source.close()
             raise
@@ -60,15 +71,19 @@ class TextTable:
         self._live = live
         self._ahead = self.source.is_regular and not (live or self._lines.whole_in_head)
 
-    def _detected(self, head: bytes | None, options: ReadingOptions, live: bool) -> Dialect:
-        """Detect the dialect, looking further where the first lines hold no data (pages of remarks)."""
+    def _detected(
+        self, head: bytes | None, options: ReadingOptions, live: bool
+    ) -> tuple[Dialect, InstrumentHeader]:
+        """Detect the dialect and what the instrument says above it, further down below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
             options = replace(options, skip_lines=max(0, options.skip_lines - above))
         while head is not None:
             whole = self._lines.whole_in_head
             try:
-                return detect(self.place, head if whole else head[: head.rfind(b"\n") + 1], options)
+                complete = head if whole else head[: head.rfind(b"\n") + 1]
+                header = read_instrument_header(self.place, complete, options)
+                return header.dialect or detect(self.place, complete, options), header
             except InputError as problem:
                 told = problem
             head = None if live else self._lines.longer_head()
@@ -77,6 +92,10 @@ class TextTable:
     def describe(self) -> str:
         """Tell in one line how the log is written, for ``verbose``."""
         return f"{self.place}: {self.dialect.describe()}"
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Give the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
+        return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
 
     def blocks(
         self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
@@ -92,6 +111,8 @@ class TextTable:
         parser = BlockParser(self.place, self.dialect, picks, rows, skip_bad)
         found = parser.parse(self._data(parser), self._small or self._live)
         yield from one_ahead(found) if self._ahead else found
+        if parser.repeated is not None and parser.repeated.count:
+            self.notes.append(parser.repeated.note(TIME in picks))
         if parser.dropped:
             rest = f" and {parser.dropped - 1} more" if parser.dropped > 1 else ""
             plural = "s" if parser.dropped > 1 else ""
@@ -107,10 +128,14 @@ class TextTable:
         return self.source.sha256
 
     def _data(self, parser: BlockParser) -> Iterator[bytes]:
-        """Skip the lines above the data."""
+        """Skip the lines above the data, and the instrument's mark of the end."""
+        self.notes.extend(f"{self.place}: {remark}" for remark in self._header.remarks)
         parser.next_line += self._lines.empty_lines
         first = self.dialect.first_line + self._lines.empty_lines
+        mark = self._header.end_mark
         for block in self._lines:
+            if mark and block.rstrip().endswith(mark):
+                block = block.rstrip().removesuffix(mark)
             start = 0
             while parser.next_line < first and start < len(block):
                 start = block.find(b"\n", start) + 1 or len(block)
@@ -145,8 +170,9 @@ class TextTable:
     def _describe_columns(self) -> list[ColumnInfo]:
         names = self.dialect.headers or ("",) * self.dialect.width
         units = self.dialect.units or ("",) * self.dialect.width
-        described = zip(names, units, strict=True)
-        return [column_info(name, number, unit) for number, (name, unit) in enumerate(described, start=1)]
+        written = self.dialect.writings or ("numbers",) * self.dialect.width
+        told = enumerate(zip(names, units, written, strict=True), start=1)
+        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in told]
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:

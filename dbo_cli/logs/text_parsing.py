@@ -8,7 +8,7 @@ take a block only when every line is a row of the usual width and every wanted c
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,14 +20,15 @@ from dbo_cli.logs.cell_grammar import (
     SKIP_REMEDY,
     complain,
     decode_line,
-    remedy,
+    is_text,
     split_cells,
     to_number,
 )
-from dbo_cli.logs.columns import column_label
+from dbo_cli.logs.columns import column_info, column_label
+from dbo_cli.logs.header_blocks import RepeatedHeader
 from dbo_cli.logs.interrupts import keep_interrupts
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, Places, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock
 from dbo_cli.logs.text_dialect import Dialect, is_comment
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
@@ -50,6 +51,12 @@ class BlockParser:
     first_dropped: str = ""
     next_row: int = 1
     next_line: int = 1
+    repeated: RepeatedHeader | None = None
+
+    def __post_init__(self) -> None:
+        """Prepare for headers among the data."""
+        if self.dialect.header_block is not None:
+            self.repeated = RepeatedHeader(self.place, self.dialect.header_block)
 
     def parse(self, blocks: Iterator[bytes], small: bool) -> Iterator[SampleBlock]:
         """Parse blocks of whole lines, starting with the first data row.
@@ -83,16 +90,26 @@ class BlockParser:
             numbers = self.next_line + filled
         if _count(text, ord(self.dialect.delimiter)) > 2 * len(numbers) * self.dialect.width + 100:
             return None  # polars takes hundreds of bytes for every cell of a line of delimiters
-        columns = [pick.number - 1 for pick in self.picks.values()]
-        plain = small or (len(block) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
-        read = _parse_plain if plain else _parse_fast
-        arrays = read(text, len(numbers), columns, self.dialect) if text else None
+        arrays = self._columns(text, len(numbers), small) if text else None
         if arrays is None:
             return None
         rows = range(self.next_row, self.next_row + len(numbers))
         self.next_row += len(numbers)
         self.next_line += lines
         return SampleBlock(rows, numbers, None, dict(zip(self.picks, arrays, strict=True)))
+
+    def _columns(self, text: bytes, lines: int, small: bool) -> list[FloatArray] | None:
+        """Read the wanted columns of a regular block; None where it is not regular after all."""
+        picks = list(self.picks.values())
+        plain = small or (len(text) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
+        read = _parse_plain if plain or any(pick.written != "numbers" for pick in picks) else _parse_fast
+        unpicked = self._unpicked()
+        guarded = unpicked if unpicked and _has_letters(text, self.dialect.delimiter) else []
+        arrays = read(text, lines, picks, guarded, self.dialect)
+        if arrays is not None and self.repeated is not None and TIME in self.picks:
+            at = list(self.picks).index(TIME)
+            arrays[at] = self.repeated.continued(arrays[at])
+        return arrays
 
     def _regular(self, block: bytes) -> bytes | None:
         """Bring a block into the form that the fast readers take; None where only careful reading will do."""
@@ -114,6 +131,7 @@ class BlockParser:
         return block
 
     def _parse_slowly(self, block: bytes) -> SampleBlock:
+        time = list(self.picks).index(TIME) if TIME in self.picks else None
         rows: list[int] = []
         lines: list[int] = []
         values: list[list[float]] = []
@@ -125,9 +143,13 @@ class BlockParser:
                 self.next_line += 1
                 continue
             line = decode_line(raw.removesuffix(b"\r"))
-            if not is_comment(line, self.dialect.comments):
+            if self.repeated is not None and self.repeated.takes(line, self.next_line):
+                pass
+            elif not is_comment(line, self.dialect.comments):
                 row = self._parse_row(line)
                 if row is not None:
+                    if time is not None and self.repeated is not None:
+                        row[time] = float(self.repeated.continued(np.array(row[time : time + 1]))[0])
                     rows.append(self.next_row)
                     lines.append(self.next_line)
                     values.append(row)
@@ -143,25 +165,49 @@ class BlockParser:
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
         cells = split_cells(line, self.dialect.delimiter)
-        problem, help = _wrong_width(cells, self.dialect.width), SKIP_REMEDY
+        problem = _wrong_width(cells, self.dialect.width)
         row: list[float] = []
         if not problem:
             for pick in self.picks.values():
                 cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
-                value = to_number(cell, self.dialect.decimal)
+                value = self._value(cell, pick)
                 if value is None:
-                    problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal)}"
-                    help = remedy(cell)
+                    problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
                     break
                 row.append(value)
+            else:
+                problem = self._text_among_numbers(cells)
         if not problem:
             return row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
-            raise InputError(f"{message} {help}")
+            raise InputError(f"{message} {SKIP_REMEDY}")
         self.dropped += 1
         self.first_dropped = self.first_dropped or message
         return None
+
+    def _value(self, cell: str, pick: ColumnInfo) -> float | None:
+        """Read a cell as a number or a time stamp (s); None where it is neither."""
+        if pick.written == "numbers":
+            return to_number(cell, self.dialect.decimal)
+        from dbo_cli.logs.time_cells import READERS
+
+        return READERS[pick.written](cell)
+
+    def _text_among_numbers(self, cells: list[str]) -> str:
+        """Say where text stands in a column of numbers that nobody asked for: such a row is no sample."""
+        for column in self._unpicked():
+            if column < len(cells) and _is_guarded_text(cells[column], column, self.dialect):
+                names = self.dialect.headers
+                info = column_info(names[column] if names else None, column + 1)
+                written = self.dialect.writings[column] if self.dialect.writings else "numbers"
+                return f"{column_label(info)} {complain(cells[column], self.dialect.decimal, written)}"
+        return ""
+
+    def _unpicked(self) -> list[int]:
+        """List the columns of numbers or time stamps (from 0) that are not read."""
+        stamps = {at for at, written in enumerate(self.dialect.writings) if written != "numbers"}
+        return sorted((self.dialect.numeric | stamps) - {pick.number - 1 for pick in self.picks.values()})
 
     def _in_range(self, block: SampleBlock) -> SampleBlock:
         first, last = self.rows
@@ -241,8 +287,25 @@ def _is_rectangular(block: bytes, lines: int, dialect: Dialect) -> bool:
     return bool(ends[:, -1].all()) and np.count_nonzero(ends) == lines
 
 
-def _parse_plain(block: bytes, lines: int, columns: list[int], dialect: Dialect) -> list[FloatArray] | None:
-    """Parse a small regular block without any library; None where it is not regular after all."""
+def _has_letters(block: bytes, delimiter: str) -> bool:
+    """Tell whether a block holds a character that no number has: at ``@`` or above, but no exponent's e."""
+    text = np.frombuffer(block, dtype=np.uint8)
+    found = np.count_nonzero(text >= 64)
+    if not found:
+        return False
+    known = np.count_nonzero((text | 32) == 101)  # e and E
+    if ord(delimiter) >= 64:
+        known += np.count_nonzero(text == ord(delimiter))
+    return bool(found > known)
+
+
+def _parse_plain(
+    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+) -> list[FloatArray] | None:
+    """Parse a small regular block without any library; None where it is not regular after all.
+
+    ``guarded`` are columns (from 0) of numbers that are not wanted: text in them makes a row irregular.
+    """
     if b'"' in block or b"_" in block or not block.isascii() or not _is_rectangular(block, lines, dialect):
         return None
     mark = dialect.delimiter.encode()
@@ -252,25 +315,55 @@ def _parse_plain(block: bytes, lines: int, columns: list[int], dialect: Dialect)
             return None
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
+    if any(_any_text(words[column :: dialect.width], column, dialect) for column in guarded):
+        return None
     try:
-        arrays = [np.array(list(map(float, words[column :: dialect.width]))) for column in columns]
-    except ValueError:
+        arrays = [
+            np.array(list(map(_reader(pick), words[pick.number - 1 :: dialect.width])), dtype=np.float64)
+            for pick in picks
+        ]
+    except (ValueError, TypeError):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
     return arrays if all(np.isfinite(array).all() for array in arrays) else None
 
 
-def _parse_fast(block: bytes, lines: int, columns: list[int], dialect: Dialect) -> list[FloatArray] | None:
-    """Parse a large block with polars; None where it is not regular after all."""
+def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
+    """Return what reads the cells of a column."""
+    if pick.written == "numbers":
+        return float
+    from dbo_cli.logs.time_cells import READERS
+
+    read = READERS[pick.written]
+    return lambda cell: read(cell.decode().strip())
+
+
+def _is_guarded_text(cell: str, column: int, dialect: Dialect) -> bool:
+    """Tell whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
+    if column in dialect.numeric:
+        return is_text(cell, dialect.decimal)
+    return is_text(cell, dialect.decimal) and not any(character.isdigit() for character in cell)
+
+
+def _any_text(cells: Iterable[bytes], column: int, dialect: Dialect) -> bool:
+    """Tell whether any of the cells of a column holds text."""
+    return any(_is_guarded_text(cell.decode().strip(), column, dialect) for cell in set(cells))
+
+
+def _parse_fast(
+    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+) -> list[FloatArray] | None:
+    """Parse a large block with polars; None where it is not regular after all (see ``_parse_plain``)."""
     import polars
 
     keep_interrupts()
 
+    columns = [pick.number - 1 for pick in picks]
     whole = len(set(columns)) == dialect.width  # then polars refuses long rows, and short ones leave a null
     if not whole and not _is_rectangular(block, lines, dialect):
         return None
     if dialect.decimal == "," and b"." in block:
         return None
-    wanted = sorted(set(columns))
+    wanted = set(columns)
     schema = {
         f"column_{n + 1}": polars.Float64 if n in wanted else polars.String for n in range(dialect.width)
     }
@@ -279,7 +372,7 @@ def _parse_fast(block: bytes, lines: int, columns: list[int], dialect: Dialect) 
             block,
             has_header=False,
             schema=schema,
-            columns=None if whole else wanted,
+            columns=None if whole else sorted(wanted | set(guarded)),
             separator=dialect.delimiter,
             decimal_comma=dialect.decimal == ",",
             quote_char='"' if b'"' in block else None,
@@ -289,6 +382,12 @@ def _parse_fast(block: bytes, lines: int, columns: list[int], dialect: Dialect) 
         return None
     if len(table) != lines:
         return None
+    for column in guarded:
+        text = table.get_column(f"column_{column + 1}").drop_nulls()
+        worded = r"[^\x00-?eE]" if column in dialect.numeric else r"^[^0-9]+$"
+        odd = text.filter(text.str.contains(worded)).unique()
+        if any(_is_guarded_text(cell.strip(), column, dialect) for cell in odd):
+            return None
     series = [table.get_column(f"column_{column + 1}") for column in columns]
     if any(one.null_count() for one in series):
         return None

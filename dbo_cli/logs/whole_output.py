@@ -66,6 +66,10 @@ class _Pending:
             os.close(handle)
 
 
+class _AppearedMeanwhile(Exception):
+    """A file that was not there has been made by somebody else."""
+
+
 class OutputSet:
     """The outputs of one command, collected under temporary names; see :func:`all_or_none`."""
 
@@ -168,7 +172,7 @@ class OutputSet:
                 for one, alone in zip(self._pending, exclusive, strict=True):
                     with _telling(one.path):
                         self._rename(one, alone)
-            except FileExistsError:
+            except _AppearedMeanwhile:
                 self._take_back()
                 return False
             except BaseException:
@@ -188,7 +192,7 @@ class OutputSet:
             try:
                 os.link(one.temporary, one.target)
             except FileExistsError:
-                raise
+                raise _AppearedMeanwhile from None
             except OSError:  # a file system without hard links: the best that it can do
                 os.replace(one.temporary, one.target)
             else:
@@ -320,7 +324,7 @@ def opened(path: str, buffering: int = -1) -> Iterator[IO[bytes]]:
 def _telling(path: str) -> Iterator[None]:
     try:
         yield
-    except (BrokenPipeError, FileExistsError):
+    except BrokenPipeError:
         raise
     except OSError as problem:
         raise OutputError(f"{path}: {reason_of(problem)}") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import tempfile
+import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -12,7 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.errors import OutputError
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.reports import drawing_library as library
 from dbo_cli.reports import figure_style as style
 
 if TYPE_CHECKING:
@@ -22,16 +25,25 @@ if TYPE_CHECKING:
 Kind = Literal["png", "svg", "inline"]
 FILES: tuple[Kind, ...] = ("png", "svg")
 
+# What a log's name ends with and a figure's need not; ``run.1.csv`` and ``run.2.csv`` keep their numbers.
+_ENDINGS = re.compile(r"\.(?:csv|tsv|txt|dat|lvm|asc|log|h5|hdf5?|nxs|mat|npy|npz|parquet|feather|xlsx?|tdms)"
+                      r"(?:\.(?:gz|bz2|xz|zst))?$", re.IGNORECASE)  # fmt: skip
+_LONGEST_STEM = 100  # bytes: of the 255 of a file name, 60 are for the figure's key and a temporary ending
+
 
 @dataclass(frozen=True)
 class Plot:
-    """One figure: the stem of its file name, its title, what it shows in words, and how it is drawn."""
+    """One figure: the stem of its file name, its title, what it shows in words, and how it is drawn.
+
+    ``size`` is width and height in inches; a legend of more than one line adds ``head`` inches above.
+    """
 
     key: str
     title: str
     words: str
     size: tuple[float, float]
     paint: Callable[[Axes], None]
+    head: float = 0.0
 
 
 def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
@@ -41,35 +53,35 @@ def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
     the colours of ``figure_style.SCHEME`` as variables, and ids that begin with ``scope`` and the figure's
     key (they must differ within a page).
     """
-    content = _saved(_painted(plot, note), kind)
+    content = _saved(_painted(plot, note, as_outlines=kind != "inline"), kind)
     return _for_page(content.decode(), plot, f"{scope}-{plot.key}-").encode() if kind == "inline" else content
 
 
-def _painted(plot: Plot, note: str) -> Figure:
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def _painted(plot: Plot, note: str, *, as_outlines: bool) -> Figure:
+    with library.style(style.RC):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
 
-    with rc_context(style.RC):
-        figure = Figure(figsize=plot.size)
+        size = (plot.size[0], plot.size[1] + plot.head)
+        figure = Figure(figsize=size)
         FigureCanvasAgg(figure)
         axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
         plot.paint(axes)
-        axes.set_position(_frame(plot.size, headed=bool(note) or axes.get_legend() is not None))
+        headed = bool(note) or axes.get_legend() is not None
+        axes.set_position(_frame(size, (0.32 if headed else 0.2) + plot.head))
         if note:
             axes.set_title(note, loc="right", color=style.MUTED, fontsize=8.0, pad=5.0)
+        library.show_plainly(figure, as_outlines=as_outlines)
         _fit_left(figure, axes)
     return figure
 
 
 def _saved(figure: Figure, kind: Kind) -> bytes:
     """Return a painted figure in one form; no date or version in it, so the bytes repeat."""
-    from matplotlib import rc_context
-
     inline = kind == "inline"
     out = io.BytesIO()
     metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
-    with rc_context(style.RC | ({"svg.fonttype": "none"} if inline else {})):
+    with library.style(style.RC | ({"svg.fonttype": "none"} if inline else {})):
         figure.savefig(out, format="png" if kind == "png" else "svg", metadata=metadata, transparent=inline)
     return out.getvalue()
 
@@ -96,7 +108,7 @@ def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list
     """Write every figure as ``STEM-KEY.png`` and ``.svg``; each appears whole or not at all."""
     written = []
     for plot in plots:
-        figure = _painted(plot, note)
+        figure = _painted(plot, note, as_outlines=True)
         for kind in FILES:
             path = folder / f"{stem}-{plot.key}.{kind}"
             write_whole(str(path), _saved(figure, kind))
@@ -105,24 +117,39 @@ def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
-    """Return a stem for the figure files of every log: its name without folder and ending, all different."""
+    """Return a stem for the figure files of every log, all different, on every file system.
+
+    The name without its folder and its ending, with the group of an HDF5 file; letters of every script stay,
+    what a shell or a file system might take amiss becomes ``_``, and a long name loses its end.
+    """
     stems: list[str] = []
+    taken: set[str] = set()
     for name in names:
-        base = name.split("::")[0].replace("\\", "/").rsplit("/", 1)[-1]
-        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", base.split(".")[0] or base) or "log"
-        if name == "-":
-            stem = "stdin"
+        stem = "stdin" if name == "-" else _plain_stem(name)
         count, unique = 2, stem
-        while unique in stems:
+        while unique.casefold() in taken:
             unique = f"{stem}-{count}"
             count += 1
+        taken.add(unique.casefold())
         stems.append(unique)
     return stems
 
 
-def _frame(size: tuple[float, float], headed: bool) -> tuple[float, float, float, float]:
+def _plain_stem(name: str) -> str:
+    path, _, group = name.partition("::")
+    base = path.replace("\\", "/").rsplit("/", 1)[-1]
+    base = _ENDINGS.sub("", base) or base
+    group = group.strip("/")
+    stem = unicodedata.normalize("NFC", f"{base}-{group}" if group else base)
+    stem = re.sub(r"[^\w.-]+", "_", stem).strip(".")
+    while len(stem.encode()) > _LONGEST_STEM:
+        stem = stem[:-1]
+    return stem or "log"
+
+
+def _frame(size: tuple[float, float], top: float) -> tuple[float, float, float, float]:
     """Return left, bottom, width and height of the axes for margins fixed in inches."""
-    left, right, bottom, top = 0.66, 0.12, 0.48, 0.32 if headed else 0.2
+    left, right, bottom = 0.66, 0.12, 0.48
     width, height = size
     return left / width, bottom / height, (width - left - right) / width, (height - bottom - top) / height
 
@@ -152,4 +179,4 @@ def _for_page(svg: str, plot: Plot, prefix: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
     svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
-    return svg.replace("<svg ", f'<svg role="img" aria-label="{escape(plot.words)}" ', 1).strip()
+    return svg.replace("<svg ", f'<svg role="img" aria-label="{escape(cleaned(plot.words))}" ', 1).strip()

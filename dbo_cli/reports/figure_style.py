@@ -16,17 +16,36 @@ FIRST = "#00508f"
 SECOND = "#e0751a"
 FILL = "#7fa8cc"
 
-SCHEME = {INK: "ink", MUTED: "muted", RULE: "rule", FIRST: "first", SECOND: "second", FILL: "fill"}
+THIRD = "#1b7f5c"
+FOURTH = "#9c4697"
+FIFTH = "#8a6d00"
+
+SCHEME = {
+    INK: "ink",
+    MUTED: "muted",
+    RULE: "rule",
+    FIRST: "first",
+    SECOND: "second",
+    THIRD: "third",
+    FOURTH: "fourth",
+    FIFTH: "fifth",
+    FILL: "fill",
+}
 
 SOLID: dict[str, Any] = {"color": FIRST, "linestyle": "-", "linewidth": 1.3}
 DASHED: dict[str, Any] = {"color": SECOND, "linestyle": (0, (3.2, 1.4)), "linewidth": 1.3}
 ALONE: dict[str, Any] = {"color": INK, "linestyle": "-", "linewidth": 0.9}
+SEVERAL: tuple[dict[str, Any], ...] = tuple(
+    {"color": color, "linestyle": "-", "linewidth": 0.9}
+    for color in (SECOND, FIRST, THIRD, FOURTH, FIFTH, INK)
+)
 HIGH_DPI = 220
 
 WIDE = (5.0, 2.8)
 TALL = (5.0, 4.0)
 
 RC: dict[str, object] = {
+    "text.parse_math": False,  # a dollar in a name or a unit is a dollar
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.0,

@@ -7,18 +7,22 @@ In the numbers of the paper: ``drive`` is Fig. 5, ``tracking`` 6, 8 and 11, ``lo
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dbo_cli.reports import figure_style as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.renderers import digits
+from dbo_cli.reports.renderers import digits, short_name
 from dbo_cli.reports.report import LogReport, Report
 from dbo_cli.reports.thinned_curves import Band, Curve, Raster, Traces
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.legend import Legend
 
 LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
 
@@ -41,6 +45,57 @@ def decade(value: float, _: float = 0.0) -> str:
     if 0.005 < value < 5000.0:
         return f"{value:g}"
     return "10" + f"{math.log10(value):.0f}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def plots_of_comparison(report: Report, traces: Sequence[Traces]) -> list[Plot]:
+    """Return what shows all logs of a report at once: their errors in one figure; nothing for a single log.
+
+    Of more logs than there are colours, the first ones. Where the logs begin at different times, each counts
+    from its own first sample.
+    """
+    if len(report.logs) < 2:
+        return []
+    view = _ComparisonView(report, traces)
+    first, second = report.options.labels
+    title = "Error of all logs against time"
+    if view.left_out:
+        title = f"Error of the first {len(view.logs)} of {len(report.logs)} logs against time"
+    words = f"{second.capitalize()} less {first} displacement against time, a line for each log."
+    return [Plot("errors", title, words, style.WIDE, view.errors, head=view.head)]
+
+
+class _ComparisonView:
+    """Paint the errors of several logs into one figure."""
+
+    LINE = 0.17  # inches, of the legend
+    WIDEST = 64  # letters in a legend of one line; names that need more stand below each other
+
+    def __init__(self, report: Report, traces: Sequence[Traces]) -> None:
+        most = len(style.SEVERAL)
+        self._report = report
+        self.logs = report.logs[:most]
+        self.left_out = len(report.logs) - len(self.logs)
+        self._traces = list(traces[:most])
+        self._names = [short_name(log.name, self.WIDEST) for log in self.logs]
+        longest = max(map(len, self._names))
+        self._columns = max(1, min(3, len(self._names), self.WIDEST // (longest + 6)))
+        self.head = self.LINE * (math.ceil(len(self._names) / self._columns) - 1)
+
+    def errors(self, axes: Axes) -> None:
+        timed = all(traces.has_time for traces in self._traces)
+        apart = timed and len({traces.start for traces in self._traces}) > 1
+        handles = []
+        for log, traces, look in zip(self.logs, self._traces, style.SEVERAL, strict=False):
+            shape = traces.against_time("error")
+            if apart:
+                shape = replace(shape, x=shape.x - traces.start)
+            _against_time(axes, shape, look, log.figures.offset)
+            handles += axes.plot([], [], **(look | {"linewidth": 1.6}))
+        axes.set(xlabel="Time since each log began (s)" if apart else "Time (s)" if timed else "Row")
+        axes.set(ylabel=axis_label("Error", self._report.unit))
+        legend = mark_curves(axes, handles, ["log"] * len(handles), self._columns)
+        for text, name in zip(legend.get_texts(), self._names, strict=True):
+            text.set_text(name)  # as a label, a name that begins with "_" would be left out
 
 
 def plots_of_log(report: Report, log: LogReport, traces: Traces) -> list[Plot]:
@@ -216,7 +271,12 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
     axes.autoscale(enable=True)
 
 
-def mark_curves(axes: Axes) -> None:
-    """Set the legend in one line above the axes, where it hides nothing."""
-    handles, labels = axes.get_legend_handles_labels()
-    axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, columnspacing=1.6)
+def mark_curves(
+    axes: Axes, handles: Sequence[Artist] = (), labels: Sequence[str] = (), columns: int = 3
+) -> Legend:
+    """Set the legend above the axes, where it hides nothing; it names every curve that has a label."""
+    if not handles:
+        handles, labels = axes.get_legend_handles_labels()
+    return axes.legend(
+        handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, columnspacing=1.6
+    )

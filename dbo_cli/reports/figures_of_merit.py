@@ -1,7 +1,7 @@
 """How well one signal follows another: the figures of merit of a log of any length, in constant memory.
 
 The error is *measured - desired* throughout. The result does not depend on how the stream was cut into
-blocks, to the last bit: see ``accumulators``.
+blocks, to the last bit: see ``running_statistics``.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dbo_cli.reports.held_signal import hold_length
+from dbo_cli.reports.loop_width import LoopWidth
+from dbo_cli.reports.phase_lag import PhaseLag
 from dbo_cli.reports.running_statistics import (
     Batches,
     CompensatedSum,
     ErrorDistribution,
     Floats,
-    LoopWidth,
-    PhaseLag,
     usable,
 )
 
@@ -27,8 +28,9 @@ class TrackingFigures:
     """How well the measured signal follows the desired one; lengths in the signals' own unit.
 
     ``offset`` is what was subtracted from the error (0.0 unless it was asked for). Where a figure is not
-    defined it is None: ``nrmse_percent`` for a desired signal that never changes, ``loop_width`` where no
-    value was passed both upward and downward, the lag where nothing moves.
+    defined it is None: ``nrmse_percent`` for a desired signal that never changes, ``loop_width`` and its
+    noise floor ``loop_noise`` where no value was passed both upward and downward, the lag where nothing
+    moves.
     """
 
     samples: int
@@ -48,6 +50,7 @@ class TrackingFigures:
     phase_left: float | None
     offset: float
     sample_period: float | None
+    loop_noise: float | None = None
 
 
 class TrackingMetrics:
@@ -72,10 +75,11 @@ class TrackingMetrics:
         self.distribution = ErrorDistribution()
         self._loop = LoopWidth()
         self._phase = PhaseLag()
+        self._hold: float | None = None
+        self._last_desired = math.nan
         self._sums = (CompensatedSum(), CompensatedSum())
         self._extremes: dict[str, tuple[float, float, float]] = {}
         self._range = (math.inf, -math.inf)
-        self._carry: tuple[Floats, Floats] | None = None
         self._not_finite = 0
         self.missing = [0, 0]
         self._times: tuple[float, float] | None = None
@@ -112,7 +116,7 @@ class TrackingMetrics:
         largest = max(self._extremes.values(), key=lambda extreme: abs(extreme[0] - offset))
         low, high = self._range
         span = high - low
-        loop, lag = self._loop.width(), self._phase.lag()
+        loop, lag = self._loop.loop(), self._phase.lag()
         return TrackingFigures(
             samples=n,
             not_finite=self._not_finite,
@@ -125,12 +129,13 @@ class TrackingMetrics:
             max_abs_row=int(largest[1]),
             max_abs_time=None if math.isnan(largest[2]) else largest[2],
             p95_abs=self.distribution.quantile_abs(0.95, offset),
-            loop_width=loop,
-            loop_width_percent=100.0 * loop / span if loop is not None and span > 0.0 else None,
-            lag_left=lag[0] if lag else None,
+            loop_width=loop.width if loop else None,
+            loop_width_percent=100.0 * loop.width / span if loop and span > 0.0 else None,
+            lag_left=lag[0] * (self._hold or 1.0) if lag else None,
             phase_left=lag[1] if lag else None,
             offset=offset,
             sample_period=self._sample_period(),
+            loop_noise=loop.noise_floor if loop else None,
         )
 
     def _sample_period(self) -> float | None:
@@ -167,14 +172,12 @@ class TrackingMetrics:
         self._take_motion(desired, measured)
 
     def _take_motion(self, desired: Floats, measured: Floats) -> None:
-        """Feed what needs a slope: the inner samples, the two at the seam with the batch before included."""
-        if self._carry is not None:
-            desired = np.concatenate([self._carry[0], desired])
-            measured = np.concatenate([self._carry[1], measured])
-        self._carry = (desired[-2:].copy(), measured[-2:].copy())
-        if len(desired) < 3:
-            return
-        slope = 0.5 * (desired[2:] - desired[:-2])
-        inner, answer = desired[1:-1], measured[1:-1]
+        """Feed loop and lag: with every sample, or with those at which a held desired signal is new."""
+        if self._hold is None:
+            self._hold = hold_length(desired, measured)
+        if self._hold is not None and self._hold > 1.0:
+            new = np.diff(desired, prepend=self._last_desired) != 0.0
+            self._last_desired = float(desired[-1])
+            desired, measured = desired[new], measured[new]
         self._phase.add(desired, measured)
-        self._loop.add(inner, answer - inner, slope)
+        self._loop.add(desired, measured - desired)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -10,6 +11,8 @@ from dbo_cli.reports.figures import shown_unit
 from dbo_cli.reports.page_style import style_sheet
 from dbo_cli.reports.renderers import digits, settings_line
 from dbo_cli.reports.report import LogReport, Report
+
+UNBROKEN = 28  # letters of a name that stay together; 13 columns beside it fit into 1,280 pixels
 
 MEANINGS = (
     ("RMSE", "Root of the mean square of the error."),
@@ -20,8 +23,10 @@ MEANINGS = (
     (
         "Loop left",
         "The hysteresis that is left: for equal values of {first}, the error on the way down less the"
-        " error on the way up, averaged over the log, where it differs most. Negative: compensated too much.",
+        " error on the way up, averaged over the log, where it differs most. Negative: compensated too much."
+        " A pure delay and a drift of the sensor open a loop, too.",
     ),
+    ("Loop noise", "What noise alone would show as a loop; a loop no wider than that says nothing."),
     (
         "Lag left",
         "The delay by which {second} still follows {first}, from a fit of {first} and its slope;"
@@ -35,6 +40,7 @@ def to_html(
     report: Report,
     plots: Sequence[Sequence[Plot]],
     *,
+    comparison_plots: Sequence[Plot] = (),
     model_plots: Sequence[Plot] = (),
     title: str = "Tracking report",
     program: str = "",
@@ -47,6 +53,8 @@ def to_html(
         The values.
     plots : sequence of sequences of Plot
         For every log of the report, in its order, the figures to show (``figures.plots_of_log``).
+    comparison_plots : sequence of Plot
+        The figures of all logs together (``figures.plots_of_comparison``); they stand first.
     model_plots : sequence of Plot
         The figures of the model, where one was compared (``model_figures.plots_of_model``).
     title, program : str
@@ -58,11 +66,12 @@ def to_html(
         parts.append(
             '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
         )
+    parts.append(_figures(comparison_plots, "all"))
     for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
-        parts.append(f"<section><h2>{escape(log.name)}</h2>{_figures(figures, number)}")
+        parts.append(f"<section><h2>{breakable(log.name)}</h2>{_figures(figures, f'l{number}')}")
         parts.append(_segments(report, log) + "</section>")
     if model_plots:
-        parts.append(f"<section><h2>The model</h2>{_figures(model_plots, len(report.logs))}</section>")
+        parts.append(f"<section><h2>The model</h2>{_figures(model_plots, 'model')}</section>")
     parts.append(_meanings(report, several))
     if program:
         parts.append(f"<footer>{escape(program)}</footer>")
@@ -79,7 +88,7 @@ def _summary(report: Report, several: bool) -> str:
     in_unit = f" ({unit})" if unit else ""
     removed = report.options.remove_offset
     head = ["Log", "Samples", f"RMSE{in_unit}", "% of range", f"95 %{in_unit}", f"Largest{in_unit}", "at row"]
-    head += [f"{'Offset' if removed else 'Mean'}{in_unit}", f"Loop left{in_unit}"]
+    head += [f"{'Offset' if removed else 'Mean'}{in_unit}", f"Loop left{in_unit}", "Loop noise"]
     head += ["Lag left (samples)", "Lag left (ms)", "Phase left"]
     head += ["Ratio"] if several else []
     rows = []
@@ -95,6 +104,7 @@ def _summary(report: Report, several: bool) -> str:
             str(figures.max_abs_row),
             digits(figures.offset if removed else figures.mean),
             digits(figures.loop_width),
+            digits(figures.loop_noise, 2),
             digits(figures.lag_left, 3),
             digits(None if record["lag_left_s"] is None else 1000.0 * record["lag_left_s"], 3),
             "-" if figures.phase_left is None else f"{digits(figures.phase_left, 3)}°",
@@ -128,16 +138,27 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int, name:
         line = ""
         for number, (title, cell) in enumerate(zip(head, row, strict=True)):
             mark = ' class="chief"' if number == chief else ""
-            line += f'<td{mark} data-label="{escape(title)}">{escape(cell)}</td>'
+            content = breakable(cell) if number == 0 else escape(cell)
+            line += f'<td{mark} data-label="{escape(title)}">{content}</td>'
         lines.append(f"<tr>{line}</tr>")
     body = "\n".join(lines)
     return f'<table class="{name}"><thead><tr>{cells}</tr></thead><tbody>\n{body}\n</tbody></table>'
 
 
-def _figures(plots: Sequence[Plot], number: int) -> str:
+def breakable(name: str) -> str:
+    """Return a name as HTML that breaks, where it must, behind a separator; a short one does not break."""
+    if len(name) <= UNBROKEN:
+        return f'<span class="name">{escape(name)}</span>'
+    pieces = []
+    for piece in re.split(r"(?<=[/\\_. -])", name):
+        pieces += [piece[start : start + UNBROKEN] for start in range(0, len(piece), UNBROKEN)]
+    return "<wbr>".join(f'<span class="name">{escape(piece)}</span>' for piece in pieces if piece)
+
+
+def _figures(plots: Sequence[Plot], scope: str) -> str:
     drawn = []
     for plot in plots:
-        image = draw(plot, "inline", scope=f"l{number}").decode()
+        image = draw(plot, "inline", scope=scope).decode()
         drawn.append(f"<figure><figcaption>{escape(plot.title)}</figcaption>{image}</figure>")
     return '<div class="figures">' + "\n".join(drawn) + "</div>" if drawn else ""
 

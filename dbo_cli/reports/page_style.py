@@ -18,6 +18,9 @@ DARK = {
     "rule": "#363c45",
     "first": "#74b4ee",
     "second": "#f2994a",
+    "third": "#4cc79b",
+    "fourth": "#d48fd0",
+    "fifth": "#d2b23c",
     "fill": "#44698f",
     "page": "#14161a",
     "panel": "#1d2026",
@@ -27,7 +30,10 @@ DARK = {
 
 def style_sheet() -> str:
     """Return the style sheet, the same on every call."""
-    return _SHEET.replace("LIGHT", _variables(LIGHT)).replace("DARK", _variables(DARK))
+    sheet = _SHEET.replace("LIGHT", _variables(LIGHT)).replace("DARK", _variables(DARK))
+    for table in (".summary", ".segments"):
+        sheet = sheet.replace(f"CARDS({table})", _CARDS.replace("TABLE", table))
+    return sheet
 
 
 def _variables(colors: dict[str, str]) -> str:
@@ -42,7 +48,7 @@ body { margin: 0; background: var(--page); color: var(--ink);
   font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
 main { max-width: 76rem; margin: 0 auto; padding: 2rem 1.5rem 3rem; }
 h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .4rem; }
-h2 { font-size: 1.2rem; line-height: 1.3; margin: 2.4rem 0 .8rem; overflow-wrap: anywhere; }
+h2 { font-size: 1.2rem; line-height: 1.3; margin: 2.4rem 0 .8rem; }
 h3 { font-size: 1rem; margin: 1.6rem 0 .5rem; }
 p { margin: .4rem 0; max-width: 46rem; }
 .muted, figcaption, footer { color: var(--muted); }
@@ -52,7 +58,8 @@ th, td { text-align: right; padding: .35rem .5rem; white-space: nowrap;
 th { font-weight: 600; color: var(--muted); font-size: .85rem; vertical-align: bottom;
   white-space: normal; }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
-td:first-child { white-space: normal; overflow-wrap: anywhere; min-width: 9rem; }
+td:first-child { white-space: normal; }
+.name { white-space: nowrap; }
 .chief { font-weight: 700; }
 .figures { display: grid; gap: 1.6rem;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)); }
@@ -66,16 +73,9 @@ dl { display: grid; grid-template-columns: max-content 1fr; gap: .25rem 1.2rem; 
 dt { font-weight: 600; }
 dd { margin: 0; }
 footer { margin-top: 3rem; font-size: .85rem; overflow-wrap: anywhere; }
-@media screen and (max-width: 860px) {
+@media screen and (max-width: 1180px) { CARDS(.summary) }
+@media screen and (max-width: 860px) { CARDS(.segments)
   main { padding: 1.2rem 1rem 2rem; }
-  thead { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
-  tr, td { display: block; }
-  tr { border: 1px solid var(--rule); border-radius: 6px; padding: .5rem .8rem; margin: .6rem 0; }
-  td { display: flex; justify-content: space-between; flex-wrap: wrap; gap: 0 1rem;
-    border: 0; padding: .15rem 0; }
-  td::before { content: attr(data-label); color: var(--muted); }
-  td:first-child { font-weight: 600; min-width: 0; }
-  td:first-child::before { content: none; }
   .segments tr { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); column-gap: 1.4rem; }
   dl { grid-template-columns: 1fr; }
   dd { margin-bottom: .5rem; }
@@ -91,4 +91,19 @@ footer { margin-top: 3rem; font-size: .85rem; overflow-wrap: anywhere; }
   figure, tr { break-inside: avoid; }
   h2, h3 { break-after: avoid; }
 }
+"""
+
+# A table that is too wide for the screen: every row becomes a card, every cell knows its heading.
+_CARDS = """
+  TABLE { display: block; }
+  TABLE thead { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+  TABLE tbody { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 20rem), 1fr));
+    gap: .6rem; }
+  TABLE tr, TABLE td { display: block; }
+  TABLE tr { border: 1px solid var(--rule); border-radius: 6px; padding: .5rem .8rem; }
+  TABLE td { display: flex; justify-content: space-between; flex-wrap: wrap; gap: 0 1rem;
+    border: 0; padding: .15rem 0; }
+  TABLE td::before { content: attr(data-label); color: var(--muted); }
+  TABLE td:first-child { font-weight: 600; display: block; }
+  TABLE td:first-child::before { content: none; }
 """

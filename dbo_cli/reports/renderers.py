@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,13 +24,13 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
     ``logs``, ``notes`` and, where given, ``provenance``. Each log: ``name``, ``samples``, ``rmse``,
     ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``, ``max_abs_row``
     (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no larger),
-    ``loop_width`` (signed, see ``accumulators.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
+    ``loop_width`` (signed, see ``loop_width.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
     ``lag_left_s``, ``phase_left_degrees``, ``desired_min``, ``desired_max``, ``lag_samples`` (taken out
     beforehand), ``lag_s``, ``offset_removed`` (subtracted from the error), ``sample_period_s``,
-    ``not_finite`` (rows left out), ``ratio_to_first`` (of the RMSE), ``segments``: a list of ``number``,
-    ``first_row``, ``last_row``, the keys from ``samples`` to ``desired_max``, and ``offset_removed`` (the
-    segment's own). New keys may come at the
-    end of an object in later releases; none will change its meaning within version 1.
+    ``not_finite`` (rows left out), ``ratio_to_first`` (of the RMSE), ``loop_noise`` (what noise alone would
+    show as ``loop_width``), ``segments``: a list of ``number``, ``first_row``, ``last_row``, the keys from
+    ``samples`` to ``desired_max``, ``offset_removed`` (the segment's own) and ``loop_noise``. New keys may
+    come in later releases; none will change its meaning within version 1.
     """
     content: dict[str, Any] = {
         "format": "dbo-report",
@@ -48,13 +49,31 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
 
 
 def to_csv(report: Report) -> str:
-    """Return one line a log: the keys of the JSON form, then the unit; what is undefined is left empty."""
+    """Return one line a log: the keys of the JSON form, then the unit; what is undefined is left empty.
+
+    Where there are segments, each log's follow its line, and three columns more tell them: ``segment`` (the
+    number; empty for the whole log), ``first_row`` and ``last_row``. No name is a formula to a spreadsheet.
+    """
+    unit = {"unit": None if report.unit is None else _no_formula(report.unit)}
+    rows = []
+    for log in report.logs:
+        whole = log.record() | {"name": _no_formula(log.name)}
+        rows.append(whole | unit)
+        for part in log.segments:
+            own = part.record()
+            place = {"segment": own.pop("number"), **{key: own.pop(key) for key in ("first_row", "last_row")}}
+            rows.append(dict.fromkeys(whole) | {"name": whole["name"]} | own | unit | place)
+    columns = max(rows, key=len)
     out = io.StringIO()
-    records = [log.record() | {"unit": report.unit} for log in report.logs]
-    writer = csv.DictWriter(out, fieldnames=list(records[0]), lineterminator="\n")
+    writer = csv.DictWriter(out, fieldnames=list(columns), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(records)
+    writer.writerows(rows)
     return out.getvalue()
+
+
+def _no_formula(name: str) -> str:
+    """Put an apostrophe before a text that a spreadsheet would calculate instead of showing."""
+    return f"'{name}" if name[:1] in ("=", "+", "@") or (name[:1] == "-" and len(name) > 1) else name
 
 
 def to_text(report: Report) -> str:
@@ -110,21 +129,22 @@ def _error_table(report: Report) -> str:
         shown = figures.offset if report.options.remove_offset else figures.mean
         numbers = [figures.rmse, figures.nrmse_percent, figures.p95_abs, figures.max_abs, shown]
         ratio = [digits(log.ratio_to_first)] if several else []
-        rows.append([_short(log.name), str(figures.samples), *map(digits, numbers), *ratio])
+        rows.append([short_name(log.name), str(figures.samples), *map(digits, numbers), *ratio])
     return _table(head + ["ratio"] * several, rows)
 
 
 def _loop_table(report: Report) -> str:
-    head = ["log", "loop left", "% range", "lag left", "seconds", "phase", "largest at row"]
+    head = ["log", "loop left", "% range", "noise", "lag left", "seconds", "phase", "largest at row"]
     rows = []
     for log in report.logs:
         record = log.record()
         phase = digits(log.figures.phase_left, 3)
         rows.append(
             [
-                _short(log.name),
+                short_name(log.name),
                 digits(record["loop_width"]),
                 digits(record["loop_width_percent"]),
+                digits(record["loop_noise"], 2),
                 digits(record["lag_left_samples"], 3),
                 digits(record["lag_left_s"], 3),
                 phase if phase == "-" else f"{phase}°",
@@ -156,7 +176,7 @@ def _segment_table(report: Report, log: LogReport) -> str:
             ]
         )
     what = "cycle" if report.options.segment == "cycles" else f"{report.options.segment:g} s"
-    title = f"{_short(log.name, WIDTH - 24)}, by {what}" if report.options.segment else log.name
+    title = f"{short_name(log.name, WIDTH - 24)}, by {what}" if report.options.segment else log.name
     return f"{title}\n{_table(head, rows)}"
 
 
@@ -165,27 +185,39 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
     Where that is too wide: one blank, then shorter names.
     """
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+    widths = [max(_cells(row[i]) for row in [head, *rows]) for i in range(len(head))]
     gap = 2 if sum(widths) + 2 * (len(widths) - 1) <= WIDTH else 1
     excess = sum(widths) + gap * (len(widths) - 1) - WIDTH
     if excess > 0:
         widths[0] = max(widths[0] - excess, 5)
-        rows = [[_short(row[0], widths[0]), *row[1:]] for row in rows]
+        rows = [[short_name(row[0], widths[0]), *row[1:]] for row in rows]
 
     def line(cells: Sequence[str]) -> str:
-        first = cells[0].ljust(widths[0])
+        first = cells[0] + " " * (widths[0] - _cells(cells[0]))
         others = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
         return (" " * gap).join([first, *others]).rstrip()
 
     return "\n".join([line(head), *map(line, rows)])
 
 
-def _short(name: str, width: int = NAME_WIDTH) -> str:
+def short_name(name: str, width: int = NAME_WIDTH) -> str:
     """Return a name cut in its middle where it is too long; its end, the file, tells more than its start."""
-    if len(name) <= width:
+    if _cells(name) <= width:
         return name
     tail = (width - 1) * 2 // 3
-    return f"{name[: width - 1 - tail]}…{name[-tail:]}"
+    head = width - 1 - tail
+    start, end = name[:head], name[-tail:]
+    while _cells(start) > head:
+        start = start[:-1]
+    while _cells(end) > tail:
+        end = end[1:]
+    return f"{start}…{end}"
+
+
+def _cells(text: str) -> int:
+    """Return how many columns of a terminal a text takes: Chinese and Japanese letters take two."""
+    wide = sum(unicodedata.east_asian_width(sign) in "WF" for sign in text)
+    return len(text) + wide - sum(unicodedata.combining(sign) > 0 for sign in text)
 
 
 def _wrapped(text: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a report says about one or several logs, as values; ``renderers`` and ``html`` turn them into text.
+"""What a report says about one or several logs, as values; ``renderers`` and ``page`` turn them into text.
 
 A stream of ``PairBlock`` is all it needs: logs larger than memory are fine, and so is a prediction that a
 model makes block by block (then ``labels`` is ``("model", "measured")``). To compare, for each log::
@@ -14,12 +14,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-import numpy as np
-
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.reading_options import Rows
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.running_statistics import ErrorDistribution
-from dbo_cli.reports.sample_pairs import PairBlock, batched, find_lag, lagged
+from dbo_cli.reports.running_statistics import ErrorDistribution, Floats
+from dbo_cli.reports.sample_pairs import BeforeZero, PairBlock, batched, find_lag, lagged, scored
 from dbo_cli.reports.segments import cycles, spans
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Collector(Protocol):
     """What looks at every block on its way, e.g. the traces that figures are drawn from."""
 
     def begin(self, labels: tuple[str, str]) -> None:
-        """Learn what is compared with what."""
+        """Learn what is compared with what, and forget what came before."""
 
     def add(self, block: PairBlock) -> None:
         """Take one block."""
@@ -75,7 +75,9 @@ class Segment:
     def record(self) -> dict[str, Any]:
         """Return the segment as plain values under the keys of the JSON form."""
         rows = {"number": self.number, "first_row": self.first_row, "last_row": self.last_row}
-        return rows | _record(self.figures) | {"offset_removed": self.figures.offset}
+        figures = self.figures
+        own = {"offset_removed": figures.offset, "loop_noise": figures.loop_noise}
+        return rows | _record(figures) | own
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class LogReport:
             "sample_period_s": period,
             "not_finite": figures.not_finite,
             "ratio_to_first": self.ratio_to_first,
+            "loop_noise": figures.loop_noise,
         }
 
 
@@ -116,6 +119,7 @@ class Report:
     @classmethod
     def of(cls, logs: Sequence[LogReport], options: ReportOptions, unit: str | None) -> Report:
         """Put the logs side by side, each with its RMSE as a ratio to the first."""
+        unit = None if unit is None else cleaned(unit)
         first = logs[0].figures.rmse if logs else 0.0
         rated = tuple(
             replace(log, ratio_to_first=log.figures.rmse / first if first > 0.0 else None) for log in logs
@@ -186,6 +190,8 @@ def evaluate(
     *,
     sample_rate: float | None = None,
     traces: Collector | None = None,
+    score_rows: Rows | None = None,
+    count_sweep: bool = False,
 ) -> LogReport:
     """Compare one log, read once and never held whole.
 
@@ -194,12 +200,18 @@ def evaluate(
     name : str
         What the log is called in messages and in the report.
     blocks : iterable of PairBlock
-        The rows in order. For ``rows A:B`` read ``rows_with_lag("A:B", lag)``, so that the last desired
-        rows find their measured ones too.
+        The rows in order. To compare the rows A to B of two recorded signals, read
+        ``rows_to_read((A, B), lag)``, so that the last desired rows find their measured ones too. A model's
+        prediction depends on all that came before: run the model from the first row and give ``score_rows``.
     sample_rate : float, optional
         Samples a second, where the blocks carry no time.
     traces : Collector, optional
-        Sees every pair, lag taken out; see ``traces.Traces``.
+        Sees every pair, lag taken out; see ``thinned_curves.Traces``.
+    score_rows : (int, int or None), optional
+        First and last desired row that count, of the rows that come; reading ends behind the last one.
+    count_sweep : bool
+        Let rows before time 0, where a conditioning sweep stands, take part though others follow. They always
+        do where ``score_rows`` asks for them.
 
     Raises
     ------
@@ -208,42 +220,20 @@ def evaluate(
     UsageError
         ``segment`` in seconds where no time is known; more than 10,000 segments.
     """
-    notes = []
-    lag = options.lag
-    if lag == "auto":
-        lag, blocks = find_lag(name, blocks)
-        notes.append(f"{name}: measured follows best at a lag of {_samples(lag)}")
-    if traces is not None:
-        traces.begin(options.labels)
-    whole = TrackingMetrics(remove_offset=options.remove_offset)
-    ledger = _SegmentLedger(name, options)
-    for part in _segmented(batched(lagged(name, blocks, lag)), options.segment, sample_rate):
-        if part is None:
-            ledger.close()
-            continue
-        rows = part.row_numbers()
-        whole.add(part.desired, part.measured, row=rows, time=part.time)
-        if options.segment is not None:
-            ledger.add(part, rows)
-        if traces is not None:
-            traces.add(part)
-    figures = whole.result()
-    if figures is None:
-        raise InputError(_nothing(name, options.labels, whole.missing))
-    ledger.close()
-    figures = _with_rate(figures, sample_rate)
-    if traces is not None:
-        traces.finish(figures, whole.distribution)
-    notes += _notes(name, options.labels, figures)
-    return LogReport(
-        name,
-        figures,
-        lag,
-        segments=tuple(
-            replace(part, figures=_with_rate(part.figures, sample_rate)) for part in ledger.segments
-        ),
-        notes=tuple(notes),
-    )
+    comparison = _Comparison(cleaned(name), options, sample_rate, traces, score_rows)
+    if score_rows is not None or count_sweep:
+        return comparison.run(blocks)
+    parts = BeforeZero(blocks)
+    try:
+        log = comparison.run(parts.before())
+    except InputError:
+        if not parts.found:
+            raise
+    if not parts.found:
+        return log
+    log = comparison.run(parts.after())
+    note = f"{comparison.name}: {_counted(parts.count, 'row')} before time 0, a conditioning sweep, left out"
+    return replace(log, notes=(note, *log.notes))
 
 
 def check_limits(
@@ -284,17 +274,71 @@ def check_limits(
         raise LimitError(missed[0] + more)
 
 
-class _SegmentLedger:
-    """Keep the figures of the segments, one accumulator at a time."""
+@dataclass(frozen=True)
+class _Comparison:
+    """How one log is compared; each ``run`` begins anew."""
 
-    def __init__(self, name: str, options: ReportOptions) -> None:
+    name: str
+    options: ReportOptions
+    sample_rate: float | None
+    traces: Collector | None
+    score_rows: Rows | None
+
+    def run(self, blocks: Iterable[PairBlock]) -> LogReport:
+        """Take all blocks and return the figures."""
+        name, options, traces = self.name, self.options, self.traces
+        blocks, lag, notes = self._paired(blocks)
+        if traces is not None:
+            traces.begin(options.labels)
+        whole = TrackingMetrics(remove_offset=options.remove_offset)
+        segments = _SegmentFigures(name, options, self.sample_rate)
+        for part in _segmented(batched(blocks), options.segment, self.sample_rate):
+            if part is None:
+                segments.close()
+                continue
+            rows = part.row_numbers()
+            whole.add(part.desired, part.measured, row=rows, time=part.time)
+            if options.segment is not None:
+                segments.add(part, rows)
+            if traces is not None:
+                traces.add(part)
+        figures = whole.result()
+        if figures is None:
+            raise InputError(_nothing(name, options.labels, whole.missing))
+        segments.close()
+        figures = _with_rate(figures, self.sample_rate)
+        if traces is not None:
+            traces.finish(figures, whole.distribution)
+        notes += _notes(name, options.labels, figures)
+        return LogReport(name, figures, lag, segments=tuple(segments.done), notes=tuple(notes))
+
+    def _paired(self, blocks: Iterable[PairBlock]) -> tuple[Iterator[PairBlock], int, list[str]]:
+        """Return the pairs that count, their lag taken out, the lag and what is to be said of it."""
+        lag = self.options.lag
+        rows = self.score_rows
+        if lag == "auto":
+            if rows is not None:  # the lag of the rows that count, from these rows alone
+                blocks, rows = scored(blocks, rows), None
+            lag, blocks = find_lag(self.name, blocks)
+            notes = [f"{self.name}: measured follows best at a lag of {_counted(lag, 'sample')}"]
+        else:
+            notes = []
+        pairs = lagged(self.name, blocks, lag)
+        return (pairs if rows is None else scored(pairs, rows)), lag, notes
+
+
+class _SegmentFigures:
+    """The figures of the segments, one accumulator at a time; ``done`` grows with every ``close``."""
+
+    def __init__(self, name: str, options: ReportOptions, sample_rate: float | None) -> None:
         self._name = name
         self._remove_offset = options.remove_offset
+        self._sample_rate = sample_rate
         self._metrics: TrackingMetrics | None = None
         self._rows = (0, 0)
-        self.segments: list[Segment] = []
+        self.done: list[Segment] = []
 
-    def add(self, part: PairBlock, rows: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+    def add(self, part: PairBlock, rows: Floats) -> None:
         if not len(part):
             return
         if self._metrics is None:
@@ -308,11 +352,12 @@ class _SegmentLedger:
         self._metrics = None
         if figures is None:
             return
-        if len(self.segments) == MOST_SEGMENTS:
+        if len(self.done) == MOST_SEGMENTS:
             raise UsageError(
                 f"{self._name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)"
             )
-        self.segments.append(Segment(len(self.segments) + 1, *self._rows, figures))
+        figures = _with_rate(figures, self._sample_rate)
+        self.done.append(Segment(len(self.done) + 1, *self._rows, figures))
 
 
 def _segmented(
@@ -365,12 +410,12 @@ def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:
 def _notes(name: str, labels: tuple[str, str], figures: TrackingFigures) -> list[str]:
     notes = []
     if figures.not_finite:
-        count = _samples(figures.not_finite)
+        count = _counted(figures.not_finite, "sample")
         notes.append(f"{name}: {count} without a number in {labels[0]} or {labels[1]} left out")
     if figures.nrmse_percent is None:
         notes.append(f"{name}: {labels[0]} never changes, so NRMSE, loop width and lag are undefined")
     return notes
 
 
-def _samples(count: int) -> str:
-    return f"{count} sample" if abs(count) == 1 else f"{count} samples"
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}" if abs(count) == 1 else f"{count} {thing}s"

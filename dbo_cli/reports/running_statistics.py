@@ -1,4 +1,4 @@
-"""Sums, distributions, loops and lags of a stream, in constant memory and the same for any chunk size.
+"""Sums and distributions of a stream, in constant memory and the same for any chunk size.
 
 Every accumulator takes its samples in batches of exactly ``BATCH`` samples, cut by ``Batches`` from whatever
 pieces arrive. A sum is therefore always formed over the same samples in the same order, and the result does
@@ -24,13 +24,8 @@ _SHIFT = 52 - _MANTISSA_BITS
 _LOWEST = (1023 - 64) << _MANTISSA_BITS
 _BINS = 128 << _MANTISSA_BITS
 
-_GRID_BINS = 256
-_LOOP_BINS = 64
-_LOOP_LEAST = 3
-
-
 LARGEST = 1e70
-_SMALLEST_SPAN = 1e-290
+SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a width
 
 
 def usable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
@@ -170,124 +165,3 @@ class ErrorDistribution:
         low = int(index.min())
         counts = np.bincount(index - low)
         self._bins[low : low + len(counts)] += counts
-
-
-class LoopWidth:
-    """The loop that is left between desired and measured, the remaining hysteresis.
-
-    For every bin of the desired signal, the mean error on the way down less the mean error on the way up;
-    the width is the one of largest magnitude. Positive: the output lags behind, as an uncompensated piezo
-    does; negative: it is compensated too much. This is the hysteresis error of IEC 61298-2 (largest
-    difference between upscale and downscale readings at one input), averaged over the cycles of the log.
-
-    The bins are powers of two wide and double whenever the range outgrows them, so no range need be known
-    beforehand. A bin counts when it holds three samples of either direction.
-    """
-
-    def __init__(self) -> None:
-        self._width = 0.0
-        self._first = 0
-        self._sums = np.zeros((4, 0))
-
-    def add(self, desired: Floats, error: Floats, slope: Floats) -> None:
-        """Count one batch; ``slope`` is positive on the way up, negative on the way down."""
-        moving = slope != 0.0
-        if not moving.any():
-            return
-        if not moving.all():
-            desired, error, slope = desired[moving], error[moving], slope[moving]
-        index = self._index(desired)
-        up = slope > 0.0
-        down = ~up
-        bins = self._sums.shape[1]
-        self._sums[0] += np.bincount(index[up], minlength=bins)
-        self._sums[1] += np.bincount(index[up], weights=error[up], minlength=bins)
-        self._sums[2] += np.bincount(index[down], minlength=bins)
-        self._sums[3] += np.bincount(index[down], weights=error[down], minlength=bins)
-
-    def width(self) -> float | None:
-        """Return the width in the signal's unit, or None where no bin was passed in both directions."""
-        if self._width == 0.0:
-            return None
-        while self._sums.shape[1] > _LOOP_BINS:
-            self._double()
-        counted = (self._sums[0] >= _LOOP_LEAST) & (self._sums[2] >= _LOOP_LEAST)
-        if not counted.any():
-            return None
-        up_count, up_sum, down_count, down_sum = self._sums[:, counted]
-        widths = down_sum / down_count - up_sum / up_count
-        return float(widths[np.argmax(np.abs(widths))])
-
-    def _index(self, desired: Floats) -> NDArray[np.int64]:
-        low, high = float(desired.min()), float(desired.max())
-        if self._width == 0.0:
-            span = high - low
-            scale = max(span if span > 0.0 else max(abs(low), 1.0) * 2.0**-40, _SMALLEST_SPAN)
-            self._width = 2.0 ** math.floor(math.log2(scale / _GRID_BINS) + 1)
-            self._first = math.floor(low / self._width)
-        while True:
-            first = min(self._first, math.floor(low / self._width))
-            last = max(self._first + self._sums.shape[1] - 1, math.floor(high / self._width))
-            if last - first < _GRID_BINS:
-                break
-            self._double()
-        pad = (self._first - first, last - (self._first + self._sums.shape[1] - 1))
-        self._sums = np.pad(self._sums, ((0, 0), pad))
-        self._first = first
-        return np.floor(desired / self._width).astype(np.int64) - first
-
-    def _double(self) -> None:
-        lead = self._first % 2
-        bins = self._sums.shape[1]
-        padded = np.pad(self._sums, ((0, 0), (lead, (lead + bins) % 2)))
-        self._sums = padded[:, 0::2] + padded[:, 1::2]
-        self._first //= 2
-        self._width *= 2.0
-
-
-class PhaseLag:
-    """The delay that is left, to a fraction of a sample.
-
-    The measured signal is fitted by a desired + b slope + constant, slope being the central difference of
-    the desired signal (in units a sample). With w the frequency of the desired signal in rad a sample, from
-    the regression of its second difference on itself, -4 sin(w/2)^2, the phase left is
-    atan2(-b sin w, a) and the lag is the phase over w. For a sine this is exact at any amplitude ratio, any
-    length of the log and any lag below half a period; for other signals it is right to first order, so a lag
-    of many samples should be taken out first. Hysteresis shows as a phase too; it is part of what is left.
-    """
-
-    def __init__(self) -> None:
-        self._sums = [CompensatedSum() for _ in range(10)]
-        self._count = 0
-        self._shift: tuple[float, float] | None = None
-
-    def add(self, desired: Floats, measured: Floats) -> None:
-        """Take one run of samples; the first and the last serve for the differences alone."""
-        if len(desired) < 3:
-            return
-        if self._shift is None:
-            self._shift = (float(desired[0]), float(measured[0]))
-        d = desired[1:-1] - self._shift[0]
-        m = measured[1:-1] - self._shift[1]
-        s = 0.5 * (desired[2:] - desired[:-2])
-        bend = (desired[2:] - desired[1:-1]) - (desired[1:-1] - desired[:-2])
-        terms = (d, s, m, bend, d * d, d * s, s * s, d * m, s * m, d * bend)
-        for total, term in zip(self._sums, terms, strict=True):
-            total.add(float(np.add.reduce(term)))
-        self._count += len(d)
-
-    def lag(self) -> tuple[float, float] | None:
-        """Return (samples, degrees), or None where the desired signal does not move back and forth."""
-        if self._count < 4:
-            return None
-        d, s, m, bend, dd, ds, ss, dm, sm, db = (total.value / self._count for total in self._sums)
-        dd, ds, ss, dm, sm = dd - d * d, ds - d * s, ss - s * s, dm - d * m, sm - s * m
-        determinant = dd * ss - ds * ds
-        turning = -(db - d * bend)
-        if determinant <= 1e-12 * dd * ss or turning <= 0.0:
-            return None
-        along = (dm * ss - sm * ds) / determinant
-        across = (sm * dd - dm * ds) / determinant
-        frequency = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(turning / dd)))
-        phase = math.atan2(-across * math.sin(frequency), along)
-        return phase / frequency, math.degrees(phase)

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.sample_block import Places, join_places
+from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
 from dbo_cli.reports.running_statistics import BATCH, Floats, usable
 
 LAG_WINDOW = 1 << 18
@@ -36,6 +37,16 @@ class PairBlock:
     measured: Floats
     time: Floats | None = None
     drive: Floats | None = None
+
+    @classmethod
+    def of(cls, block: SampleBlock, desired: Floats | None = None) -> PairBlock:
+        """Return a block of a log with the roles ``measured`` and ``desired`` (and perhaps ``voltage``).
+
+        ``desired`` takes the place of the log's own: a model's prediction. Nothing is copied.
+        """
+        values = block.values
+        wanted = values["desired"] if desired is None else desired
+        return cls(block.rows, wanted, values["measured"], block.time, values.get("voltage"))
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -104,6 +115,72 @@ def rows_with_lag(rows: str | None, lag: int) -> str | None:
     except ValueError:
         return rows
     return f"{first}:{last}"
+
+
+def rows_to_read(rows: Rows, lag: int) -> Rows:
+    """Return the rows to read so that each desired row of ``rows`` finds its measured one, ``lag`` on."""
+    first, last = rows
+    return max(1, first + min(lag, 0)), None if last is None else last + max(lag, 0)
+
+
+def scored(blocks: Iterable[PairBlock], rows: Rows) -> Iterator[PairBlock]:
+    """Yield the pairs whose desired sample stands in ``rows``; nothing behind the last of them is read."""
+    first, last = rows
+    for block in blocks:
+        if not len(block):
+            continue
+        numbers = block.row_numbers()
+        start = int(np.searchsorted(numbers, first, side="left"))
+        stop = len(block) if last is None else int(np.searchsorted(numbers, last, side="right"))
+        if start < stop:
+            yield block.part(start, stop)
+        if last is not None and numbers[-1] >= last:
+            return
+
+
+class BeforeZero:
+    """Tell the rows before time 0, with which a log may begin, from those of the trajectory itself.
+
+    A conditioning sweep stands there, and says nothing about tracking. Nothing is held back: whoever has
+    worked on ``before()`` learns from ``found`` whether the trajectory is still to come from ``after()``.
+
+    Attributes
+    ----------
+    found : bool
+        Whether the log begins with times below 0 and goes on with others.
+    count : int
+        Rows before time 0.
+    """
+
+    def __init__(self, blocks: Iterable[PairBlock]) -> None:
+        self._blocks = iter(blocks)
+        self._rest: PairBlock | None = None
+        self.found = False
+        self.count = 0
+
+    def before(self) -> Iterator[PairBlock]:
+        """Yield everything up to the first time that is not below 0; all of a log that begins otherwise."""
+        for block in self._blocks:
+            if not len(block):
+                continue
+            if block.time is None or (self.count == 0 and not block.time[0] < 0.0):
+                yield block
+                yield from self._blocks
+                return
+            reached = np.flatnonzero(block.time >= 0.0)
+            stop = int(reached[0]) if len(reached) else len(block)
+            self.count += stop
+            if stop:
+                yield block.part(0, stop)
+            if len(reached):
+                self.found, self._rest = True, block.part(stop, len(block))
+                return
+
+    def after(self) -> Iterator[PairBlock]:
+        """Yield the rest."""
+        if self._rest is not None:
+            yield self._rest
+        yield from self._blocks
 
 
 def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlock]:

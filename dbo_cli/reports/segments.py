@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
+from dbo_cli.reports.direction import monotone_ends
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.sample_pairs import PairBlock, released
 
@@ -90,8 +90,9 @@ class _Turns:
     def minima(self, desired: Floats) -> list[int]:
         """Return the stream positions of the minima that this block confirms."""
         found: list[int] = []
-        places, values = _monotone_ends(desired)
-        for place, value in zip(places.tolist(), values.tolist(), strict=True):
+        places = monotone_ends(desired)
+        places = places[np.isfinite(desired[places])]
+        for place, value in zip(places.tolist(), desired[places].tolist(), strict=True):
             position = self._seen + place
             self._low, self._high = min(self._low, value), max(self._high, value)
             threshold = self._part * (self._high - self._low)
@@ -110,14 +111,3 @@ class _Turns:
         if not self._falling:
             self.candidate = self._seen
         return found
-
-
-def _monotone_ends(values: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return the places where the direction changes and the two ends; in between nothing can turn."""
-    step = np.sign(np.diff(values))
-    inner = np.flatnonzero(step[1:] != step[:-1]) + 1
-    places = (
-        np.unique(np.concatenate([[0], inner, [len(values) - 1]])) if len(values) else np.empty(0, np.int64)
-    )
-    places = places[np.isfinite(values[places])]
-    return places, values[places]

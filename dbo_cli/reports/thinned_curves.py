@@ -2,8 +2,8 @@
 
 Curves against time are thinned to the least and the greatest value of every stretch (so no spike is lost),
 curves of one signal against another to the pixels they pass, the error to a histogram and an averaged
-periodogram. A log of up to ``WHOLE`` samples is kept as it is. As in ``accumulators``, everything works on
-batches of one fixed length, so the figures do not depend on how the log was cut.
+periodogram. A log of up to ``WHOLE`` samples is kept as it is. As in ``running_statistics``, everything works
+on batches of one fixed length, so the figures do not depend on how the log was cut.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports.figures_of_merit import TrackingFigures
 from dbo_cli.reports.running_statistics import BATCH, Batches, ErrorDistribution, Floats, usable
 from dbo_cli.reports.sample_pairs import PairBlock
@@ -249,13 +250,20 @@ class Traces:
     ----------
     samples : int
         Finite pairs seen.
+    start : float
+        Time (or row) of the first of them.
     has_time, has_drive : bool
         Whether the log came with times and with a drive voltage.
     """
 
     def __init__(self, drive_unit: str | None = None) -> None:
-        self.drive_unit = drive_unit
+        self.drive_unit = None if drive_unit is None else cleaned(drive_unit)
+        self.begin(("desired", "measured"))
+
+    def begin(self, labels: tuple[str, str]) -> None:
+        """Begin anew for what is compared: the loop of a model is drawn beside the measured one."""
         self.samples = 0
+        self.start = 0.0
         self.has_time = False
         self.has_drive = False
         self.figures: TrackingFigures | None = None
@@ -265,9 +273,6 @@ class Traces:
         self._whole: tuple[Floats, ...] | None = None
         self._envelopes = {name: Envelope() for name in ("desired", "measured", "error", "drive")}
         self._pixels = {pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"))}
-
-    def begin(self, labels: tuple[str, str]) -> None:
-        """Prepare for what is compared: the loop of a model is drawn beside the measured one."""
         if labels[0] == "model":
             self._pixels["drive", "desired"] = Pixels()
 
@@ -308,8 +313,10 @@ class Traces:
     def _take(self, time: Floats, desired: Floats, measured: Floats, drive: Floats) -> None:
         if not len(time):
             return
-        if self.samples == 0 and len(time) <= WHOLE:
-            self._whole = (time.copy(), desired.copy(), measured.copy(), drive.copy())
+        if self.samples == 0:
+            self.start = float(time[0])
+            if len(time) <= WHOLE:
+                self._whole = (time.copy(), desired.copy(), measured.copy(), drive.copy())
         self.samples += len(time)
         error = measured - desired
         self.spectrum.add(error)

@@ -7,18 +7,18 @@ import hashlib
 import os
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.runs.model import Model, read_model
-from dbo_cli.runs.remarks import DboWarning
-from dbo_cli.runs.roles import DESIRED, DISPLACEMENT, VOLTAGE, recording_wishes
+from dbo_cli.runs.remarks import DboWarning, Remarks
+from dbo_cli.runs.roles import recording_wishes
 from dbo_cli.runs.source import ArraySource
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
@@ -74,20 +74,22 @@ def read_log(
 
     options = _reading(time, rows, reading)
     want = {
-        "voltage": ColumnWish(voltage, VOLTAGE, required=False, option="voltage"),
-        "desired": ColumnWish(desired, DESIRED, required=False, option="desired"),
-        "displacement": ColumnWish(displacement, DISPLACEMENT, required=False, option="displacement"),
+        "voltage": wish("voltage", voltage, required=False, option="voltage"),
+        "desired": wish("desired", desired, required=False, option="desired"),
+        "displacement": wish("displacement", displacement, required=False, option="displacement"),
     }
     with open_log(os.fspath(path), want, options, digest=True) as log:
         if not log.columns:
             recording = recording_wishes(voltage, displacement)
             open_log(os.fspath(path), recording, options).close()  # says what is there and what to give
         block = log.read()
-        record = dict(log.record())
+        record = dict(log.record()) | {"read": log.reading_record()}
+        line = log.reading_line()
     stamps = {"time": block.time} if block.time is not None and log.even_rate is None else {}
     frame = pd.DataFrame(stamps | dict(block.values))
     units = {role: column.unit for role, column in log.columns.items()}
     frame.attrs |= {"units": ({"time": "s"} if stamps else {}) | units, "notes": list(log.notes)}
+    frame.attrs |= {"warnings": list(log.warnings), "read": [line]}
     frame.attrs["provenance"] = record
     if log.even_rate is not None:
         frame.attrs["sample_rate"] = log.even_rate
@@ -182,6 +184,9 @@ def report(
     lag: int | str = 0,
     remove_offset: bool = False,
     segment: float | str | None = None,
+    trajectory: str | os.PathLike[str] | None = None,
+    match: Literal["auto", "time", "rows"] = "auto",
+    count_sweep: bool = False,
     name: str = "log",
     **columns: Any,
 ) -> ComparisonReport:
@@ -208,10 +213,17 @@ def report(
         Take the mean of the error off first.
     segment : "cycles" or float, optional
         Also report every cycle, or every so many seconds.
+    trajectory : file name, optional
+        Where the desired signal lies, if not in the log itself; for a log that is a file.
+    match : {"auto", "time", "rows"}
+        How log and trajectory belong together; auto: by time where both have one.
+    count_sweep : bool
+        Let a conditioning sweep (rows before time 0, where others follow) take part.
     name : str
         What the report calls arrays.
     **columns
-        For a table or file: ``desired``, ``measured``, and how it is to be read.
+        For a table or file: ``desired``, ``measured``, and how it is to be read. ``rows`` are the desired
+        rows that count; a model is run from the first row on.
 
     Returns
     -------
@@ -222,26 +234,37 @@ def report(
     ------
     InputError
         There is nothing to compare, or units differ.
+    UsageError
+        The options contradict each other.
     """
     from dbo_cli.reports.report import ReportOptions
     from dbo_cli.runs.comparison import Comparison, comparison_wishes
+    from dbo_cli.runs.reporting import add_file
 
     predicting = None if model is None else _model(model).actuator
     labels = ("desired", "measured") if model is None else ("model", "measured")
     how = ReportOptions(_lag(lag), remove_offset, _segment(segment), labels)
     comparison = Comparison(how, predicting, traced=True)
-    if measured is None and (is_file(wanted) or is_table(wanted)):
+    if measured is None and (is_file(wanted) or (is_table(wanted) and trajectory is None)):
         selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
-        want = comparison_wishes(*selectors, with_model=model is not None)
         if is_table(wanted):
-            comparison.add(table_source(wanted, want, time, sample_rate), name)
+            want = comparison_wishes(*selectors, with_model=model is not None)
+            comparison.add(table_source(wanted, want, time, sample_rate), name, count_sweep=count_sweep)
         else:
-            rows = columns.pop("rows", None)
-            with open_log(
-                os.fspath(wanted), want, _reading(time, rows, columns | {"sample_rate": sample_rate})
-            ) as log:
-                comparison.add(log, os.path.basename(os.fspath(wanted)))
+            reading = _reading(time, columns.pop("rows", None), columns | {"sample_rate": sample_rate})
+            add_file(
+                comparison,
+                os.fspath(wanted),
+                reading,
+                selectors,
+                trajectory=None if trajectory is None else os.fspath(trajectory),
+                match=match,
+                count_sweep=count_sweep,
+                name=os.path.basename(os.fspath(wanted)),
+            )
         return comparison.result()
+    if trajectory is not None:
+        raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
     if measured is None:
         raise InputError(
             "what was measured is missing: give two arrays, or a table or file with both columns"
@@ -255,7 +278,7 @@ def report(
         role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
         for role, column in source.columns.items()
     }
-    comparison.add(source, name)
+    comparison.add(source, name, count_sweep=count_sweep)
     return comparison.result()
 
 
@@ -288,7 +311,8 @@ def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     source = table_source(log, recording_wishes(None, None), time, sample_rate)
     record = log.attrs.get("provenance") or _record(source)
-    return RecordedLog(recording_of(source, record["name"]), record, list(log.attrs.get("notes", [])))
+    said = {key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")}
+    return RecordedLog(recording_of(source, record["name"]), record, Remarks(**said))
 
 
 def _recorded_arrays(
@@ -304,7 +328,7 @@ def _recorded_arrays(
     source.columns = {
         role: dataclasses.replace(column, unit=units[role]) for role, column in source.columns.items()
     }
-    return RecordedLog(recording_of(source, "arrays"), _record(source), source.notes)
+    return RecordedLog(recording_of(source, "arrays"), _record(source), Remarks(list(source.notes)))
 
 
 def _record(source: ArraySource) -> dict[str, Any]:

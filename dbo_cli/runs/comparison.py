@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NoReturn
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
+from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
-from dbo_cli.reports.sample_pairs import PairBlock, check_alike
+from dbo_cli.reports.sample_pairs import PairBlock
+from dbo_cli.reports.trajectory_match import TrajectoryMatch
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, DISPLACEMENT, VOLTAGE, check_unit
-from dbo_cli.runs.source import Source
+from dbo_cli.runs.roles import bring_to
+from dbo_cli.runs.source import Source, remarks_of
 
 if TYPE_CHECKING:
     import pandas
@@ -24,18 +29,28 @@ if TYPE_CHECKING:
     from dbo_cli.reports.thinned_curves import Traces
 
 FORMS = ("text", "json", "csv", "html")
+Match = Literal["auto", "time", "rows"]
 
 
 def comparison_wishes(
-    desired: str | None, measured: str | None, voltage: str | None, with_model: bool
+    desired: str | None,
+    measured: str | None,
+    voltage: str | None,
+    with_model: bool,
+    with_trajectory: bool = False,
 ) -> dict[str, ColumnWish]:
     """Return the columns that a comparison reads, as named or to be guessed."""
-    want = {"measured": ColumnWish(measured, DISPLACEMENT, option="measured")}
-    if not with_model:
-        want["desired"] = ColumnWish(desired, DESIRED, option="desired")
+    want = {"measured": wish("measured", measured, option="measured")}
+    if not with_model and not with_trajectory:
+        want["desired"] = wish("desired", desired, option="desired")
     needed = with_model or voltage is not None
-    want["voltage"] = ColumnWish(voltage, VOLTAGE, required=needed, option="voltage")
+    want["voltage"] = wish("voltage", voltage, required=needed, option="voltage")
     return want
+
+
+def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
+    """Return the column of a trajectory in a file of its own: what was wanted, whatever it is called."""
+    return {"desired": wish("trajectory", desired, option="desired")}
 
 
 @dataclass
@@ -66,38 +81,76 @@ class Comparison:
         if self.model is not None:
             self.model.require("forward", self.model_name)
 
-    def add(self, source: Source, name: str | None = None, listener: Listener = SILENT) -> None:
-        """Compare one source, block by block; ``name`` is what the report calls it."""
-        self._note_units(source)
+    def add(
+        self,
+        source: Source,
+        name: str | None = None,
+        listener: Listener = SILENT,
+        *,
+        score_rows: Rows | None = None,
+        count_sweep: bool = False,
+        trajectory: Source | None = None,
+        match: Match = "auto",
+    ) -> None:
+        """Compare one source, block by block.
+
+        Parameters
+        ----------
+        source
+            Role ``measured``; ``desired`` too, or ``voltage`` for a model to predict from.
+        name
+            What the report calls it.
+        listener
+            Hears of every block.
+        score_rows
+            The rows that count, of all that the source gives (see ``reports.report.evaluate``).
+        count_sweep
+            Let rows before time 0 take part though others follow.
+        trajectory
+            Where the desired signal lies, if elsewhere: role ``desired``.
+        match
+            How the two belong together: by ``time``, by ``rows``, or by time where both have one (``auto``).
+        """
+        self._bring_to_one_unit(source, trajectory or source)
         traces = self._new_traces(source) if self.traced else None
         run = None if self.model is None else ModelRun(self.model, source)
-        self._merits.append(
-            evaluate(
-                name or source.name,
-                self._pairs(source, run, listener),
-                self.options,
-                sample_rate=source.stated_rate,
-                traces=traces,
-            )
+        joined = None if trajectory is None else self._joined(source, trajectory, match, listener)
+        log = evaluate(
+            name or source.name,
+            self._pairs(source, run, listener) if joined is None else joined.pairs(),
+            self.options,
+            sample_rate=source.stated_rate,
+            traces=traces,
+            score_rows=score_rows,
+            count_sweep=count_sweep,
         )
+        if joined is not None:
+            log = dataclasses.replace(log, notes=(*joined.notes(), *log.notes))
+        self._merits.append(log)
         listener.finished()
-        self.remarks.add(Remarks(notes=list(source.notes)) if run is None else run.remarks())
+        self.remarks.add(remarks_of(source) if run is None else run.remarks())
 
     def result(self) -> ComparisonReport:
         """Return the report on all sources."""
         report = Report.of(self._merits, self.options, common_unit(self._units))
         return ComparisonReport(report, tuple(self._traces), self.model, self.remarks)
 
-    def _note_units(self, source: Source) -> None:
-        """Keep the units, and refuse a pair (or a log and a model) that speaks two."""
-        measured = source.columns["measured"].unit
-        if self.model is None:
-            other = source.columns["desired"].unit
+    def _bring_to_one_unit(self, source: Source, wanted: Source) -> None:
+        """Compare in one unit: the model's, else that of the first log's measurement.
+
+        ``wanted`` has the desired signal, where that lies elsewhere.
+        """
+        if self.model is not None:
+            unit = self.model.output.unit
+            bring_to(source, "voltage", self.model.input, self.model_name)
+            source.convert("measured", unit, f"{self.model_name} gives {self.model.output.quantity}")
         else:
-            other = self.model.output.unit
-            check_unit(source, "voltage", self.model.input, self.model_name)
-        check_alike(source.name, self.options.labels, (other, measured))
-        self._units.append((source.name, measured or other))
+            known = [unit for _, unit in self._units if unit is not None]
+            measured, desired = source.columns["measured"].unit, wanted.columns["desired"].unit
+            unit = known[0] if known else measured or desired
+            source.convert("measured", unit, "the comparison is")
+            wanted.convert("desired", unit, "the comparison is")
+        self._units.append((source.name, unit or source.columns["measured"].unit))
 
     def _new_traces(self, source: Source) -> Traces:
         from dbo_cli.reports.thinned_curves import Traces
@@ -106,12 +159,38 @@ class Comparison:
         self._traces.append(Traces(None if drive is None else drive.unit))
         return self._traces[-1]
 
+    def _joined(
+        self, source: Source, trajectory: Source, match: Match, listener: Listener
+    ) -> TrajectoryMatch:
+        """Return the pairs of a recording and a trajectory (UsageError where a model predicts)."""
+        if self.model is not None:
+            refuse_both()
+        by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
+        if by_time:
+            for one in (source, trajectory):
+                one.require_time("`match` by time depends on it")
+        return TrajectoryMatch(
+            source.name, trajectory.name, heard(source, listener), trajectory.blocks(), by_time=by_time
+        )
+
     def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
-        for block in source.blocks():
-            drive = block.values.get("voltage")
-            wanted = block.values["desired"] if run is None else run.feed(block, block.values["voltage"])
-            yield PairBlock(block.rows, wanted, block.values["measured"], block.time, drive)
-            listener.progressed(len(block))
+        for block in heard(source, listener):
+            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]))
+
+
+def refuse_both() -> NoReturn:
+    """Refuse a trajectory beside a model (UsageError)."""
+    raise UsageError(
+        "`trajectory` and `model` exclude each other: compare with what was wanted, or with what the model"
+        " predicts"
+    )
+
+
+def heard(source: Source, listener: Listener) -> Iterator[SampleBlock]:
+    """Return the blocks of a source, each told of once it is done with."""
+    for block in source.blocks():
+        yield block
+        listener.progressed(len(block))
 
 
 @dataclass(frozen=True)
@@ -158,13 +237,14 @@ class ComparisonReport:
 
     def to_html(self) -> str:
         """Return the report as one self-contained page with its figures."""
-        from dbo_cli.reports.figures import plots_of_log
+        from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.model_figures import plots_of_model
         from dbo_cli.reports.page import to_html
 
         return to_html(
             self.report,
             [plots_of_log(self.report, log, traces) for log, traces in self._drawn()],
+            comparison_plots=plots_of_comparison(self.report, self.traces),
             model_plots=() if self.model is None else plots_of_model(self.model),
             program=program_version_string(),
         )
@@ -182,13 +262,14 @@ class ComparisonReport:
             The folder cannot be written to.
         """
         from dbo_cli.reports.drawing import check_folder, file_stems, save
-        from dbo_cli.reports.figures import plots_of_log
+        from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.model_figures import plots_of_model
 
         target = check_folder(str(folder))
         stems = file_stems([log.name for log in self.report.logs])
         for stem, (log, traces) in zip(stems, self._drawn(), strict=True):
             save(plots_of_log(self.report, log, traces), target, stem, log.name)
+        save(plots_of_comparison(self.report, self.traces), target, "all-logs")
         if self.model is not None:
             save(plots_of_model(self.model), target, "model")
 

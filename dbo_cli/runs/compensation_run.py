@@ -9,7 +9,7 @@ from itertools import chain
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.hysteresis.excitation import condition as conditioning_drive
+from dbo_cli.hysteresis.conditioning import condition as conditioning_drive
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.runs.model_run import ModelRun, Response

@@ -18,17 +18,17 @@ from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_b
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_format, format_for, parse_output
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.columns import ColumnWish, split_header
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
 from dbo_cli.runs.compensation import check_range, compensation
-from dbo_cli.runs.learning import Tracked, tracked_of
+from dbo_cli.runs.learning import Tracked, tracked_of, tracked_wishes
 from dbo_cli.runs.model import start_of
 from dbo_cli.runs.model_run import ModelRun, reads_ahead
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import DESIRED, check_unit, guesses_for, recording_wishes
+from dbo_cli.runs.roles import bring_to, quantity_wish
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -73,10 +73,10 @@ def simulate_log(
     check_format(reading.format, [log_file, destination.output])
     model = read_model(model_file)
     taken = model.input
-    want = {taken.quantity: ColumnWish(column, guesses_for(taken.quantity), option="input")}
+    want = {taken.quantity: quantity_wish(taken, column, option="input")}
     ahead = model.direction == "inverse" and reads_ahead(model)
     with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
-        check_unit(log, taken.quantity, taken, _spoken(model_file))
+        bring_to(log, taken.quantity, taken, _spoken(model_file))
         last = reading.rows[1] if ahead else None
         run = ModelRun(model, log, start_of(state, model), outside, last_row=last)
         given = _column_of(log, taken)
@@ -112,12 +112,11 @@ def compensate_trajectory(
     model = read_model(model_file)
     model.require("forward", _spoken(model_file))
     wanted = model.output
-    names = (*guesses_for(wanted.quantity), *DESIRED)
-    want = {wanted.quantity: ColumnWish(column, names, option="displacement")}
+    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
     ahead = (reads_ahead(model) or bandwidth is not None) and not (tracked or periodic)
     recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
     with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
-        check_unit(log, wanted.quantity, wanted, _spoken(model_file))
+        bring_to(log, wanted.quantity, wanted, _spoken(model_file))
         run = compensation(
             model,
             log,
@@ -147,11 +146,9 @@ def _recorded(
     listener: Listener,
 ) -> Tracked:
     """Read the recording of a pass; ``rows`` are the trajectory's."""
-    want = recording_wishes(voltage, measured)
+    want = tracked_wishes(model, voltage, measured)
     with _opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
-        check_unit(log, "voltage", model.input, "the model")
-        check_unit(log, "displacement", model.output, "the model")
-        return tracked_of(log)
+        return tracked_of(log, model)
 
 
 def invert_model(model_file: str, output: str) -> ActuatorModel:
@@ -170,9 +167,10 @@ def write_excitation(
     frequency: float,
     max_slew: float | None,
     form: str | None,
+    seed: int = 1,
 ) -> int:
     """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew)
+    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew, seed)
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": sample_rate}
@@ -195,6 +193,8 @@ def _opened(
         options = dataclasses.replace(options, rows=(reading.rows[0], None))
     log = open_log(address, want, options, live=live)
     listener.opened(log.describe())
+    if live:
+        listener.reading(log.opening_line())
     return log
 
 
@@ -240,13 +240,19 @@ def _write(
             ) from None
         if destination.save_state is not None and run.state is not None:
             write_whole(destination.save_state, state_to_bytes(run.state, run.model))
-    return run.remarks()
+    told = run.remarks()
+    if destination.live:
+        told.read.clear()  # it was said when the stream began
+    return told
 
 
 def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
+    stated = split_header(column.name)[1]
     name = column.name if column.quantity else taken.quantity
+    if stated is not None and stated != column.unit:
+        name = column.quantity  # converted: the unit in its name is no longer its own
     return OutColumn(name, column.unit or taken.unit, taken.quantity)
 
 

@@ -18,7 +18,7 @@ from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import recording_wishes, short_names
-from dbo_cli.runs.source import Source
+from dbo_cli.runs.source import Source, remarks_of
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class RecordedLog:
 
     recording: Recording
     record: Mapping[str, Any]
-    notes: list[str] = field(default_factory=list)
+    remarks: Remarks = field(default_factory=Remarks)
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,18 @@ def read_recordings(
 ) -> tuple[list[RecordedLog], list[RecordedLog]]:
     """Read the logs to identify from and those to validate on; ``reading.rows`` are the first ones' alone."""
     names = short_names([*logs, *validation])
+    units: dict[str, str | None] = {}
 
     def read(address: str, options: ReadingOptions) -> RecordedLog:
         told = dataclasses.replace(options, format=format_for(address, options.format))
         with open_log(address, recording_wishes(voltage, displacement), told, digest=True) as log:
             listener.opened(log.describe())
+            for role, unit in units.items():
+                log.convert(role, unit, "the first log is")
             recording = recording_of(log, names.get(address))
-            return RecordedLog(recording, dict(log.record()), log.notes)
+            units.update({role: column.unit for role, column in log.columns.items()})
+            record = dict(log.record()) | {"read": log.reading_record()}
+            return RecordedLog(recording, record, remarks_of(log))
 
     whole = dataclasses.replace(reading, rows=ALL_ROWS)
     return [read(one, reading) for one in logs], [read(one, whole) for one in validation]
@@ -108,7 +113,7 @@ def identify_recordings(
     }
     remarks = Remarks(warnings=list(found.warnings))
     for log in [*logs, *validation]:
-        remarks.note(log.notes)
+        remarks.add(log.remarks)
     return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
 
 
@@ -126,9 +131,11 @@ def arguments_of(logs: Sequence[str], validation: Sequence[str], chosen: Mapping
     for name in validation:
         words += ["--validate", os.path.basename(name)]
     for name, value in chosen.items():
-        words.append("--" + name.replace("_", "-"))
-        if value is not True:
-            words.append(_word(value))
+        several = isinstance(value, tuple) and all(isinstance(one, str) for one in value)
+        for one in value if isinstance(value, tuple) and several and value else [value]:
+            words.append("--" + name.replace("_", "-"))
+            if one is not True:
+                words.append(_word(one))
     return words
 
 

@@ -18,7 +18,7 @@ from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.runs.inputs import Inputs, Transforms
 from dbo_cli.runs.remarks import Remarks
-from dbo_cli.runs.source import Source
+from dbo_cli.runs.source import Source, remarks_of
 from dbo_cli.runs.time_steps import TimeSteps
 
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word
@@ -174,7 +174,7 @@ class ModelRun:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
-        told = Remarks(notes=list(self.source.notes))
+        told = remarks_of(self.source)
         told.add(self.prepared.remarks())
         if self.assumed:
             displacement = self.model.output if self.model.direction == "forward" else self.model.input

@@ -17,6 +17,9 @@ class Listener(Protocol):
     def opened(self, what: str) -> None:
         """Learn how a log was understood."""
 
+    def reading(self, what: str) -> None:
+        """Learn what is being read of a stream that may never end."""
+
     def progressed(self, rows: int) -> None:
         """Learn that so many rows more are done."""
 
@@ -28,6 +31,9 @@ class _Silence:
     """Hears, and says nothing."""
 
     def opened(self, what: str) -> None:
+        """Say nothing."""
+
+    def reading(self, what: str) -> None:
         """Say nothing."""
 
     def progressed(self, rows: int) -> None:
@@ -42,10 +48,14 @@ SILENT: Listener = _Silence()
 
 @dataclass
 class Remarks:
-    """Lines in the library's words: ``notes`` are good to know, ``warnings`` may spoil the result."""
+    """Lines in the library's words.
+
+    ``read`` says what was read of which log, ``notes`` are good to know, ``warnings`` may spoil the result.
+    """
 
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    read: list[str] = field(default_factory=list)
 
     def note(self, texts: Iterable[str]) -> None:
         """Add notes."""
@@ -53,6 +63,7 @@ class Remarks:
 
     def add(self, other: Remarks) -> None:
         """Add all that another run had to say."""
+        self.read.extend(other.read)
         self.notes.extend(other.notes)
         self.warnings.extend(other.warnings)
 

@@ -5,28 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.runs.source import Source
 
-VOLTAGE = ("voltage", "drive", "command", "u", "v", "volt", "volts")
-DISPLACEMENT = ("displacement", "position", "measured", "sensor", "y", "disp", "pos")
-DESIRED = ("desired", "reference", "setpoint", "target", "trajectory", "wanted", "ref")
-GUESSES = {"voltage": VOLTAGE, "displacement": DISPLACEMENT}
 
-
-def guesses_for(quantity: str) -> tuple[str, ...]:
-    """Return the column names under which a model's quantity is looked for."""
-    known = GUESSES.get(quantity, ())
-    return (quantity.lower(), *(name for name in known if name != quantity.lower()))
+def quantity_wish(
+    quantity: Quantity, selector: str | None = None, *, option: str, trajectory: bool = False
+) -> ColumnWish:
+    """Return the wish for a model's quantity; a ``trajectory`` of it may also be called desired."""
+    role = "trajectory" if trajectory else quantity.quantity
+    return wish(role, selector, option=option, quantity=quantity.quantity, unit=quantity.unit)
 
 
 def recording_wishes(voltage: str | None, displacement: str | None) -> dict[str, ColumnWish]:
     """Return the columns that an identification reads, as named or to be guessed."""
     return {
-        "voltage": ColumnWish(voltage, VOLTAGE, option="voltage"),
-        "displacement": ColumnWish(displacement, DISPLACEMENT, option="displacement"),
+        "voltage": wish("voltage", voltage, option="voltage"),
+        "displacement": wish("displacement", displacement, option="displacement"),
     }
 
 
@@ -36,11 +33,6 @@ def short_names(addresses: Sequence[str]) -> dict[str, str]:
     return short if len(set(short.values())) == len(short) else {}
 
 
-def check_unit(source: Source, role: str, wanted: Quantity, model: str) -> None:
-    """Refuse a column whose unit is known and differs from the model's (InputError)."""
-    column = source.columns[role]
-    if column.unit is not None and wanted.unit is not None and column.unit != wanted.unit:
-        raise InputError(
-            f"{source.name}: column '{column.name}' is in {column.unit}, but {model} takes {wanted.quantity} "
-            f"in {wanted.unit} (convert the column)"
-        )
+def bring_to(source: Source, role: str, wanted: Quantity, model: str) -> None:
+    """Take a column in the model's unit: prefixes are converted, unlike units refused (InputError)."""
+    source.convert(role, wanted.unit, f"{model} takes {wanted.quantity}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
@@ -12,6 +13,8 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import TimeCheck, require_even
 from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
+from dbo_cli.logs.units import match_units
+from dbo_cli.runs.remarks import Remarks
 
 
 class Source(Protocol):
@@ -20,6 +23,7 @@ class Source(Protocol):
     name: str
     columns: dict[str, ColumnInfo]
     notes: list[str]
+    warnings: list[str]
 
     @property
     def has_time(self) -> bool:
@@ -36,8 +40,20 @@ class Source(Protocol):
     def require_time(self, why: str) -> None:
         """Refuse a source without time (InputError)."""
 
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, and say so (or InputError)."""
+
+    def reading_line(self) -> str | None:
+        """Say what was read, once it was; None where nothing was."""
+
     def blocks(self) -> Iterator[SampleBlock]:
         """Return the samples in blocks, by role."""
+
+
+def remarks_of(source: Source) -> Remarks:
+    """Return what is to be said of a source that was read."""
+    line = source.reading_line()
+    return Remarks(list(source.notes), list(source.warnings), [] if line is None else [line])
 
 
 def samples(name: str, values: ArrayLike) -> FloatArray:
@@ -101,6 +117,7 @@ class ArraySource:
             raise UsageError(f"`sample_rate` {sample_rate:g}: give a positive number of samples a second")
         self.name = name
         self.notes: list[str] = []
+        self.warnings: list[str] = []
         self.values = {role: samples(role, signal) for role, signal in values.items()}
         self.time = None if time is None else samples("time", time)
         first, count = next((role, signal.size) for role, signal in self.values.items())
@@ -130,6 +147,19 @@ class ArraySource:
         if not self.has_time:
             raise InputError(f"{self.name}: no time is given, and {why} (`time` or `sample_rate` HZ)")
 
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit; arrays of an unknown unit are taken as they are."""
+        column = self.columns[role]
+        if column.unit is None or wanted is None:
+            return
+        match = match_units(self.name, column, wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        self.values[role] = match.factor.apply(self.values[role])
+        self.columns[role] = dataclasses.replace(column, unit=wanted)
+
+    def reading_line(self) -> None:
+        """Return nothing: arrays were not read from anywhere."""
+
     def blocks(self) -> Iterator[SampleBlock]:
         """Return all samples as one block."""
         count = next(iter(self.values.values())).size
@@ -151,7 +181,7 @@ class WholeSource:
         self.name, self.columns = source.name, source.columns
         self._source = source
         self.block = joined(list(source.blocks()))
-        self.notes = source.notes
+        self.notes, self.warnings = source.notes, source.warnings
 
     @property
     def has_time(self) -> bool:
@@ -171,6 +201,21 @@ class WholeSource:
     def require_time(self, why: str) -> None:
         """Refuse a source without time (InputError)."""
         self._source.require_time(why)
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, and say so (or InputError)."""
+        column = self.columns[role]
+        if column.unit is None or wanted is None:
+            return
+        match = match_units(self.name, column, wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        changed = {role: match.factor.apply(self.block.values[role])}
+        self.block = dataclasses.replace(self.block, values=dict(self.block.values) | changed)
+        self.columns[role] = dataclasses.replace(column, unit=wanted)
+
+    def reading_line(self) -> str | None:
+        """Say what was read."""
+        return self._source.reading_line()
 
     def even_step(self, why: str) -> float:
         """Return the even time step (s), or refuse with the remedy (InputError)."""

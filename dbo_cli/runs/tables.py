@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import InputError
-from dbo_cli.logs.clock import to_seconds
-from dbo_cli.logs.columns import (
-    TIME_GUESSES,
-    ColumnWish,
-    choose_columns,
-    column_info,
-    find_column,
-    guess_columns,
-)
-from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
+from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.runs.source import ArraySource
 
 if TYPE_CHECKING:
@@ -57,24 +50,27 @@ def table_source(
     units: Mapping[str, str | None] = table.attrs.get("units", {})
     infos = [column_info(str(name), k, units.get(name)) for k, name in enumerate(table.columns, start=1)]
     given = table.attrs.get("sample_rate") if sample_rate is None and time is None else sample_rate
-    clock = None if sample_rate is not None else _clock_of(infos, time)
-    columns = choose_columns(TABLE, infos, want, [clock] if clock else [])
-    if clock is not None:
-        stamps = np.asarray(table.iloc[:, clock.number - 1], dtype=np.float64)
-        time, given = to_seconds(stamps, clock.unit), None
+    warnings: list[str] = []
+    taken: list[ColumnInfo] = []
+    if sample_rate is None and (time is None or isinstance(time, str)):
+        named = [find_column(TABLE, infos, one.selector, one.option) for one in want.values() if one.selector]
+        found = find_time_column(TABLE, infos, ReadingOptions(time=time), named)
+        taken = found.taken
+        if found.clock is not None:
+            stamps = _figures(table.iloc[:, found.clock.column.number - 1])
+            time, given = found.clock.whole(stamps, warnings), None
+    columns = choose_columns(TABLE, infos, want, taken)
     values = {role: table.iloc[:, column.number - 1].to_numpy() for role, column in columns.items()}
     stamped = None if time is None or isinstance(time, str) else time
-    return ArraySource(values, stamped, given if stamped is None else None, columns, TABLE)
+    source = ArraySource(values, stamped, given if stamped is None else None, columns, TABLE)
+    source.warnings.extend(warnings)
+    return source
 
 
-def _clock_of(infos: list[ColumnInfo], time: Any) -> ColumnInfo | None:
-    """Return the time column, named or guessed; None where the time is an array or not there."""
-    if isinstance(time, str):
-        return find_column(TABLE, infos, time, "time")
-    if time is not None:
-        return None
-    found = guess_columns(infos, TIME_GUESSES)
-    if len(found) > 1:
-        names = " or ".join(f"'{column.name}'" for column in found)
-        raise InputError(f"{TABLE}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
-    return found[0] if found else None
+def _figures(column: pandas.Series) -> FloatArray:
+    """Return a column of time stamps as numbers: pandas' dates as ns since 1970, its durations as s."""
+    kind = column.dtype.kind
+    if kind in "mM":
+        whole = np.asarray(column, dtype=f"{kind}8[ns]").astype(np.int64).astype(np.float64)
+        return whole / 1e9 if kind == "m" else whole
+    return np.asarray(column, dtype=np.float64)

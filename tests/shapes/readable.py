@@ -167,7 +167,7 @@ READABLE = [
         "Keysight oscilloscope: axis line, then units line",
         _text("x-axis,1,2", "second,Volt,Volt", "+0.00E+00,+0.00E+00,+1.025E+01", "+1.00E-03,+1.50E+00,+1.100E+01",
               "+2.00E-03,-2.50E+00,+9.125E+00"),
-        V3, D3, T3, ("V", "V"), ask={"time": "1", "voltage": "2", "displacement": "3"}, first_line=3,
+        V3, D3, T3, ("V", "V"), ask={"time": "x-axis", "voltage": "number=2", "displacement": "name=2"}, first_line=3,
     ),
     Shape(
         "Rigol oscilloscope: increment in the header, trailing commas",

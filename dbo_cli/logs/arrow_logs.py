@@ -1,0 +1,158 @@
+"""Parquet and Feather (Arrow) files as a table of columns, read in blocks with polars."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, brief
+from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+
+_ROWS = 1 << 20  # read at once: a row group is decoded whole, and pandas writes a million rows into one
+
+
+def open_parquet(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+    """Open a Parquet file.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or holds no columns of numbers.
+    """
+    import polars
+
+    return _open(address, "Parquet", polars.scan_parquet, _parquet_metadata(address.path))
+
+
+def open_feather(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+    """Open a Feather (Arrow) file.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or holds no columns of numbers.
+    """
+    import polars
+
+    return _open(address, "Feather", polars.scan_ipc, {})
+
+
+def open_old_feather(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+    """Refuse the first version of Feather, which nothing at hand reads (InputError)."""
+    raise InputError(
+        f"{address.text}: Feather version 1 is not read: write it again with version 2, or as Parquet"
+    )
+
+
+def _open(address: Address, kind: str, scan: Callable[..., Any], metadata: dict[str, str]) -> ColumnTable:
+    import polars
+
+    keep_interrupts()
+    place = address.text
+    damaged = (polars.exceptions.PolarsError, polars.exceptions.PanicException, OSError, ValueError)
+    try:
+        frame = scan(address.path)
+        schema = frame.collect_schema()
+        length = int(frame.select(polars.len()).collect().item())
+        attributes = _pandas_attributes(metadata)
+        units = attributes.get("units")
+        reader = _Reader(frame)
+        sources = []
+        for name, kind_of in schema.items():
+            source = _column(reader, name, kind_of, length)
+            if source is not None:
+                unit = units.get(name) if isinstance(units, dict) else None
+                sources.append(replace(source, unit=source.unit or (str(unit) if unit else None)))
+    except damaged as problem:
+        raise InputError(f"{place}: damaged {kind}: {brief(problem)}") from None
+    if not sources:
+        listed = ", ".join(f"{name} ({kind_of})" for name, kind_of in schema.items()) or "nothing"
+        raise InputError(f"{place}: no columns of numbers: it holds {listed}")
+    return ColumnTable(place, kind, sources, clock=_statements(metadata, attributes), damaged=damaged)
+
+
+class _Reader:
+    """Reads stretches of a file for all its columns, keeping the last one of each."""
+
+    def __init__(self, frame: Any) -> None:
+        self._frame = frame
+        self._kept: dict[str, tuple[int, Any]] = {}
+
+    def fetch(self, name: str, start: int, stop: int) -> Any:
+        """Give rows start..stop of a column as an array; nulls become NaN."""
+        pieces = []
+        while start < stop:
+            base = start // _ROWS * _ROWS
+            if self._kept.get(name, (-1, None))[0] != base:
+                self._kept[name] = (base, self._read(name, base))
+            values = self._kept[name][1]
+            piece = values[start - base : stop - base]
+            if not len(piece):
+                raise ValueError(f"column '{name}' ends early")
+            pieces.append(piece)
+            start += len(piece)
+        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+
+    def _read(self, name: str, base: int) -> Any:
+        import polars
+
+        column = polars.col(name)
+        kind = self._frame.collect_schema()[name]
+        physical = column.to_physical() if kind.is_temporal() else column.cast(polars.Float64)
+        return self._frame.slice(base, _ROWS).select(physical).collect().to_series().to_numpy()
+
+
+def _column(reader: _Reader, name: str, kind: Any, length: int) -> ColumnSource | None:
+    source = ColumnSource(name, length, lambda start, stop: reader.fetch(name, start, stop))
+    if kind.is_numeric() or str(kind) == "Boolean":
+        return None if name == "__index_level_0__" and kind.is_integer() else source
+    per_second = {"ms": 1000, "us": 10**6, "ns": 10**9}.get(getattr(kind, "time_unit", None) or "")
+    if per_second is None or not length:
+        return None
+    label = "time" if name == "__index_level_0__" else name
+    first: list[int] = []
+
+    def fetch(start: int, stop: int) -> Any:
+        """Give seconds from the first row on: dates as numbers would leave no digits for microseconds."""
+        if not first:
+            first.append(int(reader.fetch(name, 0, 1)[0]))
+        return (reader.fetch(name, start, stop) - first[0]) / per_second
+
+    return replace(source, label=label, fetch=fetch, unit="s")
+
+
+def _parquet_metadata(path: str) -> dict[str, str]:
+    import polars
+
+    read = getattr(polars, "read_parquet_metadata", None)  # newer than the oldest polars that is supported
+    try:
+        return {str(key): str(value) for key, value in read(path).items()} if read is not None else {}
+    except Exception:
+        return {}  # a damaged file is complained about when its columns are looked up
+
+
+def _pandas_attributes(metadata: dict[str, str]) -> dict[str, Any]:
+    """Give ``DataFrame.attrs`` as pandas stores them: ``units`` by column, a rate."""
+    try:
+        found = json.loads(metadata.get("PANDAS_ATTRS", "{}"))
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _statements(*levels: dict[str, Any]) -> list[Statement]:
+    found = []
+    for level in levels:
+        for name, value in level.items():
+            if is_clock_name(name):
+                statement = read_statement(name, value, level.get(f"{name}_unit", level.get(f"{name}_units")))
+                found += [statement] if statement is not None else []
+    return found

@@ -1,0 +1,91 @@
+"""Which reader a file needs: what it is called matters less than what it is."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.text_logs import TextTable
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.log_table import Table
+
+# First bytes, and the module and function that read such a file; a library is imported only then.
+_SIGNATURES = {
+    b"\x89HDF\r\n\x1a\n": ("hdf5_logs", "open_hdf5"),
+    b"MATLAB 5.0 MAT-file": ("matlab_logs", "open_matlab"),
+    b"\x93NUMPY": ("numpy_logs", "open_npy"),
+    b"PAR1": ("arrow_logs", "open_parquet"),
+    b"ARROW1": ("arrow_logs", "open_feather"),
+    b"FEA1": ("arrow_logs", "open_old_feather"),
+    b"TDSm": ("tdms_logs", "open_tdms"),
+    b"CDF\x01": ("netcdf_logs", "open_netcdf"),
+    b"CDF\x02": ("netcdf_logs", "open_netcdf"),
+    b"\xd0\xcf\x11\xe0": ("excel_logs", "open_excel"),
+}
+_ZIP = b"PK\x03\x04"
+_ZIP_ENDINGS = {".npz": ("numpy_logs", "open_npz")}
+_WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".ods")
+_USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
+
+
+def open_table(
+    address: Address, options: ReadingOptions, live: bool, digest: bool, named: Sequence[str]
+) -> Table:
+    """Open a log with the reader that its first bytes (or its name) ask for.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a library that reads it is not installed.
+    """
+    reader = _reader_by_content(address) or (("hdf5_logs", "open_hdf5") if address.kind == "hdf5" else None)
+    if reader is None:
+        return TextTable(address, options, live=live, digest=digest)
+    module, function = reader
+    opened: Table = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)(
+        address, named, options
+    )
+    return opened
+
+
+def _reader_by_content(address: Address) -> tuple[str, str] | None:
+    if address.is_stream or not (os.path.isfile(address.path) and os.access(address.path, os.R_OK)):
+        return None
+    lower = address.path.lower()
+    with open(address.path, "rb") as file:
+        head = file.read(2056)
+    for signature, reader in _SIGNATURES.items():
+        if head.startswith(signature):
+            if reader[0] == "matlab_logs" and _is_hdf5(head):
+                return "hdf5_logs", "open_hdf5"
+            return reader
+    if head.startswith(_ZIP):
+        ending = os.path.splitext(lower)[1]
+        return _ZIP_ENDINGS.get(ending) or (("excel_logs", "open_excel") if ending in _WORKBOOKS else None)
+    if _is_hdf5(head):
+        return "hdf5_logs", "open_hdf5"
+    if lower.endswith(".mat") and _is_matlab_4(head):
+        return "matlab_logs", "open_matlab"
+    return None
+
+
+def _is_hdf5(head: bytes) -> bool:
+    return any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in (0, *_USER_BLOCKS))
+
+
+def _is_matlab_4(head: bytes) -> bool:
+    """Check the five whole numbers that begin every matrix of a MATLAB v4 file."""
+    if len(head) < 20:
+        return False
+    for order in ("little", "big"):
+        kind, rows, columns, imaginary, name = (
+            int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)
+        )
+        if 0 <= kind < 5000 and rows >= 0 and columns >= 0 and imaginary in (0, 1) and 0 < name < 512:
+            return True
+    return False

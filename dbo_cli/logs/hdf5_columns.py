@@ -1,0 +1,261 @@
+"""One HDF5 dataset as columns: names, units, scales, missing values and rates from its attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.logs.column_table import ColumnSource, Fetch
+from dbo_cli.logs.foreign_text import clean_text
+from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+
+_UNIT_ATTRIBUTES = ("units", "unit", "unit_string")
+_NAME_ATTRIBUTES = ("columns", "column_names", "names", "channels", "channel_names", "labels", "fields")
+_UNUSED_FACTORS = (
+    "gain",
+    "factor",
+    "multiplier",
+    "sensitivity",
+    "calibration",
+    "conversion",
+    "conversion_factor",
+)
+# What netCDF's library leaves where nothing was written (NC_FILL_DOUBLE, NC_FILL_FLOAT).
+_NETCDF_FILL = 9.969209968386869e36
+_MATLAB_NUMBERS = {"double", "single", "logical"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+
+def is_dataset(node: Any) -> bool:
+    """Tell a dataset from a group (and from a link that leads nowhere, which is None)."""
+    return hasattr(node, "shape") and hasattr(node, "attrs")
+
+
+def is_group(node: Any) -> bool:
+    """Tell a group."""
+    return hasattr(node, "keys")
+
+
+def attribute(node: Any, *names: str) -> Any:
+    """Give the first attribute of these names (case aside), or None."""
+    there = {str(name).lower(): name for name in node.attrs}
+    for name in names:
+        if name.lower() in there:
+            return node.attrs[there[name.lower()]]
+    return None
+
+
+def attribute_text(node: Any, *names: str) -> str:
+    """Give an attribute as text, empty where it is absent or holds no text."""
+    value = attribute(node, *names)
+    if value is None or not isinstance(value, str | bytes | np.ndarray):
+        return ""
+    values = np.atleast_1d(value).ravel()
+    return clean_text(values[0]) if values.size == 1 and isinstance(values[0], str | bytes) else ""
+
+
+def matlab_class(node: Any) -> str:
+    """Give the class of a MATLAB v7.3 variable, empty in other files."""
+    return attribute_text(node, "MATLAB_class")
+
+
+def columns_of(dataset: Any, name: str) -> list[ColumnSource]:
+    """Take a dataset apart into columns; the longer axis of a matrix is time.
+
+    Parameters
+    ----------
+    dataset
+        Any dataset; what holds no numbers gives no columns.
+    name
+        What the columns are called, or empty for the dataset's own name.
+    """
+    shape, kind = dataset.shape, dataset.dtype
+    if shape is None or not dataset.size or not _holds_measurements(dataset):
+        return []
+    if kind.names is not None:
+        return _fields_of(dataset, name) if len(shape) == 1 else []
+    if kind.kind not in "fiub" or len(shape) not in (1, 2) or 0 in shape:
+        return []
+    own = name or clean_text(dataset.name.rsplit("/", 1)[-1])
+    axis = _time_axis(dataset)
+    width = 1 if len(shape) == 1 else shape[1 - axis]
+    names = _column_names(dataset, width) if width > 1 else None
+    labels = names or ([own] if width == 1 else [f"{own}[{number}]" for number in range(1, width + 1)])
+    return [
+        _described(ColumnSource(label, shape[axis], _slicer(dataset, axis, index)), dataset, index)
+        for index, label in enumerate(labels)
+    ]
+
+
+def _holds_measurements(dataset: Any) -> bool:
+    """Leave out what only looks like numbers: MATLAB's text and objects, netCDF's bare dimensions."""
+    if attribute_text(dataset, "NAME").startswith("This is a netCDF dimension but not a netCDF variable"):
+        return False
+    matlab = matlab_class(dataset)
+    if matlab and (matlab not in _MATLAB_NUMBERS or attribute(dataset, "MATLAB_object_decode") is not None):
+        return False
+    return attribute(dataset, "MATLAB_empty") is None
+
+
+def _time_axis(dataset: Any) -> int:
+    shape = dataset.shape
+    if len(shape) == 1:
+        return 0
+    # MATLAB stores every matrix transposed, so a square one runs the other way.
+    return 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not matlab_class(dataset)) else 1
+
+
+def _slicer(dataset: Any, axis: int, index: int) -> Fetch:
+    if len(dataset.shape) == 1:
+        return lambda start, stop: dataset[start:stop]
+    if axis == 0:
+        return lambda start, stop: dataset[start:stop, index]
+    return lambda start, stop: dataset[index, start:stop]
+
+
+def _fields_of(dataset: Any, name: str) -> list[ColumnSource]:
+    sources = []
+    for number, field in enumerate(dataset.dtype.names):
+        kind = dataset.dtype[field]
+        label = f"{name}/{clean_text(field)}" if name else clean_text(field)
+        length = dataset.shape[0]
+        if kind.subdtype is not None and len(kind.shape) == 1 and kind.base.kind in "fiub":
+            for index in range(kind.shape[0]):
+                source = ColumnSource(f"{label}[{index + 1}]", length, field_slicer(dataset, field, index))
+                sources.append(_described(source, dataset, number))
+        elif kind.kind in "fiub":
+            source = ColumnSource(label, length, field_slicer(dataset, field))
+            sources.append(_described(source, dataset, number))
+    return sources
+
+
+def field_slicer(dataset: Any, field: str, index: int | None = None) -> Fetch:
+    """Read one field of a compound dataset (or one place of a field that is an array)."""
+    if index is None:
+        return lambda start, stop: dataset[start:stop][field]
+    return lambda start, stop: dataset[start:stop][field][:, index]
+
+
+def _column_names(dataset: Any, width: int) -> list[str] | None:
+    value = attribute(dataset, *_NAME_ATTRIBUTES)
+    if value is None:
+        return None
+    names = [clean_text(name) for name in np.atleast_1d(value).ravel()]
+    if len(names) == 1:
+        names = [name.strip() for name in names[0].split(",")]
+    return names if len(names) == width else None
+
+
+def _described(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
+    """Add what the attributes say: unit, scale, missing values, rate."""
+    scaled = _scaled(source, dataset, index)
+    return replace(scaled, unit=_unit_of(dataset, index) or None, clock=tuple(statements_of(dataset)))
+
+
+def _unit_of(dataset: Any, index: int) -> str:
+    """Give the unit of column ``index``; a list of units belongs to the columns in order."""
+    value = attribute(dataset, *_UNIT_ATTRIBUTES)
+    if value is None or type(value).__name__ == "Empty":
+        return ""
+    units = [clean_text(one) for one in np.atleast_1d(value).ravel()]
+    if len(units) == 1 and "," in units[0]:
+        units = units[0].split(",")
+    return units[0] if len(units) == 1 else units[index] if index < len(units) else ""
+
+
+def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
+    """Apply netCDF's conventions and a plain ``scale``; say what looks like a factor and is not used."""
+    factor, addend = (_number(dataset, name, index) for name in ("scale_factor", "add_offset"))
+    missing = tuple(
+        value
+        for value in (_number(dataset, name, 0) for name in ("_FillValue", "missing_value"))
+        if value is not None and value == value
+    )
+    if not missing and dataset.dtype.kind == "f" and attribute(dataset, "_Netcdf4Dimid") is not None:
+        missing = (_NETCDF_FILL, float(np.float32(_NETCDF_FILL)))
+    source = replace(source, scale=factor or 1.0, offset=addend or 0.0, missing=missing)
+    if attribute_text(dataset, "_Unsigned").lower() == "true":
+        return replace(source, problem=f"column '{source.label}' is stored as _Unsigned, which is not read")
+    remarks = []
+    scale, shift = _number(dataset, "scale", index), _number(dataset, "offset", index)
+    scale = _number(dataset, "scaling_factor", index) if scale is None else scale
+    if scale is not None and scale not in (0.0, 1.0) and factor is None:
+        if shift:
+            text = (
+                f"column '{source.label}' has the attributes scale {scale:g} and offset {shift:g}, and "
+                "nothing says in which order they apply (write scale_factor and add_offset, which mean "
+                "value · scale_factor + add_offset)"
+            )
+            return replace(source, problem=text)
+        source = replace(source, scale=scale)
+        remarks.append(f"column '{source.label}' is multiplied by its attribute scale, {scale:g}")
+    elif shift and addend is None:
+        remarks.append(f"column '{source.label}' has an attribute offset, {shift:g}, which is not applied")
+    for name in _UNUSED_FACTORS:
+        value = _number(dataset, name, index)
+        if value is not None and value != 1.0:
+            remarks.append(
+                f"column '{source.label}' has an attribute {name}, {value:g}, which is not applied"
+            )
+    return replace(source, remarks=tuple(remarks))
+
+
+def _number(dataset: Any, name: str, index: int) -> float | None:
+    value = attribute(dataset, name)
+    if value is None or not isinstance(value, np.ndarray | np.generic | int | float):
+        return None
+    values = np.atleast_1d(value).ravel()
+    if not values.size or values.dtype.kind not in "fiu":
+        return None
+    return (
+        float(values[0] if values.size == 1 else values[index])
+        if index < values.size or values.size == 1
+        else None
+    )
+
+
+def statements_of(node: Any) -> Iterator[Statement]:
+    """Read what the attributes of a dataset or group say of the sample rate."""
+    for name in node.attrs:
+        if is_clock_name(clean_text(name)):
+            unit = attribute(node, f"{name}_units", f"{name}_unit")
+            found = read_statement(clean_text(name), node.attrs[name], unit)
+            if found is not None:
+                yield found
+
+
+def scalar_statements(group: Any) -> Iterator[Statement]:
+    """Read what single values in a group (``fs``, ``Ts``) say of the sample rate."""
+    for name in group:
+        if is_clock_name(clean_text(name)):
+            node = group.get(name)
+            if is_dataset(node) and node.size == 1 and (node.dtype.kind in "fiu" or node.dtype.kind == "O"):
+                found = read_statement(clean_text(name), node[()], _unit_of(node, 0) or None)
+                if found is not None:
+                    yield found
+
+
+def stored_text(dataset: Any) -> str:
+    """Read a short text: a string, or MATLAB's array of character codes."""
+    if not is_dataset(dataset) or dataset.size is None or not 0 < dataset.size <= 100:
+        return ""
+    values = np.atleast_1d(dataset[()]).ravel()
+    if matlab_class(dataset) == "char":
+        return "".join(chr(int(code)) for code in values)
+    return clean_text(values[0]) if values.size == 1 and isinstance(values[0], str | bytes) else ""
+
+
+def with_unit_fields(group: Any, sources: Sequence[ColumnSource]) -> list[ColumnSource]:
+    """Take a unit from a text beside the column (``voltage_unit``) where the column has none itself."""
+    found = []
+    for source in sources:
+        texts = (
+            () if source.unit else (group.get(f"{source.label}{end}") for end in ("_units", "_unit", "Unit"))
+        )
+        units = [text for text in map(stored_text, (node for node in texts if node is not None)) if text]
+        found.append(replace(source, unit=units[0]) if units else source)
+    return found

@@ -1,0 +1,113 @@
+"""LabVIEW's TDMS files as a table of columns, read in blocks with npTDMS."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source, brief
+from dbo_cli.logs.extras import import_extra
+from dbo_cli.logs.foreign_text import clean_text
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+
+
+def open_tdms(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+    """Open a TDMS file; the channels of several groups are called ``group/channel``.
+
+    Raises
+    ------
+    InputError
+        npTDMS is not installed, the file is damaged, or holds no channels of numbers.
+    """
+    nptdms = import_extra("nptdms", "tdms", address.text)
+    nptdms.log.log_manager.set_level(logging.CRITICAL)  # it would write its doubts to the terminal
+    stream = open(address.path, "rb")  # its own: npTDMS leaves a damaged file open
+    try:
+        file = nptdms.TdmsFile.open(stream)
+    except Exception as problem:  # npTDMS raises whatever the damaged bytes lead to
+        stream.close()
+        raise InputError(f"{address.text}: damaged TDMS: {brief(problem)}") from None
+    try:
+        groups = _groups(address, file)
+        several = sum(any(_is_numeric(channel) for channel in group.channels()) for group in groups) > 1
+        sources = [
+            _column(group, channel, several)
+            for group in groups
+            for channel in group.channels()
+            if _is_numeric(channel)
+        ]
+        if not sources:
+            listed = ", ".join(f"{g.name}/{c.name}" for g in groups for c in g.channels()) or "nothing"
+            raise InputError(f"{address.text}: no channels of numbers: it holds {listed}")
+        clock = [
+            found for level in (*(groups if len(groups) == 1 else ()), file) if (found := _statements(level))
+        ]
+        return ColumnTable(
+            address.text,
+            "TDMS",
+            sources,
+            clock=clock[0] if clock else (),
+            close=stream.close,
+            damaged=(Exception,),
+        )
+    except BaseException:
+        stream.close()
+        raise
+
+
+def _groups(address: Address, file: Any) -> list[Any]:
+    groups = list(file.groups())
+    wanted = (address.group or "").strip("/")
+    if not wanted:
+        return groups
+    found = [group for group in groups if group.name == wanted]
+    if not found:
+        names = ", ".join(f"'{group.name}'" for group in groups) or "none"
+        raise InputError(f"{address.text}: there is no group '{wanted}': the groups are: {names}")
+    return found
+
+
+def _is_numeric(channel: Any) -> bool:
+    return len(channel) > 0 and channel.dtype.kind in "fiubM"
+
+
+def _column(group: Any, channel: Any, several: bool) -> ColumnSource:
+    name = clean_text(channel.name)
+    label = f"{clean_text(group.name)}/{name}" if several else name
+    properties = channel.properties
+    unit = clean_text(properties.get("unit_string") or properties.get("NI_UnitDescription") or "") or None
+    if channel.dtype.kind == "M":
+        stamps = channel[:]
+        return array_source(label, (stamps - stamps[0]).astype("timedelta64[us]").astype("int64") / 1e6, "s")
+    return ColumnSource(
+        label,
+        len(channel),
+        lambda start, stop: channel[start:stop],
+        unit,
+        clock=tuple(_statements(channel)),
+        start=_start(properties),
+    )
+
+
+def _start(properties: Any) -> float:
+    """Give ``wf_start_offset``, which LabVIEW defines in seconds."""
+    value = properties.get("wf_start_offset", 0.0)
+    return float(value) if isinstance(value, int | float) else 0.0
+
+
+def _statements(node: Any) -> list[Statement]:
+    properties = node.properties
+    if clean_text(properties.get("wf_xname") or "Time").strip().lower() not in ("time", "zeit", "temps", ""):
+        return []  # a spectrum: its increment is no time
+    found = []
+    for name, value in properties.items():
+        if is_clock_name(name):
+            own = name == "wf_increment"  # LabVIEW defines it in seconds
+            unit = properties.get("wf_xunit_string") if own else properties.get(f"{name}_unit")
+            statement = read_statement(name, value, unit or None, sure=own)
+            found += [statement] if statement is not None else []
+    return found

@@ -1,0 +1,370 @@
+"""The time column of a log as seconds, and what is doubtful about it.
+
+Figures whose unit is not stated are read as seconds, unless they can only be a calendar's (milliseconds since
+1970, a spreadsheet's days).  Whatever is read without being stated is said, with the remedy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.clock import TimeCheck
+from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
+from dbo_cli.logs.columns import find_column, guess_columns
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time
+from dbo_cli.logs.units import ONE, UnitFactor
+
+DATE = "the date"  # the place among the roles of the column of dates beside clock times
+
+_TEN_MILLION = 10**7
+
+
+@dataclass(frozen=True)
+class _Calendar:
+    """Figures between ``low`` and ``high`` that count ``factor`` seconds each from a known date."""
+
+    name: str
+    low: float
+    high: float
+    factor: UnitFactor
+    offset: float = 0.0  # s, added to count from 1970
+
+
+# Each range spans the years 2000 to about 2050 (1e9 s after 1970 was in 2001): no log is older than the
+# instruments that write such stamps, and the ranges of neighbouring units lie a factor of 250 apart.
+_CALENDARS = (
+    _Calendar("s since 1970", 1e9, 4.1e9, ONE),
+    _Calendar("ms since 1970", 9e11, 4.1e12, UnitFactor(1, 10**3)),
+    _Calendar("us since 1970", 9e14, 4.1e15, UnitFactor(1, 10**6)),
+    _Calendar("100 ns since 1601", 1.25e17, 1.45e17, UnitFactor(1, _TEN_MILLION), -11_644_473_600.0),
+    _Calendar("100 ns since year 1", 6.3e17, 6.5e17, UnitFactor(1, _TEN_MILLION), -62_135_596_800.0),
+    _Calendar("ns since 1970", 9e17, 4.1e18, UnitFactor(1, 10**9)),
+)
+_DAY_CALENDARS = (
+    _Calendar("days since 1899-12-30", 36_526.0, 55_153.0, UnitFactor(86_400), -25_569.0 * 86_400.0),
+    _Calendar("days since year 0", 730_486.0, 749_113.0, UnitFactor(86_400), -719_529.0 * 86_400.0),
+)
+# Stamps near 45,000 are a spreadsheet's days or the seconds of a day. 2e-5 s would be 50,000 samples a second
+# by a clock that has run for half a day; 2e-5 days are 1.7 s, slower than any log of a hysteresis loop.
+# Up to ten times as much, either may be meant.
+_DAY_STEP = 2e-5
+_PLAIN_NAMES = frozenset(TIME_NAMES) - {"t"}  # T is a temperature as often as a time
+_DATE_WORDS = ("date", "datum", "timestamp", "datetime", "serial", "datenum", "excel", "zeitstempel")
+
+# A loop takes seconds and holds hundreds of samples: whoever logs one each second or slower says so.
+LONG_STEP = 1.0
+# 1e8 s are three years; a clock that counts seconds of a run never gets there.
+LATEST_STAMP = 1e8
+# A piezo under load does not pass its range in a millisecond: figures that end before count hours or days.
+SHORTEST_LOG = 1e-3
+# A sensor's column taken for the time goes back in about half of its rows, a clock set by a server once.
+BACKWARD_SHARE = 0.05
+
+
+@dataclass
+class TimeColumn:
+    """Turns the cells of a time column into seconds, block by block.
+
+    Attributes
+    ----------
+    column
+        The time column.
+    date
+        The column of dates beside a column of clock times, or None.
+    stated
+        What the header says.
+    said
+        How the figures are read, for the line that says what was read: ``ms``, ``clock times``.
+    """
+
+    place: str
+    column: ColumnInfo
+    date: ColumnInfo | None
+    stated: StatedTime
+    given: bool  # by the user, so that nothing is doubted
+    said: str = ""
+    notes: list[str] = field(default_factory=list)
+    _calendar: _Calendar | None = None
+    _decided: bool = False
+    _last: float | None = None
+    _carried: float = 0.0
+    _whole: bool = True
+    _first: float | None = None
+    _final: float = 0.0
+    _count: int = 0
+    _doubt: str = ""
+
+    @property
+    def picks(self) -> dict[str, ColumnInfo]:
+        """The columns to be read, by their places among the roles."""
+        return {TIME: self.column} | ({} if self.date is None else {DATE: self.date})
+
+    @property
+    def bare(self) -> bool:
+        """Whether figures stand without a unit."""
+        return self.column.written == "numbers" and self.stated.unit is None
+
+    def described(self) -> str:
+        """Return how the column is read: its unit, or that there is none."""
+        if self.said:
+            return self.said
+        if self.stated.unit is None:
+            return "no unit, read as s"
+        return f"{self.stated.unit} since {self.stated.origin}" if self.stated.origin else self.stated.unit
+
+    def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+        """Keep blocks until it can be told what the figures count: at most until the second time stamp."""
+        if self.bare:
+            waiting: list[SampleBlock] = []
+            for block in blocks:
+                waiting.append(block)
+                figures = np.concatenate([one.values[TIME] for one in waiting])
+                if self._decide(figures, last=False):
+                    break
+            else:
+                if waiting:
+                    self._decide(np.concatenate([one.values[TIME] for one in waiting]), last=True)
+            yield from waiting
+        yield from blocks
+
+    def whole(self, figures: FloatArray, warnings: list[str]) -> FloatArray:
+        """Return a whole column in seconds; what is doubtful about it is added to ``warnings``."""
+        if self.bare:
+            self._decide(figures, last=True)
+        seconds = self.seconds({TIME: figures})
+        check = TimeCheck(self.place, has_lines=False)
+        check.feed(seconds, range(1, len(seconds) + 1), None)
+        check.notes()  # brings the last of the stamps into the account
+        warnings.extend(self.warnings(check))
+        return seconds
+
+    def seconds(self, values: dict[str, FloatArray]) -> FloatArray:
+        """Take the time out of a block's columns and return it in seconds."""
+        raw, dates = values.pop(TIME), values.pop(DATE, None)
+        if self.column.written in ("clock", "minutes") and dates is None:
+            return self._unrolled(raw, 86_400.0 if self.column.written == "clock" else 3_600.0)
+        if dates is not None:
+            return raw + dates
+        if self.column.written != "numbers":
+            return raw
+        if len(raw):
+            self._first = float(raw[0]) if self._first is None else self._first
+            self._final = float(raw[-1])
+            self._count += len(raw)
+            self._whole = self._whole and bool((raw == np.rint(raw)).all())
+        if self._calendar is not None:
+            return self._calendar.factor.apply(raw) + self._calendar.offset
+        return self.stated.factor.apply(raw)
+
+    def _decide(self, figures: FloatArray, last: bool) -> bool:
+        """Look for a calendar in the first stamps; False where a second one is needed to tell."""
+        first = float(figures[0]) if len(figures) else 0.0
+        for calendar in _CALENDARS:
+            if calendar.low <= first < calendar.high:
+                self._take(calendar)
+                return True
+        for calendar in _DAY_CALENDARS:
+            if calendar.low <= first < calendar.high:
+                others = figures[figures != first]
+                if not len(others) and not last:
+                    return False
+                step = abs(float(others[0]) - first) if len(others) else np.inf
+                if step < _DAY_STEP or any(word in self.column.name.lower() for word in _DATE_WORDS):
+                    self._take(calendar)
+                elif step < 10.0 * _DAY_STEP:
+                    self._doubt = calendar.name
+        return True
+
+    def _take(self, calendar: _Calendar) -> None:
+        self._calendar = calendar
+        self.said = f"no unit, read as {calendar.name}"
+
+    def _unrolled(self, raw: FloatArray, period: float) -> FloatArray:
+        """Let a clock go on where it passes midnight (or, of minutes alone, the full hour)."""
+        if not len(raw):
+            return raw
+        steps = np.diff(raw, prepend=raw[0] if self._last is None else self._last)
+        self._last = float(raw[-1])
+        passed = steps < -period / 2.0
+        if not passed.any() and not self._carried:
+            return raw
+        if passed.any() and not self._carried:
+            what = "midnight" if period > 3_600.0 else "the full hour"
+            self.notes.append(f"{self.place}: the clock passes {what} and goes on")
+        carried = self._carried + period * np.cumsum(passed)
+        self._carried = float(carried[-1])
+        return raw + carried
+
+    def warnings(self, check: TimeCheck) -> list[str]:
+        """Say what is doubtful about the figures, with the remedy, once all of them have gone by."""
+        called = f"{self.place}: the time column '{self.column.name}'"
+        told = [self._of_figures(called, check)] if self.bare and not self.given else []
+        rows = check.rows
+        if check.backward.count > BACKWARD_SHARE * rows:
+            told.append(
+                f"{called} goes backwards in {check.backward.count:,} of {rows:,} rows: is it a clock? "
+                "(`time` COLUMN or `sample_rate` HZ)"
+            )
+        elif check.repeat.count > rows / 2:
+            told.append(
+                f"{called} repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
+                "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
+            )
+        if self.column.written == "numbers" and not self.bare and not self.given:
+            told.append(self._of_stated(called))
+        return [text for text in told if text]
+
+    def _of_stated(self, called: str) -> str:
+        """Say why figures can hardly be in the unit that is stated."""
+        first, last = (float(self.stated.factor) * (value or 0.0) for value in (self._first, self._final))
+        if abs(last) > _CALENDARS[0].high:
+            told = f"its stamps would be {last:.3g} s"
+        elif self._count > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
+            told = f"the whole log would last {abs(last - first):.3g} s"
+        else:
+            return ""
+        return f"{called} is stated in {self.stated.unit}, but {told} (`time_unit` says what it counts)"
+
+    def _of_figures(self, called: str, check: TimeCheck) -> str:
+        """Say why figures without a unit can hardly be seconds."""
+        remedy = "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
+        if self._first is None or self._count < 2:
+            return ""
+        step = check.step
+        if self._doubt:
+            return (
+                f"{called} has no unit: stamps from {self._first:.6g} on are read as seconds of a day, but "
+                f"may be {self._doubt} (`time_unit` s or d)"
+            )
+        if self._calendar is not None:
+            if step > LONG_STEP and np.isfinite(step):
+                return f"{called} has {self.said}, and a usual step of {step:.4g} s {remedy}"
+            if self._calendar in _DAY_CALENDARS:
+                return f"{called} has {self.said} (`time_unit` s if they are seconds of a day)"
+            return ""
+        if self._whole and step == 1.0:
+            return (
+                f"{called} has no unit and counts whole numbers one by one: read as seconds, though it may "
+                f"count rows or milliseconds {remedy}"
+            )
+        if step >= LONG_STEP and np.isfinite(step):
+            return f"{called} has no unit: read as seconds, its usual step is {step:.6g} s {remedy}"
+        if max(abs(self._first), abs(self._final)) > LATEST_STAMP:
+            return f"{called} has no unit: read as seconds, its stamps reach {self._final:.6g} s {remedy}"
+        if 0.0 < abs(self._final - self._first) < SHORTEST_LOG:
+            return (
+                f"{called} has no unit: read as seconds, the whole log lasts "
+                f"{abs(self._final - self._first):.3g} s {remedy}"
+            )
+        return ""
+
+
+def time_column(
+    place: str, column: ColumnInfo, columns: list[ColumnInfo], given: str | None = None
+) -> TimeColumn:
+    """Prepare a time column, and find the dates beside clock times.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    column
+        The column that holds the time.
+    columns
+        All columns of the log.
+    given
+        ``time_unit`` as the user gave it.
+
+    Raises
+    ------
+    InputError
+        Its unit is no known unit of time, or it holds dates without a time of day.
+    """
+    if column.written == "numbers":
+        return TimeColumn(place, column, None, stated_time(place, column, given), given is not None)
+    if given is not None:
+        raise InputError(
+            f"{place}: the time column '{column.name}' holds dates or clock times, which say by themselves "
+            "what they count (leave out `time_unit`)"
+        )
+    if column.written == "date":
+        raise InputError(
+            f"{place}: column '{column.name}' holds dates without a time of day "
+            "(`time` the column of clock times, whose dates are taken from here)"
+        )
+    dates = [one for one in columns if one.written == "date"] if column.written == "clock" else []
+    date = dates[0] if len(dates) == 1 else None
+    said = {"stamp": "dates and clock times", "clock": "clock times", "minutes": "minutes and seconds"}
+    text = said[column.written] if date is None else f"clock times, dates in '{date.name}'"
+    bare = replace(column, unit=None)
+    return TimeColumn(place, bare, date, StatedTime("s"), True, said=text)
+
+
+@dataclass(frozen=True)
+class FoundTime:
+    """The time column of a log, the columns that no other role may take, and what is to be said."""
+
+    clock: TimeColumn | None
+    taken: list[ColumnInfo]
+    notes: list[str]
+
+
+def find_time_column(
+    place: str, columns: list[ColumnInfo], options: ReadingOptions, named: Sequence[ColumnInfo]
+) -> FoundTime:
+    """Find the time column; a sample rate given by the user replaces one that was only guessed.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    columns
+        What the log has.
+    options
+        How it is to be read: ``time``, ``time_unit``, ``sample_rate``.
+    named
+        The columns that the user named for other roles.
+
+    Raises
+    ------
+    InputError
+        Several columns may be meant, or what the column's figures count is not known.
+    """
+    if options.time is not None:
+        found = [find_column(place, columns, options.time, "time")]
+    else:
+        used = {column.number for column in named}
+        found = _time_candidates([column for column in columns if column.number not in used])
+    if options.sample_rate is not None:
+        notes = [f"{place}: `sample_rate` replaces the column '{one.name}'" for one in found[:1]]
+        return FoundTime(None, found if len(found) == 1 else [], notes)
+    if len(found) > 1:
+        names = " or ".join(f"'{column.name}'" for column in found)
+        raise InputError(f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
+    if not found:
+        if options.time_unit is not None:
+            raise InputError(f"{place}: no column is recognised as the time (`time` COLUMN names it)")
+        return FoundTime(None, [], [])
+    clock = time_column(place, found[0], columns, options.time_unit)
+    return FoundTime(clock, list(clock.picks.values()), [])
+
+
+def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
+    """Find the columns that may hold the time: figures by name, then stamps by name, then stamps."""
+    fitting = [one for one in columns if not is_other_kind(one.unit) or one.quantity.lower() in _PLAIN_NAMES]
+    found = guess_columns(fitting, TIME_NAMES) or guess_columns(fitting, MORE_TIME_NAMES)
+    figures = [column for column in found if column.written == "numbers"]
+    if figures:
+        return figures
+    for writings in (("stamp",), ("clock", "minutes")):
+        for some in (found, columns):
+            stamps = [column for column in some if column.written in writings]
+            if stamps:
+                return stamps
+    return found

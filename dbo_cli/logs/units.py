@@ -1,0 +1,251 @@
+"""Units: how they are spelled, what they measure, and how one becomes another.
+
+A unit is carried, never guessed.  SI prefixes of one unit are converted, unlike units are not:
+``unit_factor`` gives the number, and whoever uses it says so (``match_units``).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
+
+_BASES = {
+    "V": "voltage", "A": "current", "m": "length", "N": "force", "Hz": "frequency", "s": "time",
+    "rad": "angle", "Pa": "pressure", "T": "magnetic flux density", "g": "mass", "C": "charge", "W": "power",
+    "ohm": "resistance",
+}  # fmt: skip
+_PREFIXES = {"": 0, "p": -12, "n": -9, "u": -6, "m": -3, "k": 3, "M": 6, "G": 9}
+KNOWN_UNITS = frozenset(prefix + unit for prefix in _PREFIXES for unit in _BASES) | {
+    "min", "h", "deg", "arcsec", "K", "%", "degC", "counts", "cts", "LSB", "bit", "a.u.", "au", "cm", "dB",
+    "samples", "sample",
+}  # fmt: skip
+_SPELLED = {
+    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "sec": "s", "secs": "s", "second": "s",
+    "seconds": "s", "msec": "ms", "milliseconds": "ms", "microseconds": "us", "usec": "us", "micron": "um",
+    "microns": "um", "micrometer": "um", "micrometers": "um", "micrometre": "um", "micrometres": "um",
+    "nanometer": "nm", "nanometers": "nm", "meter": "m", "meters": "m", "minutes": "min", "hours": "h",
+    "microvolt": "uV", "microvolts": "uV", "kilovolt": "kV", "kilovolts": "kV", "nanometre": "nm",
+    "nanometres": "nm", "millimeter": "mm", "millimeters": "mm", "millimetre": "mm", "millimetres": "mm",
+    "metre": "m", "metres": "m", "mikrometer": "um", "msecs": "ms", "millisec": "ms", "millisecs": "ms",
+    "millisecond": "ms", "usecs": "us", "microsec": "us", "microsecs": "us", "microsecond": "us",
+    "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanosecond": "ns", "nanoseconds": "ns",
+    "picoseconds": "ps", "ångström": "angstrom", "å": "angstrom", "ampere": "A", "amperes": "A", "amp": "A",
+    "amps": "A", "milliampere": "mA", "newton": "N", "pascal": "Pa", "hertz": "Hz", "radian": "rad",
+    "radians": "rad", "degrees": "deg", "degree": "deg", "percent": "%",
+}  # fmt: skip
+
+_SIZES: dict[str, tuple[str, int, int]] = {  # what it measures, and its size as a fraction in base units
+    prefix + unit: (kind, 10 ** max(power, 0), 10 ** max(-power, 0))
+    for prefix, power in _PREFIXES.items()
+    for unit, kind in _BASES.items()
+} | {
+    "cm": ("length", 1, 100),
+    "angstrom": ("length", 1, 10**10),
+    "min": ("time", 60, 1),
+    "h": ("time", 3600, 1),
+    "deg": ("angle", *(math.pi / 180.0).as_integer_ratio()),
+    "arcsec": ("angle", *(math.pi / 648000.0).as_integer_ratio()),
+    "F": ("capacitance", 1, 1),
+    "uF": ("capacitance", 1, 10**6),
+    "nF": ("capacitance", 1, 10**9),
+    "pF": ("capacitance", 1, 10**12),
+    "bar": ("pressure", 10**5, 1),
+    "mbar": ("pressure", 100, 1),
+    "K": ("temperature", 1, 1),
+}
+_OTHER_KINDS = {
+    "degC": "temperature", "°F": "temperature", "degF": "temperature", "%": "share", "dB": "level",
+    "counts": "count", "cts": "count", "LSB": "count", "bit": "count", "a.u.": "count", "au": "count",
+    "samples": "number of samples", "sample": "number of samples",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class UnitFactor:
+    """Multiplies (or divides) a signal so that it comes out in another unit.
+
+    The factor is a fraction of whole numbers.  Dividing by 1000 gives the float64 nearest to the true
+    quotient, multiplying by 0.001 need not: so the inverse of a whole number is applied as a division.
+    """
+
+    numerator: int = 1
+    denominator: int = 1
+
+    @property
+    def is_one(self) -> bool:
+        """Whether nothing changes."""
+        return self.numerator == self.denominator
+
+    def times(self, numerator: int, denominator: int) -> UnitFactor:
+        """Return this factor times a fraction, in lowest terms."""
+        above, below = self.numerator * numerator, self.denominator * denominator
+        common = math.gcd(above, below)
+        return UnitFactor(above // common, below // common)
+
+    def apply(self, values: FloatArray) -> FloatArray:
+        """Return the signal in the other unit; the same array where nothing changes."""
+        if self.is_one:
+            return values
+        if abs(self.numerator) == 1:
+            return values / float(self.denominator * self.numerator)
+        return values * float(self)
+
+    def __float__(self) -> float:
+        """Return the factor as a number."""
+        return self.numerator / self.denominator
+
+
+ONE = UnitFactor()
+
+
+def normalise_unit(text: str) -> str | None:
+    """Spell a unit plainly: ``µm`` and ``microns`` are ``um``, ``Volts`` is ``V``; None for an empty one."""
+    plain = text.strip().strip("[](){}<>").strip().replace("µ", "u").replace("μ", "u").replace("°C", "degC")
+    plain = plain.replace("Ω", "ohm")
+    return _SPELLED.get(plain.lower(), plain) or None
+
+
+def is_known_unit(text: str) -> bool:
+    """Tell whether a header suffix is a unit and not a part of the name."""
+    return normalise_unit(text) in KNOWN_UNITS
+
+
+def kind_of_unit(unit: str | None) -> str | None:
+    """Return what a unit measures (``voltage``, ``length``, …), or None where that is not known."""
+    if unit is None:
+        return None
+    found = _SIZES.get(unit)
+    return found[0] if found else _OTHER_KINDS.get(unit)
+
+
+def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
+    """Return by what figures in ``unit`` are multiplied to be in ``wanted``; None for unlike units.
+
+    Where either is None nothing is known, and the factor is one.
+    """
+    if unit == wanted or unit is None or wanted is None:
+        return ONE
+    here, there = _SIZES.get(unit), _SIZES.get(wanted)
+    if here is None or there is None or here[0] != there[0]:
+        return None
+    return UnitFactor(here[1], here[2]).times(there[2], there[1])
+
+
+@dataclass(frozen=True)
+class UnitMatch:
+    """How a column is brought into the unit that is wanted, and what is to be said of it."""
+
+    factor: UnitFactor = ONE
+    note: str | None = None
+    warning: str | None = None
+
+
+def match_units(place: str, column: ColumnInfo, wanted: str | None, taker: str) -> UnitMatch:
+    """Bring a column into the unit that its user works in.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    column
+        The column as the log describes it.
+    wanted
+        The unit that is worked in, or None where it is not known.
+    taker
+        Who works in it, for messages: ``model.json takes voltage``.
+
+    Raises
+    ------
+    InputError
+        The units measure unlike things, or one of them is not known.
+    """
+    called = f"{place}: column '{column.name}'"
+    if column.unit == wanted:
+        return UnitMatch()
+    if column.unit is None:
+        return UnitMatch(
+            warning=f"{called} has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
+            "(name the unit in the header, or convert with `scale`)"
+        )
+    if wanted is None:
+        return UnitMatch(
+            warning=f"{called} is in {column.unit}, but {taker} without a unit: the figures are used as they "
+            "are (convert with `scale` if they are not alike)"
+        )
+    factor = unit_factor(column.unit, wanted)
+    if factor is None:
+        raise InputError(
+            f"{called} is in {column.unit}, but {taker} in {wanted} "
+            f"(`scale` ROLE=FACTOR{wanted}/{column.unit} converts it)"
+        )
+    return UnitMatch(factor, note=f"{called} is converted from {column.unit} to {wanted}")
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A factor that the user gives for one role: ``voltage=20``, ``displacement=10um/V``.
+
+    ``factor`` multiplies; with units, figures in ``unit_in`` become figures in ``unit_out``.
+    """
+
+    role: str
+    factor: UnitFactor
+    unit_out: str | None = None
+    unit_in: str | None = None
+
+    def __str__(self) -> str:
+        """Spell it as it is given."""
+        units = f"{self.unit_out}/{self.unit_in}" if self.unit_out else ""
+        return f"{self.role}={float(self.factor):.15g}{units}"
+
+    def applied_to(self, place: str, column: ColumnInfo) -> tuple[UnitFactor, ColumnInfo]:
+        """Return the whole factor, and the column as it is afterwards.
+
+        Raises
+        ------
+        InputError
+            The column's unit is another than the one that the factor takes.
+        """
+        if self.unit_out is None:
+            return self.factor, column
+        before = unit_factor(column.unit, self.unit_in)
+        if before is None:
+            own = f"column '{column.name}' is in {column.unit}"
+            raise InputError(f"{place}: {own}, but `scale` {self} takes {self.unit_in}")
+        return self.factor.times(before.numerator, before.denominator), replace(column, unit=self.unit_out)
+
+
+_SCALE = re.compile(
+    r"\s*(?P<role>[^=\s]+)\s*=\s*(?P<sign>[+-]?)(?P<whole>\d*)\.?(?P<part>\d*)(?:[eE](?P<power>[+-]?\d+))?"
+    r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
+)
+
+
+def parse_scale(text: str) -> Scale:
+    """Read ``ROLE=FACTOR[UNIT/UNIT]``.
+
+    Raises
+    ------
+    UsageError
+        It is not of that form, or the factor is zero or no float64.
+    """
+    found = _SCALE.fullmatch(text)
+    digits = (found["whole"] + found["part"]) if found else ""
+    if found is None or not digits.isascii() or not digits:
+        raise UsageError(
+            f"`scale` {text}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, "
+            "such as voltage=20 or displacement=10um/V"
+        )
+    power = int(found["power"] or 0) - len(found["part"])
+    if not int(digits):
+        raise UsageError(f"`scale` {text}: a factor of 0 leaves nothing of the signal")
+    if abs(power + len(digits)) > 300:
+        raise UsageError(f"`scale` {text}: the factor is too large or too small")
+    sign = -1 if found["sign"] == "-" else 1
+    factor = ONE.times(sign * int(digits) * 10 ** max(power, 0), 10 ** max(-power, 0))
+    units = normalise_unit(found["out"] or ""), normalise_unit(found["in"] or "")
+    return Scale(found["role"].lower(), factor, *units)

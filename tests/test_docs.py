@@ -1,0 +1,80 @@
+"""The pages for people hold: the Python page runs as it stands there, links lead somewhere, names exist."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = [*sorted(DOCS.glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+NUMBER = re.compile(r"(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
+FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def steps(page: str) -> Iterator[tuple[int, str, str]]:
+    """Return the line, the code and the output shown of every Python block of a page."""
+    blocks = list(FENCED.finditer(page))
+    for place, block in enumerate(blocks):
+        if block[1] == "python":
+            shown = blocks[place + 1] if place + 1 < len(blocks) else None
+            expected = shown[2] if shown is not None and shown[1] == "text" else ""
+            yield page.count("\n", 0, block.start()) + 2, block[2], expected
+
+
+def differs(shown: str, printed: str) -> bool:
+    """Tell whether what was printed is not what is shown.
+
+    Numbers with a fraction may differ by one in the last digit that is shown: a library's sums differ in
+    their last bits from machine to machine.
+    """
+    if NUMBER.sub("#", shown) != NUMBER.sub("#", printed):
+        return True
+    for one, other in zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True):
+        decimals = len(one.partition(".")[2])
+        step = 10.0**-decimals if decimals and "e" not in one else 0.0
+        if abs(float(one.replace(",", "")) - float(other.replace(",", ""))) > 1.001 * step:
+            return True
+    return False
+
+
+def test_the_python_page_runs_as_it_stands_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("identification.csv", "trajectory.csv"):
+        shutil.copy(ROOT / "sample_data" / name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    blocks = list(steps((DOCS / "python.md").read_text(encoding="utf-8")))
+    assert len(blocks) > 12
+    for line, code, shown in blocks:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile("\n" * (line - 1) + code, "docs/python.md", "exec"), names)
+        assert not differs(shown, printed.getvalue()), f"docs/python.md:{line}:\n{printed.getvalue()}"
+
+
+def test_what_is_shown_may_differ_in_its_last_digit_alone() -> None:
+    assert not differs("fit 0.006 um\n", "fit 0.007 um\n")
+    assert differs("fit 0.006 um\n", "fit 0.008 um\n")
+    assert differs("64 gears\n", "65 gears\n")
+    assert differs("64 gears\n", "64 wheels\n")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("http://", "https://")):
+            continue
+        name, _, anchor = target.partition("#")
+        file = page.parent / name if name else page
+        assert file.exists(), f"{page.name}: {target}"
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+            known = {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
+            assert anchor in known, f"{page.name}: {target}"

@@ -1,0 +1,137 @@
+"""One log in two files: `voltage` FILE::COLUMN."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import pytest
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.signal_log import SignalLog, open_log
+from tests.shapes.format_files import D, T, V
+from tests.shapes.instrument_files import _TEK, TEK_T, TEK_V, beside, rows
+
+
+def write(path: Path, header: str, *columns: tuple[float, ...]) -> Path:
+    path.write_text("\n".join([header, *rows(",", columns)]) + "\n")
+    return path
+
+
+def joined(first: Path | str, voltage: str, displacement: str | None = None, **options: object) -> SignalLog:
+    want = {
+        "voltage": ColumnWish(voltage, ("voltage",), option="voltage"),
+        "displacement": ColumnWish(displacement, ("displacement", "position"), option="displacement"),
+    }
+    return open_log(str(first), want, ReadingOptions(**options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("block_rows", [1, 2, 3, 100])
+@pytest.mark.parametrize("drive_time", ["time_s", "time_ms", None])
+@pytest.mark.parametrize("sensor_time", ["time_s", None])
+def test_columns_of_two_files(
+    drive_time: str | None, sensor_time: str | None, block_rows: int, tmp_path: Path
+) -> None:
+    stamps = {"time_s": T, "time_ms": tuple(1000 * t for t in T)}
+    sensor = [("displacement_um", D)] if sensor_time is None else [("time_s", T), ("displacement_um", D)]
+    drive = [("CH1 (V)", V)] if drive_time is None else [(drive_time, stamps[drive_time]), ("CH1 (V)", V)]
+    first = write(tmp_path / "sensor.csv", ",".join(name for name, _ in sensor), *(v for _, v in sensor))
+    other = write(tmp_path / "drive.csv", ",".join(name for name, _ in drive), *(v for _, v in drive))
+    with joined(first, f"{other}::CH1", block_rows=block_rows) as log:
+        block = log.read()
+    assert block.values["voltage"].tolist() == list(V)
+    assert block.values["displacement"].tolist() == list(D)
+    assert (log.columns["voltage"].unit, log.columns["displacement"].unit) == ("V", "um")
+    assert log.columns["voltage"].name == f"{other}::CH1 (V)"
+    if drive_time is None and sensor_time is None:
+        assert block.time is None
+    else:
+        assert block.time is not None and block.time.tolist() == list(T)
+
+
+def test_clocks_that_disagree_are_refused_at_the_row(tmp_path: Path) -> None:
+    first = write(tmp_path / "sensor.csv", "time_s,displacement_um", T, D)
+    other = write(tmp_path / "drive.csv", "time_s,voltage_V", (*T[:2], 0.0025, 0.0035), V)
+    with pytest.raises(InputError) as raised, joined(first, f"{other}::voltage") as log:
+        log.read()
+    assert str(raised.value) == (
+        f"{first}: row 3: its time 0.002 s is 0.0025 s in {other} "
+        "(bring both to one clock; `sample_rate` HZ takes them row by row)"
+    )
+    with joined(first, f"{other}::voltage", sample_rate=1000.0) as log:
+        block = log.read()
+    assert block.values["voltage"].tolist() == list(V)
+    assert block.time is not None and block.time.tolist() == list(T)
+
+
+def test_rates_that_disagree_are_refused(tmp_path: Path) -> None:
+    first, other = tmp_path / "sensor.csv", tmp_path / "drive.csv"
+    first.write_text("\n".join(["Sample rate: 1 kHz", "displacement_um,error_um", *rows(",", (D, D))]) + "\n")
+    other.write_text("\n".join(["Sample rate: 2 kHz", "voltage_V,current_A", *rows(",", (V, V))]) + "\n")
+    with pytest.raises(InputError) as raised:
+        joined(first, f"{other}::voltage", "displacement")
+    assert str(raised.value) == (
+        f"{first} has 1000 samples a second from 0 s on, {other} 2000 from 0 s on "
+        "(`sample_rate` HZ takes them row by row)"
+    )
+
+
+@pytest.mark.parametrize("short", ["sensor", "drive"])
+@pytest.mark.parametrize("block_rows", [1, 3, 100])
+def test_files_of_unequal_length_are_refused(short: str, block_rows: int, tmp_path: Path) -> None:
+    lengths = {"sensor": 4, "drive": 4} | {short: 2}
+    d, v = D[: lengths["sensor"]], V[: lengths["drive"]]
+    first = write(tmp_path / "sensor.csv", "x_um,displacement_um", d, d)
+    other = write(tmp_path / "drive.csv", "y_um,voltage_V", v, v)
+    selector = f"{other}::voltage"
+    with pytest.raises(InputError) as raised, joined(first, selector, block_rows=block_rows) as log:
+        log.read()
+    told = f"{first} {lengths['sensor']}, {other} {lengths['drive']}"
+    assert str(raised.value) == f"the files are not equally long: {told} rows (`rows` A:B cuts all of them)"
+    with joined(first, f"{other}::voltage", block_rows=block_rows, rows=(1, 2)) as log:
+        assert log.read().values["voltage"].tolist() == list(V[:2])
+
+
+@pytest.mark.parametrize("block_rows", [1, 3, 100])
+def test_a_bad_row_of_one_file_is_dropped_from_both(block_rows: int, tmp_path: Path) -> None:
+    first, other = tmp_path / "sensor.csv", tmp_path / "drive.csv"
+    first.write_text("time_s,displacement_um\n0,10.25\n0.001,oops\n0.002,9.125\n0.003,8\n")
+    other.write_text("time_s,voltage_V\n0,0\n0.001,1.5\n0.002,\n0.003,4\n")
+    with joined(first, f"{other}::voltage", skip_bad=True, block_rows=block_rows) as log:
+        block = log.read()
+    assert block.values["voltage"].tolist() == [0.0, 4.0]
+    assert block.values["displacement"].tolist() == [10.25, 8.0]
+    assert list(block.rows) == [1, 4]
+    assert block.lines is not None and list(block.lines) == [2, 5]
+    assert len(log.notes) == 2
+
+
+def test_an_hdf5_dataset_beside_a_text_file(tmp_path: Path) -> None:
+    first = write(tmp_path / "sensor.csv", "time_s,displacement_um", T, D)
+    with h5py.File(tmp_path / "drive.h5", "w") as file:
+        file["run/a/voltage"], file["run/b/voltage"] = V, D
+    for path in ("/run/a/voltage", "/run/a::voltage"):
+        with joined(first, f"{tmp_path}/drive.h5::{path}") as log:
+            assert log.read().values["voltage"].tolist() == list(V)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    first = write(tmp_path / "sensor.csv", "time_s,displacement_um", T, D)
+    with pytest.raises(InputError) as raised:
+        joined(first, f"{tmp_path}/none.csv::voltage")
+    assert str(raised.value) == (
+        f"{tmp_path}/none.csv: no such file (`voltage` FILE::COLUMN takes a column of another file)"
+    )
+
+
+def test_two_channels_of_a_tektronix_oscilloscope(tmp_path: Path) -> None:
+    first, other = tmp_path / "F0001CH2.CSV", tmp_path / "F0001CH1.CSV"
+    second = [line.replace("Source,CH1", "Source,CH2") for line in _TEK]
+    first.write_text("\n".join(beside(second, rows(",", (TEK_T, TEK_T)))) + "\n")
+    other.write_text("\n".join(beside(_TEK, rows(",", (TEK_T, TEK_V)))) + "\n")
+    with joined(first, f"{other}::CH1", "CH2") as log:
+        block = log.read()
+    assert block.values["voltage"].tolist() == list(TEK_V)
+    assert block.time is not None and block.time.tolist() == list(TEK_T)

@@ -1,0 +1,142 @@
+"""Units are converted within a kind, to the last digit; unlike kinds are refused, missing ones warned of."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.units import kind_of_unit, match_units, parse_scale, unit_factor
+
+
+@pytest.mark.parametrize(
+    ("unit", "wanted", "ratio"),
+    [
+        ("mV", "V", Fraction(1, 1000)),
+        ("V", "mV", Fraction(1000)),
+        ("um", "nm", Fraction(1000)),
+        ("angstrom", "nm", Fraction(1, 10)),
+        ("cm", "um", Fraction(10000)),
+        ("kV", "V", Fraction(1000)),
+        ("h", "ms", Fraction(3_600_000)),
+        ("bar", "Pa", Fraction(100_000)),
+        ("furlong", "furlong", Fraction(1)),
+        (None, "V", Fraction(1)),
+    ],
+)
+def test_a_unit_becomes_another_of_its_kind(unit: str | None, wanted: str, ratio: Fraction) -> None:
+    factor = unit_factor(unit, wanted)
+    assert factor is not None
+    assert Fraction(factor.numerator, factor.denominator) == ratio
+
+
+@pytest.mark.parametrize(("unit", "wanted"), [("um", "V"), ("degC", "K"), ("furlong", "um"), ("counts", "V")])
+def test_unlike_units_have_no_factor(unit: str, wanted: str) -> None:
+    assert unit_factor(unit, wanted) is None
+
+
+def test_degrees_become_milliradians() -> None:
+    assert float(unit_factor("deg", "mrad") or 0) == pytest.approx(17.453292519943297, rel=1e-15)
+    assert kind_of_unit("arcsec") == "angle"
+
+
+def test_a_conversion_keeps_the_digits() -> None:
+    """1.1 mV is the float64 nearest to 0.0011 V: dividing gives it, multiplying by 0.001 does not always."""
+    factor = unit_factor("mV", "V")
+    assert factor is not None
+    figures = np.array([1.1, 3.3, 5.5, 1234.567])
+    assert factor.apply(figures).tolist() == [0.0011, 0.0033, 0.0055, 1.234567]
+    same = unit_factor("V", "V")
+    assert same is not None
+    assert same.apply(figures) is figures
+
+
+def test_a_column_is_matched_with_a_model() -> None:
+    column = column_info("drive_mV", 2)
+    match = match_units("run.csv", column, "V", "model.json takes voltage")
+    assert float(match.factor) == 0.001
+    assert match.note == "run.csv: column 'drive_mV' is converted from mV to V"
+    assert match_units("run.csv", column, "mV", "it").factor.is_one
+    assert match_units("run.csv", column_info("u", 1), None, "it").warning is None
+    bare = match_units("run.csv", column_info("drive", 2), "V", "model.json takes voltage")
+    assert bare.warning is not None and bare.warning.startswith(
+        "run.csv: column 'drive' has no unit, but model.json takes voltage in V: its figures are taken as V"
+    )
+    other = match_units("run.csv", column, None, "model.json takes voltage")
+    assert other.warning is not None
+    assert "is in mV, but model.json takes voltage without a unit" in other.warning
+    with pytest.raises(InputError) as raised:
+        match_units("run.csv", column_info("sensor (V)", 1), "um", "model.json gives displacement")
+    assert str(raised.value) == (
+        "run.csv: column 'sensor (V)' is in V, but model.json gives displacement in um "
+        "(`scale` ROLE=FACTORum/V converts it)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "role", "factor", "units"),
+    [
+        ("voltage=20", "voltage", 20.0, (None, None)),
+        ("displacement=10um/V", "displacement", 10.0, ("um", "V")),
+        ("x = -1.5e-3 µm / mV", "x", -0.0015, ("um", "mV")),
+        ("Voltage=.05", "voltage", 0.05, (None, None)),
+    ],
+)
+def test_scales(text: str, role: str, factor: float, units: tuple[str | None, str | None]) -> None:
+    scale = parse_scale(text)
+    assert (scale.role, float(scale.factor), (scale.unit_out, scale.unit_in)) == (role, factor, units)
+
+
+@pytest.mark.parametrize(
+    "text", ["voltage", "voltage=", "=20", "voltage=x", "voltage=10um", "voltage=1,5", "a=."]
+)
+def test_what_is_no_scale_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT"):
+        parse_scale(text)
+    with pytest.raises(UsageError, match="a factor of 0 leaves nothing"):
+        ReadingOptions(scale=("voltage=0",))
+    with pytest.raises(UsageError, match="too large or too small"):
+        ReadingOptions(scale=("voltage=1e999",))
+
+
+def read(folder: Path, header: str, *scale: str) -> tuple[list[float], list[float], str]:
+    path = folder / "log.csv"
+    path.write_text(f"time_s,{header}\n0,1,3\n0.001,2,5\n")
+    want = {role: wish(role, option=role) for role in ("voltage", "displacement")}
+    with open_log(str(path), want, ReadingOptions(scale=scale)) as log:
+        block = log.read()
+    units = f"{log.columns['voltage'].unit} {log.columns['displacement'].unit}"
+    return block.values["voltage"].tolist(), block.values["displacement"].tolist(), units
+
+
+def test_scales_are_applied_to_their_role(tmp_path: Path) -> None:
+    assert read(tmp_path, "monitor voltage_V,sensor_V", "voltage=20", "displacement=10um/V") == (
+        [20.0, 40.0], [30.0, 50.0], "V um",
+    )  # fmt: skip
+    assert read(tmp_path, "u,sensor_mV", "displacement=10um/V") == ([1.0, 2.0], [0.03, 0.05], "None um")
+    with pytest.raises(InputError, match=r"'sensor_nm' is in nm, but `scale` displacement=10um/V takes V"):
+        read(tmp_path, "u,sensor_nm", "displacement=10um/V")
+    with pytest.raises(UsageError, match="there is no drive here, but voltage, displacement"):
+        read(tmp_path, "u,sensor_V", "drive=20")
+    with pytest.raises(UsageError, match="voltage is scaled twice"):
+        read(tmp_path, "u,sensor_V", "voltage=20", "voltage=2")
+
+
+def test_doubtful_units_are_warned_of(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("voltage_mV,displacement\nV,furlong\n1,2\n3,4\n")
+    want = {role: wish(role, option=role) for role in ("voltage", "displacement")}
+    with open_log(str(path), want, ReadingOptions(header_lines=2)) as log:
+        assert log.warnings == [
+            f"{path}: column 'voltage_mV' is in mV by its name and in V by its unit: "
+            "V is taken (`scale` converts)",
+            f"{path}: the unit 'furlong' of column 'displacement' is not known and carried as it is "
+            "(`scale` ROLE=FACTORUNIT/UNIT converts)",
+        ]
