@@ -471,7 +471,7 @@ ExciteRate = Annotated[
     float, _option("--sample-rate", "HZ", "Rows per second.", default="1000", parse=values.positive)
 ]
 Duration = Annotated[
-    float, _option("--duration", "SECONDS", "Length of the drive.", default="30", parse=values.positive)
+    float, _option("--duration", "SECONDS", "Length of the drive.", default="15", parse=values.positive)
 ]
 Frequency = Annotated[
     float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
@@ -489,3 +489,42 @@ OutputFormat = Annotated[
         parse=values.choice(FORMATS),
     ),
 ]
+
+# --- export ---
+Folder = Annotated[
+    str, _common("--output", "DIR", "The folder to write; appears whole or not at all.", "-o", REQUIRED)
+]
+Name = Annotated[
+    str, _option("--name", "NAME", "Begins the names of files, types, functions.", default="actuator")
+]
+Direction = Annotated[
+    str,
+    _option(
+        "--direction",
+        "inverse|forward",
+        "Displacement to drive, or drive to displacement.",
+        default="inverse",
+        parse=values.choice(("inverse", "forward")),
+    ),
+]
+Arithmetic = Annotated[
+    str,
+    _option(
+        "--arithmetic",
+        "double|float|q31",
+        "double: the bits of dbo compensate; float32 or 32-bit fixed point: with a bound on the error.",
+        default="double",
+        parse=values.choice(("double", "float", "q31")),
+    ),
+]
+ControllerRate = Annotated[
+    float | None, _option("--sample-rate", "HZ", "Steps per second of the controller.", parse=values.positive)
+]
+FewerGears = Annotated[
+    int | None, _option("--gears", "N", "Fewer gears; says what is lost.", parse=values.whole(1))
+]
+Lookup = Annotated[bool, _option("--lookup", None, "A table of all states: 12 gears at most, double.")]
+Arduino = Annotated[bool, _option("--arduino", None, "Lay the files out as an Arduino library.")]
+Fmu = Annotated[bool, _option("--fmu", None, "Add an FMI 2.0 co-simulation unit for this computer; double.")]
+Shared = Annotated[bool, _option("--shared", None, "Add a flat C library for this computer; double.")]
+Overwrite = Annotated[bool, _option("--overwrite", None, "Replace a folder that an export wrote.")]

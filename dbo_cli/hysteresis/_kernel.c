@@ -15,12 +15,17 @@ static int too_short(const char *what) {
 }
 
 /* The operator and its state out of buffers; 0 with an error set where their lengths do not match. */
-static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears,
+static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears, Py_ssize_t n, Py_ssize_t run,
                     const Py_buffer *words) {
+    const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear);
+    if (n < 1 || run < 1 || (rows < n && rows * run < n)) return !too_short("gears");
+    if ((uint64_t)n * (uint64_t)run >> 32) return !too_short("run");
     op->gears = gears->buf;
-    op->n = (size_t)gears->len / sizeof(dbo_gear);
+    op->n = (size_t)n;
+    op->run = (size_t)run;
+    op->grouped = rows < n;
+    op->row_factor = DBO_ROW_FACTOR(run);
     state->words = words->buf;
-    if (op->n == 0) return !too_short("gears");
     if ((size_t)words->len / sizeof(uint64_t) < dbo_backlash_words(op->n)) return !too_short("words");
     return 1;
 }
@@ -31,10 +36,13 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     dbo_backlash_state state;
     dbo_limits limits;
     dbo_counts counts = {0, 0, 0, 0};
+    dbo_fixed_step fixed;
+    dbo_fixed_gear *table = NULL;
+    Py_ssize_t n, run;
     int limited, ready = 0;
     size_t count, rows;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*ddpy*dpw*w*dy*w*y*pdddy*", &gears, &op.x0, &op.y0, &op.extend, &gain,
+    if (!PyArg_ParseTuple(args, "y*nnddpy*dpw*w*dy*w*y*pdddy*", &gears, &n, &run, &op.x0, &op.y0, &op.extend, &gain,
                           &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
                           &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
         return NULL;
@@ -45,17 +53,27 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     rows = op.terms ? NUMBERS(decay) / op.terms : 1;
     limits.step = NUMBERS(step) ? step.buf : NULL;
     limits.step_stride = NUMBERS(step) > 1;
-    if (!assemble(&op, &state, &gears, &words)) goto done;
+    if (!assemble(&op, &state, &gears, n, run, &words)) goto done;
     if (NUMBERS(y) != count && too_short("y")) goto done;
     if (NUMBERS(memory) != op.terms && too_short("memory")) goto done;
     if (rows != 1 && rows != count && too_short("decay")) goto done;
     if (NUMBERS(step) > 1 && NUMBERS(step) != count && too_short("step")) goto done;
     ready = 1;
+    if (rows == 1 && count > op.n && (limited || (op.terms && op.memory_on_output))) {
+        /* An even clock: divide once a gear instead of once a sample, where that is less work. */
+        table = PyMem_Malloc(op.n * sizeof(dbo_fixed_gear) + op.terms * sizeof(double));
+        if (table)
+            fixed = dbo_prepare_fixed_step(&op, decay.buf, (double *)(table + op.n), table);
+    }
     Py_BEGIN_ALLOW_THREADS
     dbo_backlash_load(&op, &state);
-    dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
-                     limited ? &limits : NULL, &counts);
+    if (table)
+        dbo_backlash_run_fixed(&op, &fixed, &state, x.buf, y.buf, count, limited ? &limits : NULL, &counts);
+    else
+        dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
+                         limited ? &limits : NULL, &counts);
     Py_END_ALLOW_THREADS
+    PyMem_Free(table);
 done:
     PyBuffer_Release(&gears);
     PyBuffer_Release(&words);
@@ -74,22 +92,23 @@ static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
     Py_buffer gears, words, x, rows, crossed;
     dbo_backlash op = {0};
     dbo_backlash_state state;
-    Py_ssize_t share;
+    Py_ssize_t n, run, group_size;
     size_t columns;
     int ready = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*dpw*y*w*w*n", &gears, &op.x0, &op.extend, &words, &x, &rows, &crossed,
-                          &share))
+    if (!PyArg_ParseTuple(args, "y*nndpw*y*w*w*n", &gears, &n, &run, &op.x0, &op.extend, &words, &x,
+                          &rows, &crossed, &group_size))
         return NULL;
-    if (!assemble(&op, &state, &gears, &words)) goto done;
-    if (share < 1 && too_short("share")) goto done;
-    columns = (op.n + (size_t)share - 1) / (size_t)share;
+    if (!assemble(&op, &state, &gears, n, run, &words)) goto done;
+    if (group_size < 1 && too_short("group_size")) goto done;
+    columns = (op.n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
     if (NUMBERS(crossed) != columns && too_short("crossed")) goto done;
     ready = 1;
     Py_BEGIN_ALLOW_THREADS
     dbo_backlash_load(&op, &state);
-    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x), (size_t)share);
+    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x),
+                            (size_t)group_size);
     Py_END_ALLOW_THREADS
 done:
     PyBuffer_Release(&gears);

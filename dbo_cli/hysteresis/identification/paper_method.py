@@ -117,7 +117,7 @@ def _few_heights(cycle: Floats, basis: Basis, fine: Floats, widths: Floats) -> F
     drive = np.concatenate([np.tile(middle + share * (cycle - middle), 2) for share in SHRUNK])
     judged = np.tile(np.repeat([False, True], len(cycle)), len(SHRUNK))
     operator = basis.operator()
-    engaged, _ = operator.engagement(drive, operator.empty(), share=basis.split)
+    engaged, _ = operator.engagement(drive, operator.empty(), group_size=basis.split)
     target = (engaged @ fine)[judged]
     few = BacklashStage(widths, widths, basis.low, 0.0)
     parts, _ = few.engagement(drive, few.empty())
