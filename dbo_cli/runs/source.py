@@ -188,15 +188,6 @@ class WholeSource:
         """Whether samples carry a time."""
         return self._source.has_time
 
-    def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Have another unit: what was read has the unit that it was read in, so it must be the same."""
-        if self.columns[role].unit != wanted:
-            raise InputError(f"{self.name}: `{role}` was read in {self.columns[role].unit}, not in {wanted}")
-
-    def reading_line(self) -> str | None:
-        """Say what was read."""
-        return self._source.reading_line()
-
     @property
     def even_rate(self) -> float | None:
         """Samples a second (Hz), or None where stamps tell the time."""
