@@ -205,6 +205,26 @@ DelaySeconds = Annotated[
         parse=values.auto_or(values.not_negative),
     ),
 ]
+SensorDelay = Annotated[
+    float,
+    _option(
+        "--sensor-delay",
+        "SECONDS",
+        "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
+SensorLag = Annotated[
+    float,
+    _option(
+        "--sensor-lag",
+        "SECONDS",
+        "First-order time constant of the sensor or its filter: taken off likewise.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
 Skip = Annotated[
     float,
     _option(

@@ -156,8 +156,8 @@ def plan_cascade(
         turned,
         None if sample_rate is None else 1.0 / sample_rate,
         limits,
-        turned._inner_limits(limits),
-        turned._core.n,
+        None if limits is None else turned._inner_limits(limits),
+        turned._covered_gears.operator.n,
         delay,
     )
     if backlash.relaxation is not None and np.any(plan.decay >= 1.0):

@@ -266,8 +266,9 @@ def settled_state(plan: CascadePlan, drive: float) -> ModelState:
     """Return the state of ``NAME_reset``: settled and at rest at a drive, in the model's own words."""
     inner = plan.inner_drive(drive)
     forward = plan.model.forward_backlash
-    operator = plan.model._core
-    start = operator.empty() if inner <= operator.x0 else operator.settled(inner)
+    covered = plan.model._covered_gears
+    operator = covered.operator
+    start = covered.whole(operator.empty() if inner <= operator.x0 else operator.settled(inner))
     _, after, _ = forward.run([inner], start)
     memory = tuple(0.0 + (inner - plan.reference) for _ in range(plan.terms)) if plan.terms else None
     return ModelState(BacklashState(after.bits, memory), drive=inner)

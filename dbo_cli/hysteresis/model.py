@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import (
+    CoveredGears,
     MemoryFree,
     ScaleStage,
     Stage,
+    covered_gears,
     digest_of,
-    gears_up_to,
     least_slope,
     memory_free,
     slow_output_range,
@@ -178,18 +179,12 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def _core(self) -> DiscreteBacklashOperator:
-        """The forward backlash stage without gears beyond the voltages the model covers.
-
-        A model may have some, so that a drive that goes a little further turns there as inside. They come
-        last, so a state of the others is a state of all; they take no part in where ``full`` and ``settled``
-        are.
-        """
-        gears = self.forward_backlash
+    def _covered_gears(self) -> CoveredGears:
+        """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         drive = self.input if self.direction == "forward" else self.output
         bent = self._head if self.direction == "forward" else [s.inverse() for s in reversed(self._tail)]
-        top = float(through(bent, np.array([drive.minimum, drive.maximum])).max())
-        return gears_up_to(gears, top)
+        ends = through(bent, np.array([drive.minimum, drive.maximum]))
+        return covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
     def _head(self) -> MemoryFree:
@@ -218,7 +213,7 @@ class ActuatorModel:
         """Seconds by which the output lags; an inverse model must read its input that far ahead."""
         return abs(self._delay.seconds) if self._delay else 0.0
 
-    @property
+    @cached_property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
         return (
@@ -236,13 +231,13 @@ class ActuatorModel:
         """Return what reaches the backlash stage of this model."""
         return through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
 
-    def _inner_limits(self, limits: DriveLimits | None) -> DriveLimits | None:
+    def _inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Limits on the drive as the backlash stage of an inverse model meets them.
 
         Where points stand between, the steepest step they may let through is counted on everywhere, so that
         the slew limit is kept with something to spare.
         """
-        if limits is None or not self._tail:
+        if not self._tail:
             return limits
         bent = [stage.inverse() for stage in reversed(self._tail)]
         ends = through(bent, np.array([limits.v_min, limits.v_max]))
@@ -266,13 +261,15 @@ class ActuatorModel:
         if isinstance(state, ModelState):
             return state
         value = float(self._before_backlash([first_input])[0])
-        operator = self._core
+        covered = self._covered_gears
+        operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
-            return ModelState(start_state(operator, value, state))
+            return ModelState(covered.whole(start_state(operator, value, state)))
         start_state(operator, value, state)  # refuses a name that is none
-        inner = self._inner_limits(limits)
+        inner = None if limits is None else self._inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
+        first = first._replace(state=covered.whole(first.state))
         return ModelState(first.state, first=first)
 
     def simulate(
@@ -310,29 +307,49 @@ class ActuatorModel:
         """
         if limits is not None:
             self.require("inverse")
-        signal = self._before_backlash(x)
-        if outside == "hold" and self.direction == "forward" and self._core.n < self.backlash.n:
-            signal = np.clip(signal, *self._core.x_range)
+        signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        for stage in self._head:
+            signal = stage.run(signal)
+        if outside == "hold":
+            signal = self._held(signal)
         steps = self._steps(time_step, signal.size, state, limits)
-        inner = self._inner_limits(limits)
+        inner = None if limits is None else self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
         counts = self._with_uncovered(np.reshape(x, -1), counts)
         if outside == "error" and counts.outside:
             first = counts.first_outside
-            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered())
-        y = through(self._tail, y)
+            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered)
+        for stage in self._tail:
+            y = stage.run(y)
         if limits is not None and self._tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
             if signal.size:
                 after = dataclasses.replace(after, drive=float(signal[-1]))
-            if self.dynamics and steps is not None:
-                y, sections = self.dynamics.run(y, steps, state.dynamics)
-                after = dataclasses.replace(after, dynamics=sections)
-            if self._delay and self._delay.seconds > 0.0 and steps is not None:
-                y, history = self._delay.lag(y, steps, state.history)
-                after = dataclasses.replace(after, history=history)
+            y, after = self._lagging(y, after, steps, state)
         return Simulated(y, after, *counts, missed)
+
+    def _lagging(
+        self, y: Floats, after: ModelState, steps: float | Floats | None, before: ModelState
+    ) -> tuple[Floats, ModelState]:
+        """Pass a block through the dynamics and the delay of a forward model."""
+        if steps is None:
+            return y, after
+        if self.dynamics:
+            y, sections = self.dynamics.run(y, steps, before.dynamics)
+            after = dataclasses.replace(after, dynamics=sections)
+        if self._delay and self._delay.seconds > 0.0:
+            y, history = self._delay.lag(y, steps, before.history)
+            after = dataclasses.replace(after, history=history)
+        return y, after
+
+    def _held(self, signal: Floats) -> Floats:
+        """Return what reaches the gears, kept within those that the model covers."""
+        core = self._covered_gears.operator
+        if self.direction == "inverse" or core.n == self.backlash.n:
+            return signal
+        held: Floats = np.clip(signal, *core.x_range)
+        return held
 
     def _steps(
         self,
@@ -375,7 +392,7 @@ class ActuatorModel:
             state.backlash,
             decay=relaxation.decay(steps) if relaxation and steps is not None else None,
             outside=outside,
-            limits=_output_limits(limits, steps),
+            limits=None if limits is None else _output_limits(limits, steps),
             last=state.drive,
         )
         after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
@@ -404,8 +421,9 @@ class ActuatorModel:
         miss = missed if short and not clipped and not unbound.outside else 0.0
         return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
 
+    @cached_property
     def _covered(self) -> tuple[float, float]:
-        """Return the range of this model's input: what it was identified on, or less where its gears end."""
+        """The range of this model's input: what it was identified on, or less where its gears end."""
         ends = through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
         if self.direction == "inverse":
             return self.input.minimum, self.input.maximum
@@ -413,8 +431,8 @@ class ActuatorModel:
 
     def _with_uncovered(self, x: ArrayLike, counts: Counts) -> Counts:
         """Count the samples beyond the model's input range; gears may go on a little further than it does."""
-        low, high = self._covered()
-        slack = NEGLIGIBLE * self.input.span
+        low, high = self._covered
+        slack = NEGLIGIBLE * (self.input.maximum - self.input.minimum)
         signal = np.asarray(x, dtype=np.float64)
         beyond = (signal < low - slack) | (signal > high + slack)
         count = int(np.count_nonzero(beyond))
@@ -464,7 +482,7 @@ class ActuatorModel:
         begun = self._inverted.start(first_desired, state, limits)
         inner = self._inverted._inner_limits(limits)
         if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
-            drive = self._core.x_range[0 if state == "empty" else 1]
+            drive = self._covered_gears.operator.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
         return begun
 
@@ -475,7 +493,9 @@ class ActuatorModel:
         """
         gears = self.forward_backlash
         drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
-        ends = [gears.run([drive], state)[0] for state in (gears.empty(), gears.full())]
+        covered = self._covered_gears
+        pasts = (covered.operator.empty(), covered.operator.full())
+        ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]
         bent = self._tail if self.direction == "forward" else [s.inverse() for s in reversed(self._head)]
         low, high = (float(through(bent, end)[0]) for end in ends)
         return abs(high - low)
@@ -485,9 +505,7 @@ class ActuatorModel:
         return self.inverse()
 
 
-def _output_limits(limits: DriveLimits | None, steps: float | Floats | None) -> OutputLimits | None:
+def _output_limits(limits: DriveLimits, steps: float | Floats | None) -> OutputLimits:
     """Return the limits of a block in the operator's terms."""
-    if limits is None:
-        return None
     step = None if limits.max_slew is None or steps is None else limits.max_slew * steps
     return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))

@@ -229,7 +229,7 @@ def _write(
                 protect=destination.protect,
             ) as writer:
                 for response in chain([first], responses):
-                    writer.write(*(part for part in response if part is not None))
+                    writer.write(*(response if response.time is not None else response[1:]))
                     listener.progressed(len(response.result))
                 listener.finished()
         except BrokenPipeError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from dbo_cli.errors import InputError, LimitError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity, Simulated
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.runs.inputs import Inputs, Transforms
@@ -35,8 +35,8 @@ class Tally:
     first_row: int = 0
 
     def add(self, count: int, index: int, block: SampleBlock) -> None:
-        """Count what one block had."""
-        if count and not self.count:
+        """Count what one block had, at least one."""
+        if not self.count:
             self.first_row = int(block.rows[index])
         self.count += count
 
@@ -153,20 +153,31 @@ class ModelRun:
 
     def feed(self, block: SampleBlock, x: FloatArray) -> FloatArray:
         """Return the output for one block, and go on from there."""
-        steps = self.steps.of(block)
+        steps = self.steps.of(block) if self.steps.needed else None
         if self.state is None:
             self.state = self._begun(float(x[0]))
-        done = self._run(block, x, steps, self.state)
+        try:
+            if self.limits is None:
+                done = self.model.simulate(x, self.state, time_step=steps, outside=self.outside)
+            else:
+                done = self.model.compensate(x, self.state, limits=self.limits, time_step=steps)
+        except OutsideError as problem:
+            raise InputError(
+                f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
+                f"range of the model ({self._range()}) (`outside` extend or hold)"
+            ) from None
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(done.state, time=time, undoing=self.prepared.memory)
-        self.rows += len(block)
+        self.rows += len(x)
         if self.limits is not None:
             reach, slack = self.model.output, REACH_SLACK * self.model.output.span
             wanted = x if self.model.dynamics is None else block.values[self.taken.quantity]
             outside = (wanted < reach.minimum - slack) | (wanted > reach.maximum + slack)
             self.unreachable += int(np.count_nonzero(outside))
-        self.beyond.add(done.outside_count, done.first_outside, block)
-        self.clipped.add(done.clipped_count, done.first_clipped, block)
+        if done.outside_count:
+            self.beyond.add(done.outside_count, done.first_outside, block)
+        if done.clipped_count:
+            self.clipped.add(done.clipped_count, done.first_clipped, block)
         self.missed = self.missed or done.first_missed
         if self.refuse_clipping and self.clipped.count:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
@@ -232,17 +243,6 @@ class ModelRun:
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             self.assumed = spread if spread > ASSUMED_SPREAD * displacement.span else 0.0
         return begun
-
-    def _run(self, block: SampleBlock, x: FloatArray, steps: Any, state: ModelState) -> Simulated:
-        if self.limits is not None:
-            return self.model.compensate(x, state, limits=self.limits, time_step=steps)
-        try:
-            return self.model.simulate(x, state, time_step=steps, outside=self.outside)
-        except OutsideError as problem:
-            raise InputError(
-                f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
-                f"range of the model ({self._range()}) (`outside` extend or hold)"
-            ) from None
 
 
 def reads_ahead(model: ActuatorModel) -> bool:
