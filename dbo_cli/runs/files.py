@@ -168,9 +168,13 @@ def write_excitation(
     max_slew: float | None,
     form: str | None,
     seed: int = 1,
+    sweep_to: float | None = None,
+    sweep_amplitude: float | None = None,
 ) -> int:
     """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew, seed)
+    time, voltage = excitation(
+        v_min, v_max, sample_rate, duration, frequency, max_slew, seed, sweep_to, sweep_amplitude
+    )
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": sample_rate}
