@@ -3,10 +3,10 @@
     python benchmarks/fast_moves.py [--sets NAME ...] [--rate HZ] [--figure FILE]
 
 For every parameter set of sample_data/virtual_positioner.py: a drive of ``excite`` with a small sweep is
-played, a model identified from its noisy recording, and sines and triangles with rounded turns are compensated
-and played, at f_r/1000 to f_r/5. Columns, RMS error in % of the move, without the sensor's noise: a straight
-line from displacement to voltage; the model without dynamics, from the slow rows; the model as identified; the same
-with the stage's true resonances and lag in place of those found. Exits 1 where the third exceeds 0.05 % up to
+played, a model identified from its noisy recording, and sines and triangles with rounded turns are
+compensated and played, at f_r/1000 to f_r/5. Columns, RMS error in % of the move, without the sensor's noise: a
+straight line from displacement to voltage; the model without dynamics, from the slow rows; the model as
+identified; the same with the stage's true resonances and lag in place of those found. Exits 1 where the third exceeds 0.05 % up to
 f_r/30, 0.1 % at f_r/10 or 0.5 % at f_r/5.
 """
 
