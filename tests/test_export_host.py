@@ -175,7 +175,7 @@ def test_what_contradicts_itself_is_refused(tmp_path: Path) -> None:
                 arithmetic="q31",
                 **{option: True},  # type: ignore[arg-type]
             )
-    with pytest.raises(UsageError, match="^`arduino` goes with neither `fmu` nor `shared`"):
+    with pytest.raises(UsageError, match=r"^`arduino` goes with neither `fmu` nor `shared`"):
         export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE, arduino=True, fmu=True)
     with pytest.raises(
         ModelError, match=r"^dx: 288 gears are too many for a table of all states, 12 at most"

@@ -68,8 +68,9 @@ def _told(summary: ExportSummary) -> list[str]:
         f" {summary.state_bytes} of state; {summary.vectors} samples of self-test"
     ]
     if summary.bounds:
+        same, close = (summary.bounds[f"{key}_percent"] for key in ("same_gears", "after_close_turn"))
         lines.append(
-            f"error at most {summary.bounds['same_gears_percent']:.2g} % of the range while both cross the"
-            f" same gears, {summary.bounds['after_close_turn_percent']:.2g} % after a turn close to a gear's end"
+            f"error at most {same:.2g} % of the range while both cross the same gears, {close:.2g} % after a "
+            "turn close to a gear's end"
         )
     return lines + list(summary.notes)

@@ -205,6 +205,36 @@ DelaySeconds = Annotated[
         parse=values.auto_or(values.not_negative),
     ),
 ]
+SensorDelay = Annotated[
+    float,
+    _option(
+        "--sensor-delay",
+        "SECONDS",
+        "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
+SensorLag = Annotated[
+    float,
+    _option(
+        "--sensor-lag",
+        "SECONDS",
+        "First-order time constant of the sensor or its filter: taken off likewise.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
+Dynamics = Annotated[
+    int | None,
+    _option(
+        "--dynamics",
+        "auto|0|1|2",
+        "Resonances of the actuator, from a log with a small sweep or a fast log beside a slow one.",
+        default="auto",
+        parse=values.auto_or(values.whole(0)),
+    ),
+]
 Skip = Annotated[
     float,
     _option(
@@ -314,6 +344,45 @@ Condition = Annotated[
         None,
         "Prepend the sweep that puts the actuator into the starting state (time < 0).",
     ),
+]
+
+Bandwidth = Annotated[
+    float | None,
+    _option(
+        "--bandwidth",
+        "HZ",
+        "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
+        parse=values.positive,
+    ),
+]
+TrackedLogs = Annotated[
+    list[str] | None,
+    _option(
+        "--tracked",
+        "LOG",
+        "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
+    ),
+]
+Periodic = Annotated[
+    bool,
+    _option("--periodic", None, "The trajectory is one period of a loop: write the settled loop's drive."),
+]
+Passes = Annotated[
+    int,
+    _option(
+        "--passes",
+        "N",
+        "With --periodic, passes of run-in before it (time < 0).",
+        "-n",
+        default="0",
+        parse=values.whole(0),
+    ),
+]
+TrackedVoltage = Annotated[
+    str | None, _reading("--voltage", COLUMN, "The drive in a --tracked log; guessed by name.")
+]
+TrackedMeasured = Annotated[
+    str | None, _reading("--measured", COLUMN, "What was measured in a --tracked log; guessed by name.")
 ]
 
 # --- report ---
@@ -440,6 +509,19 @@ Frequency = Annotated[
 Seed = Annotated[
     int,
     _option("--seed", "N", "Another number, another drive.", default="1", parse=values.whole(0)),
+]
+SweepTo = Annotated[
+    float | None,
+    _option(
+        "--sweep-to",
+        "HZ",
+        "Append a small sweep up to this frequency, for the dynamics of the actuator.",
+        parse=values.positive,
+    ),
+]
+SweepAmplitude = Annotated[
+    float | None,
+    _option("--sweep-amplitude", "VOLT", "Of that sweep [default: 1 % of the range].", parse=values.positive),
 ]
 OutputFormat = Annotated[
     str | None,

@@ -1,9 +1,10 @@
-/* dbo_kernel.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
+/* dbo_kernel.c and dbo_dynamics.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
  * only lengths are, so that no mistake there can read or write beyond a buffer. */
 #define Py_LIMITED_API 0x030b0000
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include "dbo_dynamics.h"
 #include "dbo_kernel.h"
 
 #define NUMBERS(view) ((size_t)(view).len / sizeof(double))
@@ -166,11 +167,89 @@ done:
     return Py_BuildValue("");
 }
 
+static PyObject *dynamics_run(PyObject *module, PyObject *args) {
+    Py_buffer output, state, x, y, step;
+    int ready = 0;
+    size_t sections, count, rows;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*w*y*w*y*", &output, &state, &x, &y, &step)) return NULL;
+    sections = (size_t)state.len / sizeof(dbo_section_state);
+    count = NUMBERS(x);
+    rows = sections ? (size_t)step.len / (sections * sizeof(dbo_section_step)) : 0;
+    if (sections == 0 && too_short("state")) goto done;
+    if ((size_t)output.len != sections * sizeof(dbo_section_output) && too_short("output")) goto done;
+    if (NUMBERS(y) != count && too_short("y")) goto done;
+    if (rows != 1 && rows != count && too_short("step")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_dynamics_run(sections, output.buf, state.buf, x.buf, y.buf, count, step.buf,
+                     rows == 1 ? 0 : sections);
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&output);
+    PyBuffer_Release(&state);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&y);
+    PyBuffer_Release(&step);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *dynamics_undo(PyObject *module, PyObject *args) {
+    Py_buffer numbers, weight, state, y, u;
+    dbo_section_inverse section;
+    const double *c;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*y*w*", &numbers, &weight, &state, &y, &u)) return NULL;
+    if (NUMBERS(numbers) != 8 && too_short("numbers")) goto done;
+    if (state.len != sizeof(dbo_inverse_state) && too_short("state")) goto done;
+    if (NUMBERS(y) != NUMBERS(u) + NUMBERS(weight) && too_short("y")) goto done;
+    c = numbers.buf;
+    section.aa = c[0], section.ab = c[1], section.ba = c[2], section.bb = c[3];
+    section.a_in = c[4], section.b_in = c[5], section.a_out = c[6], section.b_out = c[7];
+    section.ahead = NUMBERS(weight);
+    section.weight = weight.buf;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_dynamics_undo(&section, state.buf, y.buf, u.buf, NUMBERS(u));
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&numbers);
+    PyBuffer_Release(&weight);
+    PyBuffer_Release(&state);
+    PyBuffer_Release(&y);
+    PyBuffer_Release(&u);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *smooth(PyObject *module, PyObject *args) {
+    Py_buffer weight, x, y;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*", &weight, &x, &y)) return NULL;
+    if (NUMBERS(x) != NUMBERS(y) + 2 * NUMBERS(weight) && too_short("x")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_smooth(NUMBERS(weight), weight.buf, x.buf, y.buf, NUMBERS(y));
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&weight);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&y);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},
+    {"dynamics_run", dynamics_run, METH_VARARGS, "Linear sections over a block of samples."},
+    {"dynamics_undo", dynamics_undo, METH_VARARGS, "The input of a linear section from its output."},
+    {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
     {NULL, NULL, 0, NULL}};
 
 static PyModuleDef_Slot slots[] = {{0, NULL}};

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis import dynamics_kernel
 
 Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
@@ -357,6 +358,9 @@ class PythonKernel:
     backlash_engagement = staticmethod(backlash_engagement)
     memory_run = staticmethod(memory_run)
     point_run = staticmethod(point_run)
+    dynamics_run = staticmethod(dynamics_kernel.dynamics_run)
+    dynamics_undo = staticmethod(dynamics_kernel.dynamics_undo)
+    smooth = staticmethod(dynamics_kernel.smooth)
 
 
 def choose(wish: str) -> tuple[str, Any]:

@@ -149,6 +149,7 @@ class DiscreteBacklashOperator:
         self.x0, self.y0 = float(x0), float(y0)
         self.relaxation, self.memory_on = relaxation, memory_on
         self.n = self.dx.size
+        self._words_of_bits, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)
         self.gears = self._gears()
         self.equal_run = equal_run(self.gears)
         self._width, self._height = (math.fsum(self.gears[:, axis].tolist()) for axis in (0, 1))
@@ -246,14 +247,14 @@ class DiscreteBacklashOperator:
         """Return the kernel's buffer with the state's bits in it."""
         if state.bits < 0 or state.bits >> self.n:
             raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
-        words = np.zeros(kernel.buffer_words(self.n), dtype=np.uint64)
-        size = kernel.state_words(self.n)
+        words = np.zeros(self._buffer, dtype=np.uint64)
+        size = self._words_of_bits
         words[:size] = np.frombuffer(state.bits.to_bytes(8 * size, "little"), dtype="<u8")
         return words
 
     def _bits(self, words: NDArray[np.uint64]) -> int:
         """Return B out of the kernel's buffer."""
-        return int.from_bytes(words[: kernel.state_words(self.n)].astype("<u8").tobytes(), "little")
+        return int.from_bytes(words[: self._words_of_bits].astype("<u8").tobytes(), "little")
 
     def run(
         self,
@@ -306,7 +307,7 @@ class DiscreteBacklashOperator:
                 self.memory_on == "output", words, memory, before, signal[begin:end], y[begin:end], factors,
                 limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts + Counts(*found).shifted(begin)
+            counts = counts + Counts(*found).shifted(begin) if begin else Counts(*found)
             before = float(y[end - 1])
         if signal.size == 0:
             return y, state, counts
