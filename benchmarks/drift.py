@@ -53,8 +53,8 @@ def main() -> None:
     x[-1] = probe[0]
     begin = time.perf_counter()
     kernel.CHOSEN.backlash_run(
-        operator.gears, 0.0, 0.0, True, nothing, 0.0, False, words, nothing, 0.0, x, x, nothing,
-        False, 0.0, 0.0, 0.0, nothing,
+        operator.gears, operator.n, operator.equal_run, 0.0, 0.0, True, nothing, 0.0, False, words, nothing,
+        0.0, x, x, nothing, False, 0.0, 0.0, 0.0, nothing,
     )  # fmt: skip
     seconds = time.perf_counter() - begin
     _, before, _ = operator.run(block, operator.run(block, operator.empty())[1])

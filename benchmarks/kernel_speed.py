@@ -1,28 +1,34 @@
 """How fast is the compiled kernel: against the fastest Prandtl-Ishlinskii loop found, and against a copy.
 
-    python benchmarks/kernel_speed.py [--samples N] [--repeats N]
+    python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT]
 
 One run, one machine, ratios. 2,000 samples a cycle; times are the best of the repeats, in ns a sample.
 "dither" is the worst case for finding Z: every low bit is set and one of them toggles, so that each sample
 makes a transition whose next zero bit lies beyond all of the words. Needs g++ (or CXX) for the competitor.
+With --against, the compiled kernel of another checkout of this project runs the same cases instead, turn by
+turn with this one, so that whatever else the machine does meets both.
 """
 
 from __future__ import annotations
 
 import argparse
 import ctypes
+import functools
+import importlib.util
 import os
 import subprocess
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, Relaxation
 
 Floats = NDArray[np.float64]
 LAYOUTS = {"plain": 1, "lanes4x1": 4, "lanes4x2": 8, "lanes4x4": 16,
@@ -46,8 +52,8 @@ def backlash(operator: DiscreteBacklashOperator, start: BacklashState, x: Floats
     y, words = np.empty_like(x), np.zeros(kernel.buffer_words(operator.n), np.uint64)
     words[: kernel.state_words(operator.n)] = operator._words(start)[: kernel.state_words(operator.n)]
     return lambda: kernel.CHOSEN.backlash_run(
-        operator.gears, operator.x0, operator.y0, True, NOTHING, 0.0, False, words.copy(), NOTHING, 0.0, x, y,
-        NOTHING, False, 0.0, 0.0, 0.0, NOTHING,
+        operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, NOTHING, 0.0, False,
+        words.copy(), NOTHING, 0.0, x, y, NOTHING, False, 0.0, 0.0, 0.0, NOTHING,
     )  # fmt: skip
 
 
@@ -100,13 +106,87 @@ def dither(n: int, samples: int) -> tuple[DiscreteBacklashOperator, BacklashStat
     return operator, BacklashState((1 << n - 1) - 1), x
 
 
+def kernel_of(checkout: Path) -> ModuleType:
+    """Load the compiled kernel of another checkout."""
+    path = next((checkout / "dbo_cli" / "hysteresis").glob("_kernel*.so"))
+    spec = importlib.util.spec_from_file_location("_kernel", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def cases(samples: int) -> dict[str, tuple[DiscreteBacklashOperator, BacklashState, Floats, bool]]:
+    """Operators, starts, inputs, and whether limits bind, for the comparison of two kernels."""
+    cosine = 1.8 - 1.8 * np.cos(2.0 * np.pi / 2000.0 * np.arange(samples))
+    found = {}
+    for n in GEARS:
+        gears = DiscreteBacklashOperator(np.full(n, 3.6 / n), np.linspace(0.5, 1.5, n) * 3.6 / n)
+        found[f"forward, {n} gears"] = gears, gears.empty(), cosine, False
+        found[f"dither, {n} gears"] = *dither(n, samples), False
+    slopes = np.repeat(np.linspace(0.5, 1.5, 64), 18)
+    gears = DiscreteBacklashOperator(np.full(1152, 3.6 / 1152), slopes * 3.6 / 1152)
+    steps = np.where(np.arange(samples) % 20 < 10, 3.6, 0.0)
+    lagging = DiscreteBacklashOperator(gears.dx, gears.dy, 0.0, 0.0, Relaxation(0.0, (0.01, 1.0), (0.1, 0.1)))
+    found["64 slopes, 1152 gears"] = gears, gears.empty(), cosine, False
+    found["full-range jumps, 1152 gears"] = gears, gears.empty(), steps, False
+    found["inverse, 1152 gears"] = gears.inverse(), gears.empty(), cosine, False
+    found["inverse with limits"] = gears.inverse(), gears.empty(), cosine, True
+    found["forward with relaxation"] = lagging, lagging.empty(), cosine, False
+    found["inverse with relaxation"] = lagging.inverse(), lagging.empty(), cosine, True
+    return found
+
+
+def prepared(
+    module: Any, operator: DiscreteBacklashOperator, start: BacklashState, x: Floats, limited: bool
+) -> tuple[Callable[[], object], Floats]:
+    """Return one run of a kernel, of today's or of the older arguments, and where its output goes."""
+    y, words, terms = np.empty_like(x), operator._words(start), operator.relaxation
+    gain = np.array(terms.gain if terms else ())
+    decay = terms.decay(0.001) if terms else NOTHING
+    tables: list[tuple[Any, ...]] = [(operator.gears, operator.n, operator.equal_run), (operator.gears,)]
+
+    def arguments(table: tuple[Any, ...]) -> tuple[Any, ...]:
+        return (
+            *table, operator.x0, operator.y0, True, gain, 0.0, operator.memory_on == "output", words.copy(),
+            np.zeros(gain.size), 0.0, x, y, decay, limited, 0.0, 3.6, 1e-9, NOTHING,
+        )  # fmt: skip
+
+    for table in tables:
+        try:
+            module.backlash_run(*arguments(table))
+        except TypeError:
+            continue
+        return functools.partial(lambda one: module.backlash_run(*arguments(one)), table), y
+    raise SystemExit("the other kernel's arguments are not known here")
+
+
+def compare(other: ModuleType, samples: int, repeats: int) -> None:
+    """Print ns a sample of this kernel and of another, and their ratio; outputs must be the same bits."""
+    print("case                           this ns  other ns  this/other")
+    for name, case in cases(samples).items():
+        (own, y), (old, z) = prepared(kernel.CHOSEN, *case), prepared(other, *case)
+        assert y.tobytes() == z.tobytes(), name
+        times: list[list[float]] = [[], []]
+        for _ in range(repeats):
+            for k, run in enumerate((own, old)):
+                times[k].append(best(run, 1) * 1e9 / samples)
+        this, that = min(times[0]), min(times[1])
+        print(f"{name:29}  {this:8.2f}  {that:8.2f}  {this / that:10.2f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=1_000_000)
     parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--against", type=Path, metavar="CHECKOUT")
     options = parser.parse_args()
     if kernel.KIND != "compiled":
         raise SystemExit("the compiled kernel is not there")
+    if options.against:
+        compare(kernel_of(options.against), options.samples, 5 * options.repeats)
+        return
     x = 1.8 - 1.8 * np.cos(2.0 * np.pi / 2000.0 * np.arange(options.samples))
     scale = 1e9 / options.samples
     y = np.empty_like(x)

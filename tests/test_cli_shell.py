@@ -19,7 +19,7 @@ from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, report, excite"
+LIST = "identify, show, invert, simulate, compensate, report, excite, export"
 
 
 def test_version(dbo: Any) -> None:
@@ -168,6 +168,8 @@ PROMISED = {
     "report": "--desired --measured --lag --remove-offset --model --figures --max-rmse --max-abs "
     "--max-nrmse-percent --segment --rows --format",
     "excite": "--v-min --v-max --sample-rate --duration --frequency",
+    "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
+    "--arduino --fmu --shared --overwrite",
 }
 
 

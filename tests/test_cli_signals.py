@@ -336,7 +336,7 @@ def test_excite_stays_inside_and_starts_and_ends_at_the_bottom(dbo: Any) -> None
 def test_excite_refuses_too_few_cycles(dbo: Any) -> None:
     done = dbo("excite", "--v-max", "100", "--duration", "2", "-o", "x.csv")
     assert (done.code, done.out) == (2, "")
-    assert done.err == "dbo: error: --duration 2.0: 2 cycles of 1.0 Hz, at least 6 are needed\n"
+    assert done.err == "dbo: error: --duration 2: 2 cycles of 1 Hz, at least 6 are needed (a --duration of 6)\n"
     assert folder_content(Path()) == set()
 
 

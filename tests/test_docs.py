@@ -6,10 +6,13 @@ import contextlib
 import io
 import re
 import shutil
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from dbo_cli import __version__
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -78,3 +81,16 @@ def test_links_lead_somewhere(page: Path) -> None:
             headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
             known = {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
             assert anchor in known, f"{page.name}: {target}"
+
+
+def test_the_version_stands_in_two_places_alike() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == __version__
+
+
+def test_files_that_the_architecture_names_are_there() -> None:
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:\w+/)*\w+(?:\.\w+)*\.(?:py|md|json|toml))`", text)) - {"cli/COMMAND.py"}
+    places = [ROOT, DOCS, ROOT / "dbo_cli", *(one for one in (ROOT / "dbo_cli").rglob("*") if one.is_dir())]
+    assert len(named) >= 15
+    assert {name for name in named if not any((place / name).exists() for place in places)} == set()

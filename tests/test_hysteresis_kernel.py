@@ -47,12 +47,14 @@ def bits_of(values: Any) -> bytes:
     return np.asarray(values, dtype=np.float64).tobytes()
 
 
-def everything(seed: int, monkeypatch: pytest.MonkeyPatch, chosen: Any, relaxation: bool) -> list[Any]:
+def everything(
+    seed: int, monkeypatch: pytest.MonkeyPatch, chosen: Any, relaxation: bool, run: int = 1
+) -> list[Any]:
     """One random case through every path of a kernel, as comparable values."""
     monkeypatch.setattr(kernel, "CHOSEN", chosen)
     rng = np.random.default_rng(seed)
     n = round(10.0 ** rng.uniform(0.0, 2.4))
-    operator = random_operator(rng, n, relaxation)
+    operator = random_operator(rng, n, relaxation, run)
     inverse = operator.inverse()
     low, high = operator.x_range
     x = random_trajectory(rng, operator, 48)
@@ -72,8 +74,8 @@ def everything(seed: int, monkeypatch: pytest.MonkeyPatch, chosen: Any, relaxati
         found += [bits_of(z), state, counts]
         z, state, counts = inverse.run(y, start, decay=decay, outside=outside, limits=limits)  # type: ignore[arg-type]
         found += [bits_of(z), state, counts]
-        for share in (1, 3):
-            rows, state = operator.engagement(x, start, share=share, outside=outside)  # type: ignore[arg-type]
+        for group_size in (1, 3):
+            rows, state = operator.engagement(x, start, group_size=group_size, outside=outside)  # type: ignore[arg-type]
             found += [bits_of(rows), state]
     if terms is not None:
         rows, memory = terms.lags(x, 0.01)
@@ -87,6 +89,71 @@ def test_kernels_agree_bit_for_bit(relaxation: bool, monkeypatch: pytest.MonkeyP
     for seed in range(60):
         compiled = everything(seed, monkeypatch, COMPILED, relaxation)
         assert compiled == everything(seed, monkeypatch, kernel.PythonKernel, relaxation), seed
+
+
+@needs_compiled
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_many_equal_gears_at_once_are_crossed_as_one_by_one(
+    relaxation: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows of the table that serve 4 ... 300 gears: jumps over whole rows and into them, limits in them."""
+    for seed in range(40):
+        run = (4, 5, 18, 70, 300)[seed % 5]
+        compiled = everything(seed, monkeypatch, COMPILED, relaxation, run)
+        assert compiled == everything(seed, monkeypatch, kernel.PythonKernel, relaxation, run), seed
+
+
+@needs_compiled
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One row a run of equal gears, in both kernels, against one row a gear."""
+
+    class Grouped:
+        def __init__(self, inner: Any) -> None:
+            self.inner = inner
+            self.point_run, self.memory_run = inner.point_run, inner.memory_run
+
+        def backlash_run(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
+            return self.inner.backlash_run(np.ascontiguousarray(gears[::run]), n, run, *rest)
+
+        def backlash_engagement(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
+            return self.inner.backlash_engagement(np.ascontiguousarray(gears[::run]), n, run, *rest)
+
+    for seed in range(10):
+        run = (4, 5, 18, 70, 300)[seed % 5]
+        expanded = everything(seed, monkeypatch, COMPILED, relaxation, run)
+        assert expanded == everything(seed, monkeypatch, Grouped(COMPILED), relaxation, run), seed
+        assert expanded == everything(seed, monkeypatch, Grouped(kernel.PythonKernel), relaxation, run), seed
+
+
+def test_equal_neighbours() -> None:
+    slopes = np.repeat([1.0, 2.0, 3.0], [18, 18, 25])  # the last run goes on: spare gears
+    assert DiscreteBacklashOperator(np.full(61, 0.1), 0.1 * slopes).equal_run == 18
+    assert DiscreteBacklashOperator([1.0, 2.0], [1.0, 1.0]).equal_run == 1
+    assert DiscreteBacklashOperator(np.ones(7), np.ones(7)).equal_run == 7
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 18, 63, 64, 65, 1000, 65535])
+def test_a_row_is_found_without_a_division(count: int) -> None:
+    """DBO_ROW_FACTOR, in 64-bit integers, for every gear up to 2^32 / count that can go wrong."""
+    factor = (2**32 + count - 1) // count
+    rows = 2**32 // count // count  # n * run < 2^32
+    for row in {0, rows // 3, rows // 2, rows - 1}:
+        for gear in (row * count, row * count + count - 1):
+            assert gear * factor >> 32 == row
+
+
+def test_the_range_wins_over_the_slew_limit(chosen: Any) -> None:
+    """The output before lies outside the range: it comes back in one step, whatever the slew limit says."""
+    operator = DiscreteBacklashOperator([1.0, 2.0, 3.0], [0.5, 2.0, 4.5]).inverse()
+    for last, wanted, expected in ((9.0, 6.0, 5.0), (9.0, 0.5, 5.0), (-4.0, 0.2, 1.0), (-4.0, 6.0, 1.0)):
+        limits = OutputLimits(1.0, 5.0, 0.25)
+        y, state, counts = operator.run([wanted], operator.empty(), limits=limits, last=last)
+        assert y.tolist() == [expected]
+        driven = operator.inverse().run(y, operator.empty())[1]
+        assert (state, counts.clipped) == (driven, 1)
+    y, _, _ = operator.run([6.0, 6.0], operator.empty(), limits=OutputLimits(1.0, 5.0, 0.25), last=4.9)
+    assert y.tolist() == [5.0, 5.0]
 
 
 @needs_compiled
@@ -220,10 +287,14 @@ def test_compiled_kernel_checks_lengths() -> None:
     gears = np.ones((2, 4))
     none = np.empty(0)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
-        COMPILED.backlash_engagement(gears, 0.0, True, np.zeros(1, np.uint64), none, none, np.empty(2), 1)
+        COMPILED.backlash_engagement(
+            gears, 2, 1, 0.0, True, np.zeros(1, np.uint64), none, none, np.empty(2), 1
+        )
     words = np.zeros(kernel.buffer_words(2), np.uint64)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: rows"):
-        COMPILED.backlash_engagement(gears, 0.0, True, words, np.ones(3), none, np.empty(2), 1)
+        COMPILED.backlash_engagement(gears, 2, 1, 0.0, True, words, np.ones(3), none, np.empty(2), 1)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: gears"):
+        COMPILED.backlash_engagement(gears, 7, 3, 0.0, True, words, np.ones(3), none, np.empty(3), 1)
     with pytest.raises(ValueError, match="kernel buffer of the wrong length: y"):
         COMPILED.point_run(np.ones((1, 3)), 0.0, 0.0, np.ones(3), np.empty(2))
 
@@ -253,7 +324,7 @@ HARNESS = """
 #include "dbo_kernel.c"
 unsigned scan(uint64_t word) { return first_one(word); }
 void drive(const dbo_gear *gears, size_t n, uint64_t *words, const double *x, double *y, size_t count) {
-    dbo_backlash op = {gears, n, 0.0, 0.0, 1, 0, 0, 0.0, 0};
+    dbo_backlash op = {gears, n, 1, 1, DBO_ROW_FACTOR(1), 0.0, 0.0, 1, 0, 0, 0.0, 0};
     dbo_backlash_state state = {words, 0, 0.0, 0, 0, 0.0, 0.0};
     dbo_counts counts = {0, 0, 0, 0};
     dbo_backlash_load(&op, &state);
@@ -270,12 +341,12 @@ def test_portable_scan_and_single_steps(tmp_path: Path) -> None:
     operator = DiscreteBacklashOperator(rng.uniform(0.1, 1.0, 150), rng.uniform(0.1, 1.0, 150))
     x = random_trajectory(rng, operator, 300)
     expected, _, _ = operator.run(x, operator.empty())
-    for flags in ([], ["-DDBO_PORTABLE_SCAN"]):
+    for flags in ([], ["-DDBO_PORTABLE_SCAN"], ["-DDBO_PORTABLE_SCAN", "-DDBO_SMALL"]):
         library = tmp_path / f"kernel{len(flags)}.so"
         subprocess.run(
-            ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-function", "-O2",
-             "-ffp-contract=off", "-shared", "-fPIC", *flags, f"-I{SOURCE}", str(tmp_path / "harness.c"),
-             "-o", str(library)],
+            ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror",
+             "-Wno-unused-function", "-O2", "-ffp-contract=off", "-shared", "-fPIC", *flags, f"-I{SOURCE}",
+             str(tmp_path / "harness.c"), "-o", str(library)],
             check=True,
         )  # fmt: skip
         loaded = ctypes.CDLL(str(library))

@@ -179,21 +179,21 @@ def test_settled_at_the_ends_and_halfway() -> None:
     assert even.inverse().settled(4.0) == even.settled(4.0)
 
 
-@pytest.mark.parametrize("share", [1, 4, 7])
-def test_engagement_makes_heights_linear_unknowns(share: int) -> None:
+@pytest.mark.parametrize("group_size", [1, 4, 7])
+def test_engagement_makes_heights_linear_unknowns(group_size: int) -> None:
     rng = np.random.default_rng(12)
     for _ in range(20):
         operator = random_operator(rng, int(rng.integers(1, 130)))
-        columns = -(-operator.n // share)
+        columns = -(-operator.n // group_size)
         groups = rng.uniform(0.2, 2.0, columns)
-        heights = np.repeat(groups / share, share)[: operator.n]
+        heights = np.repeat(groups / group_size, group_size)[: operator.n]
         operator = DiscreteBacklashOperator(operator.dx, heights, operator.x0, operator.y0)
         low, high = operator.x_range
         x = random_trajectory(rng, operator, 80)
         x[::9] += 0.3 * (high - low)
         start = operator.settled(x[0])
         y, after, _ = operator.run(x, start)
-        rows, state = operator.engagement(x, start, share=share)
+        rows, state = operator.engagement(x, start, group_size=group_size)
         span = operator.y_range[1] - operator.y_range[0]
         assert rows.shape == (80, columns)
         assert np.abs(rows @ groups + operator.y0 - y).max() <= 1e-12 * span * operator.n

@@ -436,8 +436,8 @@ def test_no_name_is_a_formula_in_a_spreadsheet(name):
 
 def test_names_and_units_obey_no_terminal():
     report = report_of({"\x1b[1mred\x07\u202e.csv\ud800\x9b2J": 1.0}, unit="u\x1b]0;m\n")
+    assert (report.logs[0].name, report.unit) == ("[1mred .csv 2J", "u ]0;m")
     for text in (to_text(report), to_csv(report), to_json(report)):
-        assert "\ufffd[1mred\ufffd\ufffd.csv\ufffd\ufffd2J" in text
         assert not any(sign in text for sign in "\x1b\x07\u202e\ud800\x9b")
         assert "\\u001b" not in text
         text.encode()

@@ -22,7 +22,7 @@ assert spec is not None and spec.loader is not None
 draw_imports = importlib.util.module_from_spec(spec)
 sys.modules["draw_imports"] = draw_imports
 spec.loader.exec_module(draw_imports)
-COMMANDS = ["identify", "show", "invert", "simulate", "compensate", "report", "excite"]
+COMMANDS = ["identify", "show", "invert", "simulate", "compensate", "report", "excite", "export"]
 
 
 def imported(path: Path) -> set[str]:

@@ -199,7 +199,7 @@ def test_an_unknown_parameter_is_named() -> None:
 def test_importing_the_package_loads_nothing() -> None:
     script = "import sys; before = set(sys.modules); import dbo_cli; print(sorted(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout == "['dbo_cli']\n"
+    assert done.stdout == "['dbo_cli', 'dbo_cli.version']\n"
 
 
 def test_every_public_name_is_there() -> None:

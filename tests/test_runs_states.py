@@ -78,3 +78,31 @@ def test_a_clock_that_began_anew_goes_on_one_step_later(dbo: Any) -> None:
     whole = dbo("simulate", "model.json", "all.csv").out.splitlines()[4:]
     got = [float(line.split(",")[2]) for line in rest]
     assert got == pytest.approx([float(line.split(",")[2]) for line in whole], abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["even", "rate"])
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_a_model_with_dynamics_goes_on_as_one_run(dbo: Any, command: str, kind: str) -> None:
+    rng = np.random.default_rng(["even", "rate"].index(kind) + 20 * len(command))
+    model = lagging_model()
+    sections = [{"lag": 0.01}, {"frequency": 4.0, "damping": 0.05}]
+    model["stages"].insert(-1 if model["stages"][-1]["type"] == "delay" else len(model["stages"]),
+                           {"type": "dynamics", "sections": sections})  # fmt: skip
+    Path("model.json").write_text(json.dumps(model))
+    write_signal("voltage_V" if command == "simulate" else "displacement_um", kind, rng)
+    more = ["--sample-rate", "50"] if kind == "rate" else []
+    if command == "compensate":
+        more += ["--max-slew", "60", "--v-max", "9"]
+    whole = dbo(command, "model.json", "in.csv", "-q", *more)
+    assert whole.code == 0, whole.err
+    for cut in (2, 101, 130, SAMPLES - 1):
+        joined, state = [], "auto"
+        for rows in (f"1:{cut}", f"{cut + 1}:"):
+            state_out = f"s{rows.replace(':', '_')}.json"
+            block = ["--block-rows", str(rng.integers(1, 90))]
+            words = ["--rows", rows, "--state", state, "--save-state", state_out, *block]
+            part = dbo(command, "model.json", "in.csv", "-q", *more, *words)
+            assert part.code == 0, part.err
+            joined += body(part.out)
+            state = state_out
+        assert joined == body(whole.out), cut

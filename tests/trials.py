@@ -11,8 +11,10 @@ from dbo_cli.hysteresis.relaxation import Relaxation
 Floats = NDArray[np.float64]
 
 
-def random_operator(rng: np.random.Generator, n: int, relaxation: bool = False) -> DiscreteBacklashOperator:
-    """Return an operator of n gears, of one of several kinds of widths and slopes."""
+def random_operator(
+    rng: np.random.Generator, n: int, relaxation: bool = False, run: int = 1
+) -> DiscreteBacklashOperator:
+    """Return an operator of n gears, of one of several kinds of widths and slopes, ``run`` equal in a row."""
     kind = int(rng.integers(4))
     dx = np.full(n, rng.uniform(0.1, 2.0)) if kind == 0 else rng.uniform(0.1, 1.0, n)
     if kind == 3:
@@ -20,6 +22,8 @@ def random_operator(rng: np.random.Generator, n: int, relaxation: bool = False) 
     slopes = rng.uniform(0.2, 2.0, n)
     if kind < 2:
         slopes.sort()
+    if run > 1:  # as identification makes them: even gears, one slope for each run of neighbours
+        dx, slopes = np.full(n, dx[0]), slopes[np.arange(n) // run]
     scale = 10.0 ** rng.uniform(-3.0, 3.0)
     terms = None
     if relaxation:

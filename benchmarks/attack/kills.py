@@ -68,13 +68,13 @@ class Target:
         self.restore()
 
     def restore(self) -> None:
-        """Put the old outputs back."""
+        """Put the outputs back as they were before the run."""
         for name, content in self.old.items():
             Path(name).write_bytes(content)
 
     @staticmethod
     def content(name: str) -> bytes | None:
-        """Return a file's bytes, None where it is not there."""
+        """Return what is in a file, or None where there is none."""
         return Path(name).read_bytes() if os.path.exists(name) else None
 
     def killed(self, number: int, delay: float) -> tuple[str, str | None]:

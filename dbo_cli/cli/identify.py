@@ -21,6 +21,8 @@ def identify(
     points: options.Points,
     relaxation: options.RelaxationTimes,
     delay: options.DelaySeconds,
+    sensor_delay: options.SensorDelay,
+    sensor_lag: options.SensorLag,
     slopes: options.Slopes,
     skip: options.Skip,
     zero: options.Zero,
@@ -56,6 +58,8 @@ def identify(
         zero=zero,
         rated=_rating(v_min, v_max),
         force=force,
+        sensor_delay=sensor_delay,
+        sensor_lag=sensor_lag,
     )
     found = identify_logs(
         logs,

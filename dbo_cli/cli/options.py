@@ -205,6 +205,26 @@ DelaySeconds = Annotated[
         parse=values.auto_or(values.not_negative),
     ),
 ]
+SensorDelay = Annotated[
+    float,
+    _option(
+        "--sensor-delay",
+        "SECONDS",
+        "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
+SensorLag = Annotated[
+    float,
+    _option(
+        "--sensor-lag",
+        "SECONDS",
+        "First-order time constant of the sensor or its filter: taken off likewise.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
 Skip = Annotated[
     float,
     _option(
@@ -314,6 +334,45 @@ Condition = Annotated[
         None,
         "Prepend the sweep that puts the actuator into the starting state (time < 0).",
     ),
+]
+
+Bandwidth = Annotated[
+    float | None,
+    _option(
+        "--bandwidth",
+        "HZ",
+        "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
+        parse=values.positive,
+    ),
+]
+TrackedLogs = Annotated[
+    list[str] | None,
+    _option(
+        "--tracked",
+        "LOG",
+        "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
+    ),
+]
+Periodic = Annotated[
+    bool,
+    _option("--periodic", None, "The trajectory is one period of a loop: write the settled loop's drive."),
+]
+Passes = Annotated[
+    int,
+    _option(
+        "--passes",
+        "N",
+        "With --periodic, passes of run-in before it (time < 0).",
+        "-n",
+        default="0",
+        parse=values.whole(0),
+    ),
+]
+TrackedVoltage = Annotated[
+    str | None, _reading("--voltage", COLUMN, "The drive in a --tracked log; guessed by name.")
+]
+TrackedMeasured = Annotated[
+    str | None, _reading("--measured", COLUMN, "What was measured in a --tracked log; guessed by name.")
 ]
 
 # --- report ---
@@ -432,7 +491,7 @@ ExciteRate = Annotated[
     float, _option("--sample-rate", "HZ", "Rows per second.", default="1000", parse=values.positive)
 ]
 Duration = Annotated[
-    float, _option("--duration", "SECONDS", "Length of the drive.", default="30", parse=values.positive)
+    float, _option("--duration", "SECONDS", "Length of the drive.", default="15", parse=values.positive)
 ]
 Frequency = Annotated[
     float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
@@ -450,3 +509,42 @@ OutputFormat = Annotated[
         parse=values.choice(FORMATS),
     ),
 ]
+
+# --- export ---
+Folder = Annotated[
+    str, _common("--output", "DIR", "The folder to write; appears whole or not at all.", "-o", REQUIRED)
+]
+Name = Annotated[
+    str, _option("--name", "NAME", "Begins the names of files, types, functions.", default="actuator")
+]
+Direction = Annotated[
+    str,
+    _option(
+        "--direction",
+        "inverse|forward",
+        "Displacement to drive, or drive to displacement.",
+        default="inverse",
+        parse=values.choice(("inverse", "forward")),
+    ),
+]
+Arithmetic = Annotated[
+    str,
+    _option(
+        "--arithmetic",
+        "double|float|q31",
+        "double: the bits of dbo compensate; float32 or 32-bit fixed point: with a bound on the error.",
+        default="double",
+        parse=values.choice(("double", "float", "q31")),
+    ),
+]
+ControllerRate = Annotated[
+    float | None, _option("--sample-rate", "HZ", "Steps per second of the controller.", parse=values.positive)
+]
+FewerGears = Annotated[
+    int | None, _option("--gears", "N", "Fewer gears; says what is lost.", parse=values.whole(1))
+]
+Lookup = Annotated[bool, _option("--lookup", None, "A table of all states: 12 gears at most, double.")]
+Arduino = Annotated[bool, _option("--arduino", None, "Lay the files out as an Arduino library.")]
+Fmu = Annotated[bool, _option("--fmu", None, "Add an FMI 2.0 co-simulation unit for this computer; double.")]
+Shared = Annotated[bool, _option("--shared", None, "Add a flat C library for this computer; double.")]
+Overwrite = Annotated[bool, _option("--overwrite", None, "Replace a folder that an export wrote.")]

@@ -1,9 +1,10 @@
-/* dbo_kernel.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
+/* dbo_kernel.c and dbo_dynamics.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
  * only lengths are, so that no mistake there can read or write beyond a buffer. */
 #define Py_LIMITED_API 0x030b0000
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include "dbo_dynamics.h"
 #include "dbo_kernel.h"
 
 #define NUMBERS(view) ((size_t)(view).len / sizeof(double))
@@ -14,12 +15,17 @@ static int too_short(const char *what) {
 }
 
 /* The operator and its state out of buffers; 0 with an error set where their lengths do not match. */
-static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears,
+static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears, Py_ssize_t n, Py_ssize_t run,
                     const Py_buffer *words) {
+    const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear);
+    if (n < 1 || run < 1 || (rows < n && rows * run < n)) return !too_short("gears");
+    if ((uint64_t)n * (uint64_t)run >> 32) return !too_short("run");
     op->gears = gears->buf;
-    op->n = (size_t)gears->len / sizeof(dbo_gear);
+    op->n = (size_t)n;
+    op->run = (size_t)run;
+    op->grouped = rows < n;
+    op->row_factor = DBO_ROW_FACTOR(run);
     state->words = words->buf;
-    if (op->n == 0) return !too_short("gears");
     if ((size_t)words->len / sizeof(uint64_t) < dbo_backlash_words(op->n)) return !too_short("words");
     return 1;
 }
@@ -30,10 +36,13 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     dbo_backlash_state state;
     dbo_limits limits;
     dbo_counts counts = {0, 0, 0, 0};
+    dbo_fixed_step fixed;
+    dbo_fixed_gear *table = NULL;
+    Py_ssize_t n, run;
     int limited, ready = 0;
     size_t count, rows;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*ddpy*dpw*w*dy*w*y*pdddy*", &gears, &op.x0, &op.y0, &op.extend, &gain,
+    if (!PyArg_ParseTuple(args, "y*nnddpy*dpw*w*dy*w*y*pdddy*", &gears, &n, &run, &op.x0, &op.y0, &op.extend, &gain,
                           &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
                           &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
         return NULL;
@@ -44,17 +53,27 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     rows = op.terms ? NUMBERS(decay) / op.terms : 1;
     limits.step = NUMBERS(step) ? step.buf : NULL;
     limits.step_stride = NUMBERS(step) > 1;
-    if (!assemble(&op, &state, &gears, &words)) goto done;
+    if (!assemble(&op, &state, &gears, n, run, &words)) goto done;
     if (NUMBERS(y) != count && too_short("y")) goto done;
     if (NUMBERS(memory) != op.terms && too_short("memory")) goto done;
     if (rows != 1 && rows != count && too_short("decay")) goto done;
     if (NUMBERS(step) > 1 && NUMBERS(step) != count && too_short("step")) goto done;
     ready = 1;
+    if (rows == 1 && count > op.n && (limited || (op.terms && op.memory_on_output))) {
+        /* An even clock: divide once a gear instead of once a sample, where that is less work. */
+        table = PyMem_Malloc(op.n * sizeof(dbo_fixed_gear) + op.terms * sizeof(double));
+        if (table)
+            fixed = dbo_prepare_fixed_step(&op, decay.buf, (double *)(table + op.n), table);
+    }
     Py_BEGIN_ALLOW_THREADS
     dbo_backlash_load(&op, &state);
-    dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
-                     limited ? &limits : NULL, &counts);
+    if (table)
+        dbo_backlash_run_fixed(&op, &fixed, &state, x.buf, y.buf, count, limited ? &limits : NULL, &counts);
+    else
+        dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
+                         limited ? &limits : NULL, &counts);
     Py_END_ALLOW_THREADS
+    PyMem_Free(table);
 done:
     PyBuffer_Release(&gears);
     PyBuffer_Release(&words);
@@ -73,22 +92,23 @@ static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
     Py_buffer gears, words, x, rows, crossed;
     dbo_backlash op = {0};
     dbo_backlash_state state;
-    Py_ssize_t share;
+    Py_ssize_t n, run, group_size;
     size_t columns;
     int ready = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*dpw*y*w*w*n", &gears, &op.x0, &op.extend, &words, &x, &rows, &crossed,
-                          &share))
+    if (!PyArg_ParseTuple(args, "y*nndpw*y*w*w*n", &gears, &n, &run, &op.x0, &op.extend, &words, &x,
+                          &rows, &crossed, &group_size))
         return NULL;
-    if (!assemble(&op, &state, &gears, &words)) goto done;
-    if (share < 1 && too_short("share")) goto done;
-    columns = (op.n + (size_t)share - 1) / (size_t)share;
+    if (!assemble(&op, &state, &gears, n, run, &words)) goto done;
+    if (group_size < 1 && too_short("group_size")) goto done;
+    columns = (op.n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
     if (NUMBERS(crossed) != columns && too_short("crossed")) goto done;
     ready = 1;
     Py_BEGIN_ALLOW_THREADS
     dbo_backlash_load(&op, &state);
-    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x), (size_t)share);
+    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x),
+                            (size_t)group_size);
     Py_END_ALLOW_THREADS
 done:
     PyBuffer_Release(&gears);
@@ -147,11 +167,89 @@ done:
     return Py_BuildValue("");
 }
 
+static PyObject *dynamics_run(PyObject *module, PyObject *args) {
+    Py_buffer output, state, x, y, step;
+    int ready = 0;
+    size_t sections, count, rows;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*w*y*w*y*", &output, &state, &x, &y, &step)) return NULL;
+    sections = (size_t)state.len / sizeof(dbo_section_state);
+    count = NUMBERS(x);
+    rows = sections ? (size_t)step.len / (sections * sizeof(dbo_section_step)) : 0;
+    if (sections == 0 && too_short("state")) goto done;
+    if ((size_t)output.len != sections * sizeof(dbo_section_output) && too_short("output")) goto done;
+    if (NUMBERS(y) != count && too_short("y")) goto done;
+    if (rows != 1 && rows != count && too_short("step")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_dynamics_run(sections, output.buf, state.buf, x.buf, y.buf, count, step.buf,
+                     rows == 1 ? 0 : sections);
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&output);
+    PyBuffer_Release(&state);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&y);
+    PyBuffer_Release(&step);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *dynamics_undo(PyObject *module, PyObject *args) {
+    Py_buffer numbers, weight, state, y, u;
+    dbo_section_inverse section;
+    const double *c;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*y*w*", &numbers, &weight, &state, &y, &u)) return NULL;
+    if (NUMBERS(numbers) != 8 && too_short("numbers")) goto done;
+    if (state.len != sizeof(dbo_inverse_state) && too_short("state")) goto done;
+    if (NUMBERS(y) != NUMBERS(u) + NUMBERS(weight) && too_short("y")) goto done;
+    c = numbers.buf;
+    section.aa = c[0], section.ab = c[1], section.ba = c[2], section.bb = c[3];
+    section.a_in = c[4], section.b_in = c[5], section.a_out = c[6], section.b_out = c[7];
+    section.ahead = NUMBERS(weight);
+    section.weight = weight.buf;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_dynamics_undo(&section, state.buf, y.buf, u.buf, NUMBERS(u));
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&numbers);
+    PyBuffer_Release(&weight);
+    PyBuffer_Release(&state);
+    PyBuffer_Release(&y);
+    PyBuffer_Release(&u);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *smooth(PyObject *module, PyObject *args) {
+    Py_buffer weight, x, y;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*", &weight, &x, &y)) return NULL;
+    if (NUMBERS(x) != NUMBERS(y) + 2 * NUMBERS(weight) && too_short("x")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_smooth(NUMBERS(weight), weight.buf, x.buf, y.buf, NUMBERS(y));
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&weight);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&y);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},
+    {"dynamics_run", dynamics_run, METH_VARARGS, "Linear sections over a block of samples."},
+    {"dynamics_undo", dynamics_undo, METH_VARARGS, "The input of a linear section from its output."},
+    {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
     {NULL, NULL, 0, NULL}};
 
 static PyModuleDef_Slot slots[] = {{0, NULL}};

@@ -2,14 +2,22 @@
 #include "dbo_kernel.h"
 
 #define ALL_ONES UINT64_MAX
+#define ENDLESS (1.0e300 * 1.0e300)
 
-/* The state stays in registers only where these are inlined; left to choose, compilers do not. */
-#if defined(__GNUC__) || defined(__clang__)
+/* The state stays in registers only where these are inlined; left to choose, compilers do not. DBO_SMALL
+ * leaves the choice to them and expects grouped tables, for less than half of the code. */
+#if defined(DBO_SMALL)
+#define INLINE static
+#define EXPANDED_TABLES 0
+#elif defined(__GNUC__) || defined(__clang__)
 #define INLINE static inline __attribute__((always_inline))
 #elif defined(_MSC_VER)
 #define INLINE static __forceinline
 #else
 #define INLINE static inline
+#endif
+#ifndef EXPANDED_TABLES
+#define EXPANDED_TABLES 1
 #endif
 
 /* ---- find first set (4): the compiler's instruction, or de Bruijn as in the paper's reference [10] -- */
@@ -40,7 +48,9 @@ INLINE unsigned first_one(uint64_t word) {
 typedef struct {
     const dbo_gear *gears;
     size_t n;
-    size_t word_count;
+    int grouped; /* a constant where this is inlined */
+    size_t run;
+    uint64_t row_factor;
     uint64_t *words;
     uint64_t *full; /* bit k: word k is all ones */
     uint64_t *some; /* bit k: word k is not zero */
@@ -54,62 +64,68 @@ static size_t index_words(size_t n) { return ((n + 63) / 64 + 63) / 64; }
 
 size_t dbo_backlash_words(size_t n) { return (n + 63) / 64 + 2 * index_words(n); }
 
-/* Z (5) above word k, which has just become full; the words below it are full already. (The walk comes by
- * value: a pointer to it would keep it out of the registers.) */
-static size_t zero_above(const walk w, size_t k) {
-    w.full[k >> 6] |= (uint64_t)1 << (k & 63);
-    for (size_t i = k >> 6; i < index_words(w.n); i++)
-        if (w.full[i] != ALL_ONES) {
-            k = 64 * i + first_one(~w.full[i]);
-            return k < w.word_count ? 64 * k + first_one(~w.words[k]) : w.n;
+INLINE size_t row_of(const walk *w, size_t gear) {
+    return w->grouped || !EXPANDED_TABLES ? (size_t)(((uint64_t)gear * w->row_factor) >> 32) : gear;
+}
+
+/* Z (5) above word k, which has just become full; the words below it are full already. (The walk's members
+ * come one by one: a pointer to it would keep it out of the registers.) */
+static size_t zero_above(const uint64_t *words, uint64_t *full, size_t n, size_t k) {
+    full[k >> 6] |= (uint64_t)1 << (k & 63);
+    for (size_t i = k >> 6; i < index_words(n); i++)
+        if (full[i] != ALL_ONES) {
+            k = 64 * i + first_one(~full[i]);
+            return 64 * k < n ? 64 * k + first_one(~words[k]) : n;
         }
-    return w.n;
+    return n;
 }
 
 /* S (4) above word k, which has just become zero; the words below it are zero already. */
-static size_t one_above(const walk w, size_t k) {
-    w.some[k >> 6] &= ~((uint64_t)1 << (k & 63));
-    for (size_t i = k >> 6; i < index_words(w.n); i++)
-        if (w.some[i] != 0) {
-            k = 64 * i + first_one(w.some[i]);
-            return 64 * k + first_one(w.words[k]);
+static size_t one_above(const uint64_t *words, uint64_t *some, size_t n, size_t k) {
+    some[k >> 6] &= ~((uint64_t)1 << (k & 63));
+    for (size_t i = k >> 6; i < index_words(n); i++)
+        if (some[i] != 0) {
+            k = 64 * i + first_one(some[i]);
+            return 64 * k + first_one(words[k]);
         }
-    return w.n;
+    return n;
 }
 
-/* To the upper neighbour: set b_Z (6)-(7). All lower bits are ones now, so S is 0 and the next Z lies
- * above the old one. A word can only leave zero at its lowest bit. */
-INLINE void move_up(walk *w) {
+/* To the upper neighbour: set b_Z (6)-(7), which is `gear`. All lower bits are ones now, so S is 0 and the
+ * next Z lies above the old one. A word can only leave zero at its lowest bit. */
+INLINE void move_up(walk *w, const dbo_gear *gear) {
     const size_t z = w->zero, k = z >> 6;
     const uint64_t word = w->words[k] | (uint64_t)1 << (z & 63);
-    w->x += w->gears[z].dx;
-    w->y += w->gears[z].dy;
+    w->x += gear->dx;
+    w->y += gear->dy;
     w->words[k] = word;
     if ((z & 63) == 0) w->some[k >> 6] |= (uint64_t)1 << (k & 63);
     w->set = 0;
-    w->zero = word != ALL_ONES ? (z & ~(size_t)63) + first_one(~word) : zero_above(*w, k);
+    w->zero = word != ALL_ONES ? (z & ~(size_t)63) + first_one(~word) : zero_above(w->words, w->full, w->n, k);
 }
 
 /* To the lower neighbour: clear b_S (8)-(9). All lower bits are zeros now, so Z is 0. A word can only
  * cease to be full at its lowest bit. */
-INLINE void move_down(walk *w) {
+INLINE void move_down(walk *w, const dbo_gear *gear) {
     const size_t s = w->set, k = s >> 6;
     const uint64_t word = w->words[k] & ~((uint64_t)1 << (s & 63));
-    w->x -= w->gears[s].dx;
-    w->y -= w->gears[s].dy;
+    w->x -= gear->dx;
+    w->y -= gear->dy;
     w->words[k] = word;
     if ((s & 63) == 0) w->full[k >> 6] &= ~((uint64_t)1 << (k & 63));
     w->zero = 0;
-    w->set = word != 0 ? (s & ~(size_t)63) + first_one(word) : one_above(*w, k);
+    w->set = word != 0 ? (s & ~(size_t)63) + first_one(word) : one_above(w->words, w->some, w->n, k);
 }
 
-INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state) {
+INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state, int grouped) {
     walk w;
+    w.grouped = grouped;
     w.gears = op->gears;
     w.n = op->n;
-    w.word_count = (op->n + 63) / 64;
+    w.run = op->run;
+    w.row_factor = op->row_factor;
     w.words = state->words;
-    w.full = w.words + w.word_count;
+    w.full = w.words + (op->n + 63) / 64;
     w.some = w.full + index_words(op->n);
     w.set = state->set;
     w.zero = state->zero;
@@ -126,21 +142,93 @@ INLINE void finish(const walk *w, dbo_backlash_state *state) {
 }
 
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
-    walk w = begin(op, state);
+    walk w = begin(op, state, op->grouped);
     w.x = w.y = 0.0;
     for (size_t i = 0; i < index_words(op->n); i++) w.full[i] = w.some[i] = 0;
-    for (size_t k = 0; k < w.word_count; k++) {
+    for (size_t k = 0; 64 * k < w.n; k++) {
         if (w.words[k] == ALL_ONES) w.full[k >> 6] |= (uint64_t)1 << (k & 63);
         if (w.words[k] != 0) w.some[k >> 6] |= (uint64_t)1 << (k & 63);
         for (uint64_t ones = w.words[k]; ones; ones &= ones - 1) {
-            const dbo_gear *gear = op->gears + 64 * k + first_one(ones);
+            const dbo_gear *gear = op->gears + row_of(&w, 64 * k + first_one(ones));
             w.x += gear->dx; /* exact, in any order: the widths lie on one binary grid */
             w.y += gear->dy;
         }
     }
-    w.zero = w.words[0] != ALL_ONES ? first_one(~w.words[0]) : zero_above(w, 0);
-    w.set = w.words[0] != 0 ? first_one(w.words[0]) : one_above(w, 0);
+    w.zero = w.words[0] != ALL_ONES ? first_one(~w.words[0]) : zero_above(w.words, w.full, w.n, 0);
+    w.set = w.words[0] != 0 ? first_one(w.words[0]) : one_above(w.words, w.some, w.n, 0);
     finish(&w, state);
+}
+
+/* ---- many equal gears at once ---------------------------------------------------------------------- */
+
+/* A leap costs about as much as crossing so many gears one by one. */
+#define LEAP 4
+
+INLINE unsigned count_ones(uint64_t word) {
+    word -= word >> 1 & UINT64_C(0x5555555555555555);
+    word = (word & UINT64_C(0x3333333333333333)) + (word >> 2 & UINT64_C(0x3333333333333333));
+    word = (word + (word >> 4)) & UINT64_C(0x0F0F0F0F0F0F0F0F);
+    return (unsigned)((word * UINT64_C(0x0101010101010101)) >> 56);
+}
+
+/* Where the run of equal gears ends in which a gear stands. */
+static size_t run_end(const walk *w, size_t gear) {
+    const size_t end = gear - gear % w->run + w->run;
+    return end < w->n ? end : w->n;
+}
+
+/* Bits of word k that belong to gears from ... end - 1 and can still be crossed: zeros on the way up. */
+INLINE uint64_t open_bits(const walk *w, size_t k, size_t from, size_t end, int rising) {
+    uint64_t open = rising ? ~w->words[k] : w->words[k];
+    if (64 * k < from) open &= ALL_ONES << (from - 64 * k);
+    if (end - 64 * k < 64) open &= ~(ALL_ONES << (end - 64 * k));
+    return open;
+}
+
+/* How many gears of the run of the next one can be crossed. */
+static size_t open_gears(const walk *w, int rising) {
+    const size_t from = rising ? w->zero : w->set, end = run_end(w, from);
+    size_t count = 0;
+    for (size_t k = from >> 6; 64 * k < end; k++) count += count_ones(open_bits(w, k, from, end, rising));
+    return count;
+}
+
+/* Cross the next `count` gears, all of one run, (6)-(9): `count` is at least 1 and at most open_gears. */
+static void leap(walk *w, size_t count, int rising) {
+    const size_t from = rising ? w->zero : w->set, end = run_end(w, from);
+    const dbo_gear *gear = w->gears + row_of(w, from);
+    const double sign = rising ? 1.0 : -1.0;
+    size_t k = from >> 6;
+    w->x += sign * ((double)count * gear->dx); /* exact, as every sum of widths is */
+    w->y += sign * ((double)count * gear->dy);
+    for (;; k++) {
+        const uint64_t open = open_bits(w, k, from, end, rising), place = (uint64_t)1 << (k & 63);
+        uint64_t left = open;
+        size_t crossed = count_ones(open);
+        if (crossed > count)
+            for (crossed = count; count > 0; count--) left &= left - 1;
+        else
+            count -= crossed, left = 0;
+        w->words[k] ^= open ^ left;
+        if (crossed > 0) {
+            if (rising)
+                w->some[k >> 6] |= place;
+            else
+                w->full[k >> 6] &= ~place;
+        }
+        if (count == 0) break;
+        if (rising)
+            w->full[k >> 6] |= place;
+        else
+            w->some[k >> 6] &= ~place;
+    }
+    if (rising) {
+        w->set = 0;
+        w->zero = w->words[k] != ALL_ONES ? 64 * k + first_one(~w->words[k]) : zero_above(w->words, w->full, w->n, k);
+    } else {
+        w->zero = 0;
+        w->set = w->words[k] != 0 ? 64 * k + first_one(w->words[k]) : one_above(w->words, w->some, w->n, k);
+    }
 }
 
 /* ---- the procedure, steps 1 to 4 ------------------------------------------------------------------- */
@@ -156,11 +244,11 @@ typedef struct {
     double slope;
 } engaged;
 
-INLINE engaged engage(const dbo_backlash *op, size_t i) {
+INLINE engaged engage(const dbo_backlash *op, const walk *w, size_t i) {
     engaged e;
-    const dbo_gear *gear = op->gears + (i < op->n ? i : op->n - 1);
-    e.reach = gear->dx * (i < op->n ? gear->keep : 1.0 - gear->keep);
-    e.slope = i < op->n || op->extend ? gear->slope : 0.0;
+    const dbo_gear *gear = w->gears + row_of(w, i < w->n ? i : w->n - 1);
+    e.reach = gear->dx * (i < w->n ? gear->crossing_fraction : 1.0 - gear->crossing_fraction);
+    e.slope = i < w->n || op->extend ? gear->slope : 0.0;
     return e;
 }
 
@@ -189,6 +277,22 @@ INLINE size_t run_within(const walk *w, engaged gear, int rising, double x0, dou
     return k;
 }
 
+/* How many open gears of its run the input u crosses; the first is known to be. What is left to travel
+ * falls with every crossing, rounding or not, so halving finds what crossing one by one would. */
+static size_t gears_crossed(const walk *w, double u, double reach, int rising) {
+    const double dx = w->gears[row_of(w, rising ? w->zero : w->set)].dx;
+    size_t sure = 1, most = open_gears(w, rising), trial = most;
+    while (sure < most) {
+        const double way = (double)(trial - 1) * dx;
+        if (rising ? u - (w->x + way) >= reach : -(u - (w->x - way)) >= reach)
+            sure = trial;
+        else
+            most = trial - 1;
+        trial = sure + (most - sure + 1) / 2;
+    }
+    return sure;
+}
+
 /* Steps 2 and 4: move while gears are crossed, one direction only for one sample, so that it always ends.
  * Returns the slope that serves the sample. One that crosses a gear by the tolerance falls short of the new
  * X_B and keeps that gear's own slope: an operator and its inverse then see the same fraction of the same
@@ -196,10 +300,16 @@ INLINE size_t run_within(const walk *w, engaged gear, int rising, double x0, dou
 INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                        engaged first, int *outside) {
     double slope = up->slope, d = u - w->x;
+    size_t single = LEAP;
     while (w->zero < w->n && d >= up->reach) {
         slope = up->slope;
-        move_up(w);
-        *up = engage(op, w->zero);
+        if (single == 0 && w->run > 1 && d >= LEAP * up->reach)
+            leap(w, gears_crossed(w, u, up->reach, 1), 1);
+        else {
+            if (single > 0) single--;
+            move_up(w, w->gears + row_of(w, w->zero));
+        }
+        *up = engage(op, w, w->zero);
         *down = first;
         d = u - w->x;
     }
@@ -210,10 +320,16 @@ INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, e
 INLINE double cross_down(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                          engaged first, int *outside) {
     double slope = down->slope, d = u - w->x;
+    size_t single = LEAP;
     while (w->set < w->n && -d >= down->reach) {
         slope = down->slope;
-        move_down(w);
-        *down = engage(op, w->set);
+        if (single == 0 && w->run > 1 && -d >= LEAP * down->reach)
+            leap(w, gears_crossed(w, u, down->reach, 0), 0);
+        else {
+            if (single > 0) single--;
+            move_down(w, w->gears + row_of(w, w->set));
+        }
+        *down = engage(op, w, w->set);
         *up = first;
         d = u - w->x;
     }
@@ -235,10 +351,10 @@ INLINE double remember(const dbo_backlash *op, double *memory, const double *a, 
 /* No limits, and no memory on the output: the common case, with everything in registers. */
 INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
                         size_t count, const double *decay, size_t decay_stride, dbo_counts *counts,
-                        const int remembers) {
-    walk w = begin(op, state);
-    engaged up = engage(op, w.zero), down = engage(op, w.set);
-    const engaged first = engage(op, 0);
+                        const int remembers, const int grouped) {
+    walk w = begin(op, state, grouped);
+    engaged up = engage(op, &w, w.zero), down = engage(op, &w, w.set);
+    const engaged first = engage(op, &w, 0);
     const double x0 = op->x0, y0 = op->y0;
     for (size_t k = 0, quiet = 0; k < count; k++, quiet++) {
         const double u = x[k] - x0, d = u - w.x;
@@ -266,119 +382,228 @@ INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const
 
 /* ---- memory on the output, and limits on the output ------------------------------------------------- */
 
-/* A gear with the memory's immediate share kappa of the output added to its width on the input. */
-INLINE double wide(const dbo_gear *gear, double kappa) { return gear->dx + kappa * gear->dy; }
+/* The next gear as memory on the output and limits meet it, its row's numbers at hand. */
+typedef struct {
+    const dbo_gear *gear;
+    double reach; /* of the input, the memory's immediate part kappa of the output included */
+    double room;  /* of the output */
+} passage;
+
+INLINE passage passage_of(const walk *w, size_t i, double kappa, const dbo_fixed_gear *fixed) {
+    passage p;
+    const size_t row = row_of(w, i);
+    const dbo_gear *gear = w->gears + row;
+    p.gear = gear;
+    p.reach = fixed ? fixed[row].reach : (gear->dx + kappa * gear->dy) * gear->crossing_fraction;
+    p.room = fixed ? fixed[row].room : gear->dy * gear->crossing_fraction;
+    return p;
+}
+
+/* How many open gears of its run are crossed; the first is known to be. As in gears_crossed, and the room
+ * on the output falls with every crossing, too. */
+static size_t gears_passed(const walk *w, const passage *p, double u, double kappa, double bound,
+                           int rising) {
+    const double sign = rising ? 1.0 : -1.0;
+    size_t sure = 1, most = open_gears(w, rising), trial = most;
+    while (sure < most) {
+        const double before = sign * (double)(trial - 1);
+        const double x = w->x + before * p->gear->dx, y = w->y + before * p->gear->dy;
+        if (sign * (u - (x + kappa * y)) >= p->reach && sign * (bound - y) >= p->room)
+            sure = trial;
+        else
+            most = trial - 1;
+        trial = sure + (most - sure + 1) / 2;
+    }
+    return sure;
+}
+
+/* Cross gears one way while the input `u` is far enough and the output has room up to `bound`. Returns the
+ * gear crossed last, n where there was none. (Where u plays no part, kappa is 0 and u infinite.) */
+INLINE size_t pass_gears(walk *w, double u, double kappa, double bound, int rising,
+                         const dbo_fixed_gear *fixed) {
+    size_t last = w->n, next = rising ? w->zero : w->set;
+    while (next < w->n) {
+        const passage p = passage_of(w, next, kappa, fixed);
+        const double d = u - (w->x + kappa * w->y), travelled = rising ? d : -d;
+        const double room = rising ? bound - w->y : w->y - bound;
+        if (!(travelled >= p.reach && room >= p.room)) break;
+        last = next;
+        if (w->run >= LEAP && travelled >= LEAP * p.reach && room >= LEAP * p.room)
+            leap(w, gears_passed(w, &p, u, kappa, bound, rising), rising);
+        else if (rising)
+            move_up(w, p.gear);
+        else
+            move_down(w, p.gear);
+        next = rising ? w->zero : w->set;
+    }
+    return last;
+}
 
 /* Drive the exchanged operator one way, to the relative output `y`, crossing gears by their dy. */
-static void follow_output(walk *w, double y, int rising) {
-    if (rising) {
-        while (w->zero < w->n && y - w->y >= w->gears[w->zero].dy * w->gears[w->zero].keep) move_up(w);
-    } else {
-        while (w->set < w->n && w->y - y >= w->gears[w->set].dy * w->gears[w->set].keep) move_down(w);
-    }
+static void follow_output(walk *w, double y, int rising, const dbo_fixed_gear *fixed) {
+    pass_gears(w, rising ? ENDLESS : -ENDLESS, 0.0, y, rising, fixed);
 }
 
 /* The relative output for the relative input `u`, never crossing a gear that would leave [low, high]. */
-static double solve(const dbo_backlash *op, walk *w, double u, double kappa, double low, double high,
-                    int *outside) {
-    double d = u - (w->x + kappa * w->y);
-    const int rising = d >= 0.0;
-    size_t last = w->n, next;
-    if (rising) {
-        for (const dbo_gear *g; w->zero < w->n; d = u - (w->x + kappa * w->y)) {
-            g = w->gears + w->zero;
-            if (!(d >= wide(g, kappa) * g->keep && high - w->y >= g->dy * g->keep)) break;
-            last = w->zero;
-            move_up(w);
-        }
-        next = w->zero;
-    } else {
-        for (const dbo_gear *g; w->set < w->n; d = u - (w->x + kappa * w->y)) {
-            g = w->gears + w->set;
-            if (!(-d >= wide(g, kappa) * g->keep && w->y - low >= g->dy * g->keep)) break;
-            last = w->set;
-            move_down(w);
-        }
-        next = w->set;
-    }
+INLINE double solve(const dbo_backlash *op, walk *w, double u, double kappa, double low, double high,
+                    const dbo_fixed_gear *fixed, int *outside) {
+    const int rising = u - (w->x + kappa * w->y) >= 0.0;
+    const size_t last = rising ? pass_gears(w, u, kappa, high, 1, fixed)
+                               : pass_gears(w, u, kappa, low, 0, fixed);
+    const double d = u - (w->x + kappa * w->y);
+    size_t next = rising ? w->zero : w->set;
     if (last < w->n && (rising ? d < 0.0 : d > 0.0)) next = last; /* crossed by the tolerance */
     {
-        const dbo_gear *gear = w->gears + (next < w->n ? next : w->n - 1);
-        const double width = wide(gear, kappa);
-        if (next < w->n) return w->y + d * (gear->dy / width);
-        *outside = (rising ? d : -d) >= width * (1.0 - gear->keep);
-        return op->extend ? w->y + d * (gear->dy / width) : w->y;
+        const size_t row = row_of(w, next < w->n ? next : w->n - 1);
+        const dbo_gear *gear = w->gears + row;
+        const double slope = fixed ? fixed[row].slope : gear->dy / (gear->dx + kappa * gear->dy);
+        if (next == w->n) {
+            const double width = gear->dx + kappa * gear->dy;
+            *outside = (rising ? d : -d) >= width * (1.0 - gear->crossing_fraction);
+            if (!op->extend) return w->y;
+        }
+        return w->y + d * slope;
     }
 }
 
 /* The output within [low, high], the state that of the exchanged operator driven by it. */
-static double solve_within(const dbo_backlash *op, walk *w, double u, double kappa, double low,
-                           double high, double slack, int *outside, int *clipped) {
+INLINE double solve_within(const dbo_backlash *op, walk *w, double u, double kappa, double low,
+                           double high, double slack, const dbo_fixed_gear *fixed, int *outside,
+                           int *clipped) {
     const double low_part = low - op->y0, high_part = high - op->y0;
     const double d = u - (w->x + kappa * w->y);
     double y;
     if (d >= 0.0 ? high_part < w->y : low_part > w->y) { /* the limits lie on the other side */
-        follow_output(w, d >= 0.0 ? high_part : low_part, d < 0.0);
+        follow_output(w, d >= 0.0 ? high_part : low_part, d < 0.0, fixed);
         *clipped = 1;
         return d >= 0.0 ? high : low;
     }
-    y = op->y0 + solve(op, w, u, kappa, low_part, high_part, outside);
+    y = op->y0 + solve(op, w, u, kappa, low_part, high_part, fixed, outside);
     if (y > high) {
         *clipped = y - high > slack;
-        if (d < 0.0) follow_output(w, high_part, 0);
+        if (d < 0.0) follow_output(w, high_part, 0, fixed);
         return high;
     }
     if (y < low) {
         *clipped = low - y > slack;
-        if (d >= 0.0) follow_output(w, low_part, 1);
+        if (d >= 0.0) follow_output(w, low_part, 1, fixed);
         return low;
     }
+    return y;
+}
+
+/* The limits of one sample, the largest change since the one before among them; the range wins. */
+INLINE void window(const dbo_limits *limits, double step, double last, double *low, double *high) {
+    const double least = last - step, most = last + step;
+    *low = least < limits->low ? limits->low : least > limits->high ? limits->high : least;
+    *high = most > limits->high ? limits->high : most < limits->low ? limits->low : most;
+}
+
+/* One sample: what the memory still holds of the past, the gears for the rest, and the memory after it.
+ * `rest` may be NULL: 1 - a_j is worked out here. */
+INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, walk *w, double x,
+                             const double *a, const double *rest, double kappa,
+                             const dbo_fixed_gear *fixed, const dbo_limits *limits, size_t k,
+                             dbo_counts *counts) {
+    double remembered = 0.0, u, y, drive;
+    int outside = 0, clipped = 0;
+    for (size_t j = 0; j < op->terms; j++) {
+        state->memory[j] = a[j] * state->memory[j];
+        remembered += op->gain[j] * state->memory[j];
+    }
+    u = ((x - op->x0) - remembered) - kappa * (op->y0 - op->reference);
+    if (limits) {
+        double low = limits->low, high = limits->high;
+        if (limits->step && state->last == state->last)
+            window(limits, limits->step[k * limits->step_stride], state->last, &low, &high);
+        y = solve_within(op, w, u, kappa, low, high, limits->slack, fixed, &outside, &clipped);
+    } else {
+        y = op->y0 + solve(op, w, u, kappa, -ENDLESS, ENDLESS, fixed, &outside);
+    }
+    if (outside) note(&counts->outside, &counts->first_outside, k);
+    if (clipped) note(&counts->clipped, &counts->first_clipped, k);
+    drive = y - op->reference;
+    for (size_t j = 0; j < op->terms; j++) state->memory[j] += (rest ? rest[j] : 1.0 - a[j]) * drive;
+    state->last = y;
     return y;
 }
 
 static void run_general(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
                         size_t count, const double *decay, size_t decay_stride,
                         const dbo_limits *limits, dbo_counts *counts) {
-    walk w = begin(op, state);
-    const double endless = 1.0e300 * 1.0e300;
+    walk w = begin(op, state, op->grouped);
     for (size_t k = 0; k < count; k++) {
         const double *a = decay + k * decay_stride;
-        double kappa = 0.0, remembered = 0.0, u;
-        int outside = 0, clipped = 0;
-        for (size_t j = 0; j < op->terms; j++) {
-            remembered += op->gain[j] * (a[j] * state->memory[j]);
-            kappa += op->gain[j] * (1.0 - a[j]);
-        }
-        u = ((x[k] - op->x0) - remembered) - kappa * (op->y0 - op->reference);
-        if (limits) {
-            double low = limits->low, high = limits->high;
-            if (limits->step && state->last == state->last) { /* the range wins over the slew limit */
-                const double step = limits->step[k * limits->step_stride];
-                const double least = state->last - step, most = state->last + step;
-                low = least < low ? low : least > high ? high : least;
-                high = most > limits->high ? limits->high : most < limits->low ? limits->low : most;
-            }
-            y[k] = solve_within(op, &w, u, kappa, low, high, limits->slack, &outside, &clipped);
-        } else {
-            y[k] = op->y0 + solve(op, &w, u, kappa, -endless, endless, &outside);
-        }
-        if (outside) note(&counts->outside, &counts->first_outside, k);
-        if (clipped) note(&counts->clipped, &counts->first_clipped, k);
-        remember(op, state->memory, a, y[k]);
-        state->last = y[k];
+        double kappa = 0.0;
+        for (size_t j = 0; j < op->terms; j++) kappa += op->gain[j] * (1.0 - a[j]);
+        y[k] = general_sample(op, state, &w, x[k], a, 0, kappa, 0, limits, k, counts);
     }
     finish(&w, state);
+}
+
+dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *decay, double *rest,
+                                      dbo_fixed_gear *gears) {
+    dbo_fixed_step fixed;
+    const size_t rows = op->grouped ? (op->n + op->run - 1) / op->run : op->n;
+    fixed.kappa = 0.0;
+    fixed.decay = decay;
+    fixed.rest = rest;
+    fixed.gears = gears;
+    for (size_t j = 0; j < op->terms; j++) {
+        rest[j] = 1.0 - decay[j];
+        fixed.kappa += op->gain[j] * rest[j];
+    }
+    for (size_t row = 0; row < rows; row++) {
+        const dbo_gear *gear = op->gears + row;
+        const double width = gear->dx + fixed.kappa * gear->dy;
+        gears[row].reach = width * gear->crossing_fraction;
+        gears[row].slope = gear->dy / width;
+        gears[row].room = gear->dy * gear->crossing_fraction;
+    }
+    return fixed;
+}
+
+INLINE void run_at_fixed_step(const dbo_backlash *op, const dbo_fixed_step *fixed,
+                              dbo_backlash_state *state, const double *x, double *y, size_t count,
+                              const dbo_limits *limits, dbo_counts *counts, const int grouped) {
+    walk w = begin(op, state, grouped);
+    for (size_t k = 0; k < count; k++)
+        y[k] = general_sample(op, state, &w, x[k], fixed->decay, fixed->rest, fixed->kappa, fixed->gears,
+                              limits, k, counts);
+    finish(&w, state);
+}
+
+void dbo_backlash_run_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
+                            dbo_backlash_state *state, const double *x, double *y, size_t count,
+                            const dbo_limits *limits, dbo_counts *counts) {
+    if (EXPANDED_TABLES && !op->grouped)
+        run_at_fixed_step(op, fixed, state, x, y, count, limits, counts, 0);
+    else
+        run_at_fixed_step(op, fixed, state, x, y, count, limits, counts, 1);
+}
+
+double dbo_backlash_step_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
+                               dbo_backlash_state *state, double x, const dbo_limits *limits,
+                               dbo_counts *counts) {
+    double y;
+    dbo_backlash_run_fixed(op, fixed, state, &x, &y, 1, limits, counts);
+    return y;
 }
 
 void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
                       size_t count, const double *decay, size_t decay_stride,
                       const dbo_limits *limits, dbo_counts *counts) {
+    const int expanded = EXPANDED_TABLES && !op->grouped;
     if (limits || (op->terms && op->memory_on_output))
         run_general(op, state, x, y, count, decay, decay_stride, limits, counts);
+    else if (op->terms && expanded)
+        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1, 0);
     else if (op->terms)
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1);
+        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1, 1);
+    else if (expanded)
+        run_forward(op, state, x, y, count, decay, decay_stride, counts, 0, 0);
     else
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 0);
+        run_forward(op, state, x, y, count, decay, decay_stride, counts, 0, 1);
 }
 
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
@@ -388,42 +613,79 @@ double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, doub
     return y;
 }
 
+/* ---- a state to begin with --------------------------------------------------------------------------- */
+
+/* The gears stop flipping from the highest to the lowest. With those up to k spanning [low, high], gear k
+ * stays 1 where the drive is as far from low as from high or farther; a tolerance decides a tie. */
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, double drive) {
+    const int on_output = op->memory_on_output;
+    const double target = drive - (on_output ? op->y0 : op->x0);
+    double low = 0.0, high = 0.0, slack;
+    walk w = begin(op, state, op->grouped);
+    for (size_t k = 0; k < (op->n + 63) / 64; k++) state->words[k] = 0;
+    for (size_t i = 0; i < covered; i++) {
+        const dbo_gear *gear = op->gears + row_of(&w, i);
+        high += on_output ? gear->dy : gear->dx;
+    }
+    slack = 1e-9 * high;
+    for (size_t i = covered; i-- > 0 && target > 0.0;) {
+        const dbo_gear *gear = op->gears + row_of(&w, i);
+        const double width = on_output ? gear->dy : gear->dx;
+        if (target - low >= (high - target) - slack) {
+            state->words[i >> 6] |= (uint64_t)1 << (i & 63);
+            low += width;
+        } else {
+            high -= width;
+        }
+    }
+    for (size_t j = 0; j < op->terms; j++) state->memory[j] = drive - op->reference;
+    state->last = drive;
+    dbo_backlash_load(op, state);
+    w = begin(op, state, op->grouped);
+    if (on_output) {
+        follow_output(&w, target, target >= w.y, 0);
+    } else {
+        const int rising = target >= w.x;
+        pass_gears(&w, target, 0.0, rising ? ENDLESS : -ENDLESS, rising, 0);
+    }
+    finish(&w, state);
+}
+
 /* ---- features for identification -------------------------------------------------------------------- */
 
 /* `crossed` counts the crossed gears of each column; counts are whole numbers, so there is no drift. */
 void dbo_backlash_engagement(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
-                             double *rows, double *crossed, size_t count, size_t share) {
-    const size_t columns = (op->n + share - 1) / share;
-    const double part = 1.0 / (double)share;
-    walk w = begin(op, state);
+                             double *rows, double *crossed, size_t count, size_t group_size) {
+    const size_t columns = (op->n + group_size - 1) / group_size;
+    const double part = 1.0 / (double)group_size;
+    walk w = begin(op, state, op->grouped);
     for (size_t j = 0; j < columns; j++) crossed[j] = 0.0;
     for (size_t i = 0; i < op->n; i++)
-        if (w.words[i >> 6] >> (i & 63) & 1) crossed[i / share] += 1.0;
+        if (w.words[i >> 6] >> (i & 63) & 1) crossed[i / group_size] += 1.0;
     for (size_t k = 0; k < count; k++, rows += columns) {
         const double u = x[k] - op->x0;
         double d = u - w.x;
         const int rising = d >= 0.0;
-        size_t last = op->n, gear;
-        while (rising && w.zero < w.n && d >= engage(op, w.zero).reach) {
-            last = w.zero;
-            move_up(&w);
-            crossed[last / share] += 1.0;
+        size_t last = op->n, gear = rising ? w.zero : w.set;
+        while (gear < w.n) {
+            const engaged next = engage(op, &w, gear);
+            if (!((rising ? d : -d) >= next.reach)) break;
+            last = gear;
+            if (rising)
+                move_up(&w, w.gears + row_of(&w, gear));
+            else
+                move_down(&w, w.gears + row_of(&w, gear));
+            crossed[last / group_size] += rising ? 1.0 : -1.0;
+            gear = rising ? w.zero : w.set;
             d = u - w.x;
         }
-        while (!rising && w.set < w.n && -d >= engage(op, w.set).reach) {
-            last = w.set;
-            move_down(&w);
-            crossed[last / share] -= 1.0;
-            d = u - w.x;
-        }
-        gear = rising ? w.zero : w.set;
         if (last < op->n && (rising ? d < 0.0 : d > 0.0)) gear = last;
         for (size_t j = 0; j < columns; j++) rows[j] = crossed[j] * part;
         if (gear == op->n) {
             if (!op->extend) continue;
             gear = op->n - 1;
         }
-        rows[gear / share] += d / op->gears[gear].dx * part;
+        rows[gear / group_size] += d / w.gears[row_of(&w, gear)].dx * part;
     }
     finish(&w, state);
 }

@@ -20,13 +20,21 @@ typedef struct {
     double dx;
     double dy;
     double slope;
-    double keep;
+    double crossing_fraction;
 } dbo_gear;
 
-/* A backlash operator: never written to. Without relaxation terms = 0 and gain may be NULL. */
+#define DBO_ROW_FACTOR(run) ((((uint64_t)1 << 32) + (uint64_t)(run) - 1) / (uint64_t)(run))
+
+/* A backlash operator: never written to. Without relaxation terms = 0 and gain may be NULL.
+ * Gears side by side are often equal: `run` promises that those from each multiple of it up to the next are
+ * (1 promises nothing), so that many can be crossed at once; the last run may be shorter. Where memory is
+ * short the table is `grouped`: one row a run instead of one a gear. n * run must be less than 2^32. */
 typedef struct {
     const dbo_gear *gears;
     size_t n;
+    size_t run;
+    int grouped;
+    uint64_t row_factor; /* DBO_ROW_FACTOR(run), to divide by `run` by multiplying; where grouped */
     double x0;
     double y0;
     int extend;           /* outside the range: 1 goes on with the slope of gear n-1, 0 holds Y_B */
@@ -59,6 +67,22 @@ typedef struct {
     size_t step_stride; /* 0: one number for all samples, 1: one for each */
 } dbo_limits;
 
+/* What a fixed time between samples makes constant for memory or limits on the output: per row of the
+ * table the input width dx + kappa dy, with kappa = sum c_j (1 - a_j), that counts as crossed; the slope
+ * dy / (dx + kappa dy); and the output's part that counts as crossed. */
+typedef struct {
+    double reach;
+    double slope;
+    double room;
+} dbo_fixed_gear;
+
+typedef struct {
+    double kappa;
+    const double *decay; /* a_j = exp(-dt/tau_j), one per term */
+    const double *rest;  /* 1 - a_j */
+    const dbo_fixed_gear *gears;
+} dbo_fixed_step;
+
 /* What was unusual; add to it over as many runs as you like. Indices are relative to the run. */
 typedef struct {
     size_t outside;
@@ -78,6 +102,12 @@ size_t dbo_backlash_words(size_t n);
 
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
 
+/* The state of an actuator that has been switched on and trimmed to `drive` and rests there: after an
+ * oscillation of the drive that decays to it from the whole range of gears 0 to `covered` - 1. The drive is
+ * the input of a forward operator and the output of an inverse (memory_on_output). Fills all of the state;
+ * `words` and `memory` must be in place. */
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, double drive);
+
 /* One input, one output. `decay` has one factor exp(-dt/tau_j) per term (all zero: at rest at this
  * sample); `limits` may be NULL. */
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
@@ -89,10 +119,24 @@ void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const d
                       size_t count, const double *decay, size_t decay_stride,
                       const dbo_limits *limits, dbo_counts *counts);
 
-/* Rows phi with Y_B part of the output = sum phi_i dy_i; with `share` > 1 that many neighbours share one
- * column, their mean. `rows` is count x ceil(n/share), `crossed` is scratch for ceil(n/share) numbers. */
+/* Fill `rest` (one per term) and `gears` (one per row of the table) and return them with `decay`. */
+dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *decay, double *rest,
+                                      dbo_fixed_gear *gears);
+
+/* As dbo_backlash_run and dbo_backlash_step at a fixed time step, the same bits with less work: for
+ * operators with limits or with memory on the output. */
+void dbo_backlash_run_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
+                            dbo_backlash_state *state, const double *x, double *y, size_t count,
+                            const dbo_limits *limits, dbo_counts *counts);
+
+double dbo_backlash_step_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
+                               dbo_backlash_state *state, double x, const dbo_limits *limits,
+                               dbo_counts *counts);
+
+/* Rows phi with Y_B part of the output = sum phi_i dy_i; with `group_size` > 1 that many neighbours share
+ * one column, their mean. `rows` is count x ceil(n/group_size), `crossed` is scratch for that many columns. */
 void dbo_backlash_engagement(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
-                             double *rows, double *crossed, size_t count, size_t share);
+                             double *rows, double *crossed, size_t count, size_t group_size);
 
 /* L_j after each sample, rows of `terms` numbers: L = a L + (1 - a)(x - reference). */
 void dbo_memory_run(size_t terms, double reference, double *memory, const double *x, double *rows,

@@ -98,7 +98,8 @@ class DelayStage:
         all_values = np.concatenate([past_values, x])
         if np.ndim(time_step) == 0:
             return self._by_count(float(np.asarray(time_step)), all_times, all_values, x.size)
-        return self._by_time(times - self.seconds, all_times, all_values)
+        y, begin = interpolated(all_times, all_values, times - self.seconds)
+        return y, DelayHistory(tuple(all_times[begin:].tolist()), tuple(all_values[begin:].tolist()))
 
     def _by_count(
         self, step: float, times: Floats, values: Floats, count: int
@@ -117,10 +118,6 @@ class DelayStage:
         y = later + part * (earlier - later) if part > _WHOLE else later.copy()
         kept = slice(-(whole + 1), None)
         return y, DelayHistory(tuple(times[kept].tolist()), tuple(values[kept].tolist()))
-
-    def _by_time(self, wanted: Floats, times: Floats, values: Floats) -> tuple[Floats, DelayHistory]:
-        y, begin = interpolated(times, values, wanted)
-        return y, DelayHistory(tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
 
 
 def read_ahead(

@@ -69,9 +69,9 @@ def on_binary_grid(key: str, widths: Floats) -> Floats:
 
 
 def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats:
-    """Return the kernel's rows (dx, dy, slope, keep) for widths on the binary grid.
+    """Return the kernel's rows (dx, dy, slope, crossing_fraction) for widths on the binary grid.
 
-    ``keep`` is the fraction of a gear at which it counts as crossed: all but 1e-9 of it, since a drive
+    ``crossing_fraction`` is where a gear counts as crossed: all but 1e-9 of it, since a drive
     that turns on a breakpoint is the usual case and one unit in the last place must not decide which gear
     engages on the way back. Where a gear is so narrow beside the numbers that are added and subtracted
     (``scale_x``, ``scale_y``) that rounding exceeds that, the tolerance is 64 rounding steps of the coarser
@@ -84,12 +84,23 @@ def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats
     """
     with np.errstate(over="ignore", under="ignore"):
         rounding = _ROUNDING_STEPS * np.maximum(scale_x / dx, scale_y / dy)
-        keep = 1.0 - np.clip(rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE)
+        fraction = 1.0 - np.clip(rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE)
         slope, inverse_slope = dy / dx, dx / dy
     for i in np.flatnonzero(~np.isfinite(slope) | ~np.isfinite(inverse_slope))[:1]:
         raise ModelError(
             f"dy[{i}]: {float(dy[i])!r} over dx[{i}], {float(dx[i])!r}, is beyond the range of the arithmetic"
         )
-    gears: Floats = np.ascontiguousarray(np.column_stack([dx, dy, slope, keep]))
+    gears: Floats = np.ascontiguousarray(np.column_stack([dx, dy, slope, fraction]))
     gears.flags.writeable = False
     return gears
+
+
+def equal_run(gears: Floats) -> int:
+    """Return how many neighbours are equal from every multiple of that number on.
+
+    The last run may be shorter. Identification gives many gears one slope, so that runs are long; 1 where
+    nothing repeats.
+    """
+    starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
+    run = math.gcd(*starts.tolist()) or len(gears)
+    return run if run * len(gears) < 2**32 else 1  # the kernel divides by a 32-bit multiplication

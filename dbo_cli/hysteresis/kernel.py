@@ -5,8 +5,11 @@ give the same bits: every floating-point operation is written in the same order 
 kernel is taken where it was built; ``DBO_KERNEL=python`` in the environment chooses the Python twin,
 ``DBO_KERNEL=compiled`` insists on the other.
 
-Equation numbers are those of Aye and Ang (2018). Gears are rows ``(dx, dy, slope, keep)``: the two widths
-of (10), dy/dx, and the fraction of the gear at which it counts as crossed.
+Equation numbers are those of Aye and Ang (2018). Gears are rows ``(dx, dy, slope, crossing_fraction)``: the
+two widths of (10), dy/dx, and the fraction of the gear at which it counts as crossed. Every
+``run`` gears are equal; where there are fewer rows than gears, one row stands for a whole run of them. The
+compiled kernel crosses many gears of a run at once; what is left to travel falls with every gear crossed,
+rounding or not, so that it ends in the same state as this one, which goes one by one.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis import dynamics_kernel
 
 Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
@@ -51,9 +55,10 @@ def find_first_zero(bits: int) -> int:
 class _Walk:
     """The state on its way through a block: bits, S, Z, and X_B, Y_B relative to X_0, Y_0 (1)-(5)."""
 
-    def __init__(self, gears: Floats, words: Words) -> None:
-        self.gears: list[tuple[float, float, float, float]] = [tuple(row) for row in gears.tolist()]
-        self.n = len(self.gears)
+    def __init__(self, gears: Floats, n: int, run: int, words: Words) -> None:
+        rows: list[tuple[float, float, float, float]] = [tuple(row) for row in gears.tolist()]
+        self.gears = rows if len(rows) >= n else [rows[i // run] for i in range(n)]
+        self.n = n
         self.words = words
         self.bits = int.from_bytes(words[: state_words(self.n)].tobytes(), "little")
         self.x = 0.0
@@ -119,9 +124,9 @@ def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend:
     rising = d >= 0.0
     last = walk.n
     while (gear := walk.zero if rising else walk.set) < walk.n:
-        dx, dy, _, keep = walk.gears[gear]
+        dx, dy, _, fraction = walk.gears[gear]
         travelled, room = (d, high - walk.y) if rising else (-d, walk.y - low)
-        if not (travelled >= (dx + kappa * dy) * keep and room >= dy * keep):
+        if not (travelled >= (dx + kappa * dy) * fraction and room >= dy * fraction):
             break
         last = gear
         if rising:
@@ -131,19 +136,19 @@ def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend:
         d = u - (walk.x + kappa * walk.y)
     if last < walk.n and (d < 0.0 if rising else d > 0.0):
         gear = last
-    dx, dy, _, keep = walk.gears[min(gear, walk.n - 1)]
+    dx, dy, _, fraction = walk.gears[min(gear, walk.n - 1)]
     width = dx + kappa * dy
     if gear < walk.n:
         return walk.y + d * (dy / width), False
-    outside = (d if rising else -d) >= width * (1.0 - keep)
+    outside = (d if rising else -d) >= width * (1.0 - fraction)
     return walk.y + d * (dy / width) if extend else walk.y, outside
 
 
 def _follow_output(walk: _Walk, y: float, rising: bool) -> None:
     """Drive the operator with exchanged axes one way, to the relative output y."""
     while (gear := walk.zero if rising else walk.set) < walk.n:
-        _, dy, _, keep = walk.gears[gear]
-        if not (y - walk.y if rising else walk.y - y) >= dy * keep:
+        _, dy, _, fraction = walk.gears[gear]
+        if not (y - walk.y if rising else walk.y - y) >= dy * fraction:
             break
         if rising:
             walk.move_up()
@@ -192,6 +197,8 @@ def _window(low: float, high: float, step: float | None, last: float) -> tuple[f
 
 def backlash_run(
     gears: Floats,
+    n: int,
+    run: int,
     x0: float,
     y0: float,
     extend: bool,
@@ -213,11 +220,11 @@ def backlash_run(
     """Fill ``y`` by (1)-(12) from ``x``; ``words`` and ``memory`` become the state after the block.
 
     Relaxation terms L_j = a_j L_j + (1 - a_j)(z - reference) follow z, the input or the output; a_j is
-    ``decay`` and the share of the output they make up is sum gain_j L_j. On the output they are solved
+    ``decay`` and the part of the output they make up is sum gain_j L_j. On the output they are solved
     for together with the gears: their part kappa = sum gain_j (1 - a_j) of the present output widens
     every gear from dx to dx + kappa dy, and the rest is known. Returns the counts of ``dbo_counts``.
     """
-    walk = _Walk(gears, words)
+    walk = _Walk(gears, n, run, words)
     counts = _Counts()
     weights: list[float] = gain.tolist()
     held: list[float] = memory.tolist()
@@ -259,8 +266,8 @@ def _engage(walk: _Walk, u: float, shift: Callable[[int, float], None]) -> tuple
     rising = d >= 0.0
     last = walk.n
     while (gear := walk.zero if rising else walk.set) < walk.n:
-        dx, _, _, keep = walk.gears[gear]
-        if not (d if rising else -d) >= dx * keep:
+        dx, _, _, fraction = walk.gears[gear]
+        if not (d if rising else -d) >= dx * fraction:
             break
         last = gear
         if rising:
@@ -274,24 +281,26 @@ def _engage(walk: _Walk, u: float, shift: Callable[[int, float], None]) -> tuple
 
 def backlash_engagement(
     gears: Floats,
+    n: int,
+    run: int,
     x0: float,
     extend: bool,
     words: Words,
     x: Floats,
     rows: Floats,
     crossed: Floats,
-    share: int,
+    group_size: int,
 ) -> None:
-    """Fill ``rows`` (samples × ceil(n / share)) with the part of the gears that is in the output.
+    """Fill ``rows`` (samples × ceil(n / group_size)) with the part of the gears that is in the output.
 
-    Row k is phi with y - y0 = sum phi_i dy_i (before any relaxation); with ``share`` > 1 that many
-    neighbours share a column, their mean. ``crossed`` is scratch, one number a column.
+    Row k is phi with y - y0 = sum phi_i dy_i (before any relaxation); with ``group_size`` > 1 that
+    many neighbours share a column, their mean. ``crossed`` is scratch, one number a column.
     """
-    walk = _Walk(gears, words)
-    n, columns, part = walk.n, len(crossed), 1.0 / share
+    walk = _Walk(gears, n, run, words)
+    columns, part = len(crossed), 1.0 / group_size
 
     def shift(gear: int, sign: float) -> None:
-        crossed[gear // share] += sign
+        crossed[gear // group_size] += sign
 
     crossed[:] = 0.0
     for i in range(n):
@@ -303,7 +312,7 @@ def backlash_engagement(
         if gear == n and not extend:
             continue
         gear = min(gear, n - 1)
-        row[gear // share] += d / walk.gears[gear][0] * part
+        row[gear // group_size] += d / walk.gears[gear][0] * part
     walk.finish()
 
 
@@ -349,6 +358,9 @@ class PythonKernel:
     backlash_engagement = staticmethod(backlash_engagement)
     memory_run = staticmethod(memory_run)
     point_run = staticmethod(point_run)
+    dynamics_run = staticmethod(dynamics_kernel.dynamics_run)
+    dynamics_undo = staticmethod(dynamics_kernel.dynamics_undo)
+    smooth = staticmethod(dynamics_kernel.smooth)
 
 
 def choose(wish: str) -> tuple[str, Any]:

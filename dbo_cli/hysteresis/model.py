@@ -1,9 +1,9 @@
 """The model of an actuator: a cascade of stages, its inverse, its states, simulation and compensation.
 
-displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K and Y0 a scale stage. A
-delay stands last, on the output. Beyond the paper, points may also stand before Γ: an asymmetry that acts on
-the drive. The inverse (17)-(18) inverts every stage and reverses their order; started in the same state,
-model and inverse compose to the identity, to rounding.
+displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K and Y0 a scale stage.
+Dynamics stand behind them, and a delay last, on the output. Beyond the paper, points may also stand before Γ:
+an asymmetry that acts on the drive. The inverse (17)-(18) inverts every stage and reverses their order;
+started in the same state, model and inverse compose to the identity, to rounding.
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import (
+    CoveredGears,
     MemoryFree,
     ScaleStage,
     Stage,
+    covered_gears,
     digest_of,
-    gears_up_to,
     least_slope,
     memory_free,
     slow_output_range,
     through,
 )
 from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.initial_states import StartName, start_drive, start_state
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity, Simulated
 from dbo_cli.hysteresis.operators import (
@@ -47,6 +49,7 @@ __all__ = [
     "BacklashStage",
     "DelayStage",
     "DriveLimits",
+    "DynamicsStage",
     "ModelState",
     "OutsideError",
     "PointStage",
@@ -74,7 +77,8 @@ class ActuatorModel:
     Parameters
     ----------
     direction : {"forward", "inverse"}
-        Forward: one backlash stage, points and scales around it, a delay at most once and last.
+        Forward: one backlash stage, points and scales around it, then dynamics and a delay, each once at
+        most.
         Inverse: the mirror image.
     input, output : Quantity
         What goes in and comes out; the output's range is what the model reaches slowly.
@@ -116,6 +120,7 @@ class ActuatorModel:
             )
             stages = tuple(told if stage is backlash else stage for stage in self.stages)
             object.__setattr__(self, "stages", stages)
+        self._check_dynamics()
         end = len(self.stages) - 1 if forward else 0
         for place, stage in enumerate(self.stages):
             if isinstance(stage, DelayStage):
@@ -123,6 +128,20 @@ class ActuatorModel:
                     raise ModelError(f"stages[{place}]: a delay stands {'last' if forward else 'first'}")
                 if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
                     raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
+
+    def _check_dynamics(self) -> None:
+        """Refuse dynamics that do not stand behind all but a delay; the direction tells how they act."""
+        forward = self.direction == "forward"
+        for place, stage in enumerate(self.stages):
+            if not isinstance(stage, DynamicsStage):
+                continue
+            outer = self.stages[place + 1 :] if forward else self.stages[:place]
+            if not all(isinstance(other, DelayStage) for other in outer):
+                where = "after all stages but a delay" if forward else "before all stages but a delay"
+                raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
+            if stage.inverted == forward:
+                stages = tuple(s.inverse() if s is stage else s for s in self.stages)
+                object.__setattr__(self, "stages", stages)
 
     def require(self, direction: Direction, place: str = "the model") -> None:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
@@ -160,18 +179,12 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def _core(self) -> DiscreteBacklashOperator:
-        """The forward backlash stage without gears beyond the voltages the model covers.
-
-        A model may have some, so that a drive that goes a little further turns there as inside. They come
-        last, so a state of the others is a state of all; they take no part in where ``full`` and ``settled``
-        are.
-        """
-        gears = self.forward_backlash
+    def _covered_gears(self) -> CoveredGears:
+        """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         drive = self.input if self.direction == "forward" else self.output
         bent = self._head if self.direction == "forward" else [s.inverse() for s in reversed(self._tail)]
-        top = float(through(bent, np.array([drive.minimum, drive.maximum])).max())
-        return gears_up_to(gears, top)
+        ends = through(bent, np.array([drive.minimum, drive.maximum]))
+        return covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
     def _head(self) -> MemoryFree:
@@ -185,16 +198,28 @@ class ActuatorModel:
     def _delay(self) -> DelayStage | None:
         return next((stage for stage in self.stages if isinstance(stage, DelayStage)), None)
 
+    @cached_property
+    def dynamics(self) -> DynamicsStage | None:
+        """The dynamics as they stand in this model, or None."""
+        return next((stage for stage in self.stages if isinstance(stage, DynamicsStage)), None)
+
+    @property
+    def delay(self) -> DelayStage | None:
+        """The delay as it stands in this model, or None."""
+        return self._delay
+
     @property
     def delay_seconds(self) -> float:
         """Seconds by which the output lags; an inverse model must read its input that far ahead."""
         return abs(self._delay.seconds) if self._delay else 0.0
 
-    @property
+    @cached_property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
-        return self.backlash.relaxation is not None or (
-            self.direction == "forward" and self.delay_seconds > 0.0
+        return (
+            self.backlash.relaxation is not None
+            or self.dynamics is not None
+            or (self.direction == "forward" and self.delay_seconds > 0.0)
         )
 
     @cached_property
@@ -206,13 +231,13 @@ class ActuatorModel:
         """Return what reaches the backlash stage of this model."""
         return through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
 
-    def _inner_limits(self, limits: DriveLimits | None) -> DriveLimits | None:
+    def _inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Limits on the drive as the backlash stage of an inverse model meets them.
 
         Where points stand between, the steepest step they may let through is counted on everywhere, so that
         the slew limit is kept with something to spare.
         """
-        if limits is None or not self._tail:
+        if not self._tail:
             return limits
         bent = [stage.inverse() for stage in reversed(self._tail)]
         ends = through(bent, np.array([limits.v_min, limits.v_max]))
@@ -236,13 +261,15 @@ class ActuatorModel:
         if isinstance(state, ModelState):
             return state
         value = float(self._before_backlash([first_input])[0])
-        operator = self._core
+        covered = self._covered_gears
+        operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
-            return ModelState(start_state(operator, value, state))
+            return ModelState(covered.whole(start_state(operator, value, state)))
         start_state(operator, value, state)  # refuses a name that is none
-        inner = self._inner_limits(limits)
+        inner = None if limits is None else self._inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
+        first = first._replace(state=covered.whole(first.state))
         return ModelState(first.state, first=first)
 
     def simulate(
@@ -259,7 +286,8 @@ class ActuatorModel:
         Parameters
         ----------
         x : array_like
-            The input. An inverse model with a delay gets it read ahead (``delay.read_ahead``).
+            The input. An inverse model with a delay gets it read ahead (``delay.read_ahead``), one with
+            dynamics with these undone (``dynamics.undone``): both need samples that come later.
         state : ModelState
             From ``start``, or from the block before.
         time_step : float or array_like, optional
@@ -279,26 +307,49 @@ class ActuatorModel:
         """
         if limits is not None:
             self.require("inverse")
-        signal = self._before_backlash(x)
-        if outside == "hold" and self.direction == "forward" and self._core.n < self.backlash.n:
-            signal = np.clip(signal, *self._core.x_range)
+        signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        for stage in self._head:
+            signal = stage.run(signal)
+        if outside == "hold":
+            signal = self._held(signal)
         steps = self._steps(time_step, signal.size, state, limits)
-        inner = self._inner_limits(limits)
+        inner = None if limits is None else self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
         counts = self._with_uncovered(np.reshape(x, -1), counts)
         if outside == "error" and counts.outside:
             first = counts.first_outside
-            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered())
-        y = through(self._tail, y)
+            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered)
+        for stage in self._tail:
+            y = stage.run(y)
         if limits is not None and self._tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
             if signal.size:
                 after = dataclasses.replace(after, drive=float(signal[-1]))
-            if self._delay and self._delay.seconds > 0.0 and steps is not None:
-                y, history = self._delay.lag(y, steps, state.history)
-                after = dataclasses.replace(after, history=history)
+            y, after = self._lagging(y, after, steps, state)
         return Simulated(y, after, *counts, missed)
+
+    def _lagging(
+        self, y: Floats, after: ModelState, steps: float | Floats | None, before: ModelState
+    ) -> tuple[Floats, ModelState]:
+        """Pass a block through the dynamics and the delay of a forward model."""
+        if steps is None:
+            return y, after
+        if self.dynamics:
+            y, sections = self.dynamics.run(y, steps, before.dynamics)
+            after = dataclasses.replace(after, dynamics=sections)
+        if self._delay and self._delay.seconds > 0.0:
+            y, history = self._delay.lag(y, steps, before.history)
+            after = dataclasses.replace(after, history=history)
+        return y, after
+
+    def _held(self, signal: Floats) -> Floats:
+        """Return what reaches the gears, kept within those that the model covers."""
+        core = self._covered_gears.operator
+        if self.direction == "inverse" or core.n == self.backlash.n:
+            return signal
+        held: Floats = np.clip(signal, *core.x_range)
+        return held
 
     def _steps(
         self,
@@ -317,7 +368,7 @@ class ActuatorModel:
         steps = np.array(time_step, dtype=np.float64)
         if steps.shape != (count,):
             raise ModelError(f"{steps.size} time steps for {count} samples")
-        if count and state.drive is None and (state.history is None):
+        if count and state.drive is None and state.history is None and state.dynamics is None:
             steps[0] = 0.0
         return steps
 
@@ -341,10 +392,11 @@ class ActuatorModel:
             state.backlash,
             decay=relaxation.decay(steps) if relaxation and steps is not None else None,
             outside=outside,
-            limits=_output_limits(limits, steps),
+            limits=None if limits is None else _output_limits(limits, steps),
             last=state.drive,
         )
-        return y, ModelState(backlash, float(y[-1]), state.history), counts, 0.0
+        after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
+        return y, after, counts, 0.0
 
     def _first_block(
         self,
@@ -363,14 +415,15 @@ class ActuatorModel:
         short = abs(missed) > NEGLIGIBLE * (self.backlash.x_range[1] - self.backlash.x_range[0])
         clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)
         rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
-        begun = ModelState(backlash, first.voltage, state.history)
+        begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
         y, after, counts, _ = self._backlash_block(signal[1:], begun, rest_steps, outside, limits)
         total = Counts(unbound.outside, 0, int(clipped), 0) + counts.shifted(1)
         miss = missed if short and not clipped and not unbound.outside else 0.0
         return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
 
+    @cached_property
     def _covered(self) -> tuple[float, float]:
-        """Return the range of this model's input: what it was identified on, or less where its gears end."""
+        """The range of this model's input: what it was identified on, or less where its gears end."""
         ends = through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
         if self.direction == "inverse":
             return self.input.minimum, self.input.maximum
@@ -378,8 +431,8 @@ class ActuatorModel:
 
     def _with_uncovered(self, x: ArrayLike, counts: Counts) -> Counts:
         """Count the samples beyond the model's input range; gears may go on a little further than it does."""
-        low, high = self._covered()
-        slack = NEGLIGIBLE * self.input.span
+        low, high = self._covered
+        slack = NEGLIGIBLE * (self.input.maximum - self.input.minimum)
         signal = np.asarray(x, dtype=np.float64)
         beyond = (signal < low - slack) | (signal > high + slack)
         count = int(np.count_nonzero(beyond))
@@ -408,7 +461,14 @@ class ActuatorModel:
         The state may have come from ``start_compensation``, or from ``simulate`` of this model.
         """
         self.require("forward")
-        return self._inverted.simulate(desired, state, time_step=time_step, limits=limits)
+        done = self._inverted.simulate(desired, state, time_step=time_step, limits=limits)
+        if self.dynamics is None or done.y.size == 0:
+            return done
+        # What the limits cut off does not reach the actuator, so its dynamics follow the drive itself.
+        before = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
+        moved = self.simulate(done.y, before, time_step=time_step).state
+        after = dataclasses.replace(done.state, dynamics=moved.dynamics, history=moved.history)
+        return dataclasses.replace(done, state=after)
 
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits
@@ -422,7 +482,7 @@ class ActuatorModel:
         begun = self._inverted.start(first_desired, state, limits)
         inner = self._inverted._inner_limits(limits)
         if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
-            drive = self._core.x_range[0 if state == "empty" else 1]
+            drive = self._covered_gears.operator.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
         return begun
 
@@ -433,7 +493,9 @@ class ActuatorModel:
         """
         gears = self.forward_backlash
         drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
-        ends = [gears.run([drive], state)[0] for state in (gears.empty(), gears.full())]
+        covered = self._covered_gears
+        pasts = (covered.operator.empty(), covered.operator.full())
+        ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]
         bent = self._tail if self.direction == "forward" else [s.inverse() for s in reversed(self._head)]
         low, high = (float(through(bent, end)[0]) for end in ends)
         return abs(high - low)
@@ -443,9 +505,7 @@ class ActuatorModel:
         return self.inverse()
 
 
-def _output_limits(limits: DriveLimits | None, steps: float | Floats | None) -> OutputLimits | None:
+def _output_limits(limits: DriveLimits, steps: float | Floats | None) -> OutputLimits:
     """Return the limits of a block in the operator's terms."""
-    if limits is None:
-        return None
     step = None if limits.max_slew is None or steps is None else limits.max_slew * steps
     return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))

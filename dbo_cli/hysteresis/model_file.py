@@ -12,17 +12,19 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis.delay import DelayHistory
+from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Resonance, Section, SectionStates
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
     DelayStage,
+    DynamicsStage,
     PointStage,
     Quantity,
     Relaxation,
@@ -72,14 +74,14 @@ class _Node:
 
     def number(self, key: str) -> float:
         """Return a finite number."""
-        return self._finite(key, self.values[key])
+        return self.finite(key, self.values[key])
 
     def numbers(self, key: str) -> list[float]:
         """Return a list of finite numbers."""
         given = self.values[key]
         if not isinstance(given, list):
             raise self.refuse(key, "is not a list of numbers")
-        return [self._finite(f"{key}[{i}]", value) for i, value in enumerate(given)]
+        return [self.finite(f"{key}[{i}]", value) for i, value in enumerate(given)]
 
     def widths(self, key: str) -> list[float]:
         """Return a list of finite numbers in which (from version 2 on) a run of equal ones may stand once."""
@@ -89,7 +91,7 @@ class _Node:
         numbers: list[float] = []
         for place, item in enumerate(given):
             if not isinstance(item, dict):
-                numbers.append(self._finite(f"{key}[{place}]", item))
+                numbers.append(self.finite(f"{key}[{place}]", item))
                 continue
             run = self.below(f"{key}[{place}]", item)
             run.only(("repeat", "value"))
@@ -103,7 +105,8 @@ class _Node:
             raise self.refuse(key, f"has more than {MOST_GEARS:,} entries")
         return numbers
 
-    def _finite(self, key: str, value: object) -> float:
+    def finite(self, key: str, value: object) -> float:
+        """Return a value as a finite number."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refuse(key, f"{json.dumps(value)} is not a number")
         try:
@@ -243,7 +246,9 @@ def _stage(node: _Node) -> Stage:
     if "type" not in node.values:
         raise node.refuse("type", "is missing")
     kind = node.text("type")
-    readers = {"backlash": _backlash, "point": _point, "scale": _scale, "delay": _delay}
+    readers = {
+        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay
+    }  # fmt: skip
     if kind not in readers:
         raise node.refuse("type", f"{kind!r} is not a known stage; there are: {', '.join(readers)}")
     return readers[kind](node)
@@ -286,6 +291,35 @@ def _delay(node: _Node) -> Stage:
     return stage
 
 
+def _dynamics(node: _Node) -> Stage:
+    node.only(("type", "sections"))
+    given = node.values["sections"]
+    if not isinstance(given, list):
+        raise node.refuse("sections", "is not a list of sections")
+    sections = tuple(_section(node.below(f"sections[{k}]", values)) for k, values in enumerate(given))
+    stage: Stage = node.build(lambda: DynamicsStage(sections))
+    return stage
+
+
+def _section(node: _Node) -> Section:
+    """Return a lag or a resonance, perhaps with its antiresonance."""
+    if "lag" in node.values:
+        node.only(("lag",))
+        seconds = node.number("lag")
+        lag: Section = node.build(lambda: Lag(seconds))
+        return lag
+    node.only(("frequency", "damping"), ("antiresonance",))
+    numerator: Antiresonance | None = None
+    if "antiresonance" in node.values:
+        below = node.node("antiresonance")
+        below.only(("frequency", "damping"))
+        at, width = below.number("frequency"), below.number("damping")
+        numerator = below.build(lambda: Antiresonance(at, width))
+    frequency, damping = node.number("frequency"), node.number("damping")
+    section: Section = node.build(lambda: Resonance(frequency, damping, numerator))
+    return section
+
+
 def model_to_bytes(model: ActuatorModel) -> bytes:
     """Return the model file of a model: the same model gives the same bytes."""
     values: Json = {
@@ -316,6 +350,8 @@ def _stage_values(stage: Stage) -> Json:
         return {"type": "scale", "gain": stage.gain, "offset": stage.offset}
     if isinstance(stage, DelayStage):
         return {"type": "delay", "seconds": stage.seconds}
+    if isinstance(stage, DynamicsStage):
+        return {"type": "dynamics", "sections": [_section_values(section) for section in stage.sections]}
     values: Json = {
         "type": "backlash" if isinstance(stage, BacklashStage) else "point",
         "x0": stage.x0,
@@ -331,6 +367,16 @@ def _stage_values(stage: Stage) -> Json:
             "tau": list(terms.tau),
             "gain": list(terms.gain),
         }
+    return values
+
+
+def _section_values(section: Section) -> Json:
+    if isinstance(section, Lag):
+        return {"lag": section.seconds}
+    values: Json = {"frequency": section.frequency, "damping": section.damping}
+    if section.antiresonance is not None:
+        numerator = section.antiresonance
+        values["antiresonance"] = {"frequency": numerator.frequency, "damping": numerator.damping}
     return values
 
 
@@ -396,6 +442,8 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         "drive": state.drive,
         "delay": None if state.history is None else state.history.to_json_dict(),
     }
+    if state.dynamics is not None or state.undoing is not None:
+        values["dynamics"] = _dynamics_values(state)
     return _to_bytes(values)
 
 
@@ -411,7 +459,10 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     """
     root = _load(path, STATE_FORMAT, "state")
     timed = root.values["version"] > 1
-    root.only(("format", "version", "model", "backlash", *(("time",) if timed else ()), "drive", "delay"))
+    root.only(
+        ("format", "version", "model", "backlash", *(("time",) if timed else ()), "drive", "delay"),
+        ("dynamics",) if timed else (),
+    )
     if root.text("model") != model.digest:
         raise root.refuse("model", "the state belongs to another model (save it again with this one)")
     node = root.node("backlash")
@@ -427,7 +478,50 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
         raise node.refuse("memory", f"has {len(memory)} entries where the model has {terms} relaxation terms")
     drive = None if root.values["drive"] is None else root.number("drive")
     time = None if not timed or root.values["time"] is None else root.number("time")
-    return ModelState(BacklashState(int(digits, 16), memory), drive, _history(root), time=time)
+    begun = ModelState(BacklashState(int(digits, 16), memory), drive, _history(root), time=time)
+    return _with_dynamics(begun, root, model)
+
+
+def _dynamics_values(state: ModelState) -> Json:
+    forward, inverse = state.dynamics, state.undoing
+    return {
+        "sections": None if forward is None else [list(one) for one in forward],
+        "inverse": None
+        if inverse is None
+        else {"time_step": inverse.time_step, "sections": [list(one) for one in inverse.states]},
+    }
+
+
+def _with_dynamics(state: ModelState, root: _Node, model: ActuatorModel) -> ModelState:
+    """Return a state with that of the dynamics, where the file holds one."""
+    if "dynamics" not in root.values:
+        return state
+    node = root.node("dynamics")
+    node.only(("sections", "inverse"))
+    if model.dynamics is None:
+        raise root.refuse("dynamics", "the model has none")
+    count = len(model.dynamics.sections)
+    forward = None if node.values["sections"] is None else _section_states(node, count)
+    undoing = None
+    if node.values["inverse"] is not None:
+        inverse = node.node("inverse")
+        inverse.only(("time_step", "sections"))
+        undoing = InverseMemory(inverse.number("time_step"), _section_states(inverse, count))
+    return replace(state, dynamics=forward, undoing=undoing)
+
+
+def _section_states(node: _Node, count: int) -> SectionStates:
+    given = node.values["sections"]
+    if not isinstance(given, list) or len(given) != count:
+        raise node.refuse("sections", f"is not a list of {count}, the number of sections of the model")
+    states = []
+    for k, item in enumerate(given):
+        place = f"sections[{k}]"
+        if not isinstance(item, list) or len(item) != 3:
+            raise node.refuse(place, "is not a list of three numbers")
+        first, second, third = (node.finite(f"{place}[{i}]", value) for i, value in enumerate(item))
+        states.append((first, second, third))
+    return tuple(states)
 
 
 def _history(root: _Node) -> DelayHistory | None:

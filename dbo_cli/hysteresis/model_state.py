@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis.delay import DelayHistory
+from dbo_cli.hysteresis.dynamics import InverseMemory, SectionStates
 from dbo_cli.hysteresis.initial_states import DriveStart
 from dbo_cli.hysteresis.operators import BacklashState
 
@@ -98,6 +99,10 @@ class ModelState:
         Of an inverse about to start: its first voltage, and the output of the backlash stage it reaches.
     time : float, or None
         When the last sample was (s), where that is known: what comes next may come after a pause.
+    dynamics : tuple, or None
+        (p, q, u) of each section of the dynamics; None: at rest at the sample to come.
+    undoing : InverseMemory, or None
+        What the inverse of the dynamics remembers, after a compensation.
     """
 
     backlash: BacklashState
@@ -105,6 +110,8 @@ class ModelState:
     history: DelayHistory | None = None
     first: DriveStart | None = None
     time: float | None = None
+    dynamics: SectionStates | None = None
+    undoing: InverseMemory | None = None
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.gear_table import CROSSING_TOLERANCE, checked_pair, gear_table, on_binary_grid
+from dbo_cli.hysteresis.gear_table import (
+    CROSSING_TOLERANCE,
+    checked_pair,
+    equal_run,
+    gear_table,
+    on_binary_grid,
+)
 from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
@@ -127,7 +133,7 @@ class DiscreteBacklashOperator:
     Outside [X_0, X_0 + Σ ΔX_i] the paper says nothing. ``extend`` goes on with the slope of gear n - 1, the
     last one engaged on the way there; ``hold`` keeps Y_B.
 
-    A gear counts as crossed when all but 1e-9 of it is travelled (see ``gears.gear_table``).
+    A gear counts as crossed when all but 1e-9 of it is travelled (see ``gear_table.gear_table``).
     """
 
     def __init__(
@@ -143,7 +149,9 @@ class DiscreteBacklashOperator:
         self.x0, self.y0 = float(x0), float(y0)
         self.relaxation, self.memory_on = relaxation, memory_on
         self.n = self.dx.size
+        self._words_of_bits, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)
         self.gears = self._gears()
+        self.equal_run = equal_run(self.gears)
         self._width, self._height = (math.fsum(self.gears[:, axis].tolist()) for axis in (0, 1))
 
     def __repr__(self) -> str:
@@ -239,14 +247,14 @@ class DiscreteBacklashOperator:
         """Return the kernel's buffer with the state's bits in it."""
         if state.bits < 0 or state.bits >> self.n:
             raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
-        words = np.zeros(kernel.buffer_words(self.n), dtype=np.uint64)
-        size = kernel.state_words(self.n)
+        words = np.zeros(self._buffer, dtype=np.uint64)
+        size = self._words_of_bits
         words[:size] = np.frombuffer(state.bits.to_bytes(8 * size, "little"), dtype="<u8")
         return words
 
     def _bits(self, words: NDArray[np.uint64]) -> int:
         """Return B out of the kernel's buffer."""
-        return int.from_bytes(words[: kernel.state_words(self.n)].astype("<u8").tobytes(), "little")
+        return int.from_bytes(words[: self._words_of_bits].astype("<u8").tobytes(), "little")
 
     def run(
         self,
@@ -295,11 +303,11 @@ class DiscreteBacklashOperator:
         counts, before = Counts(), math.nan if last is None else last
         for begin, end, factors, steps in self._spans(signal.size, state, decay, bound.step):
             found = kernel.CHOSEN.backlash_run(
-                self.gears, self.x0, self.y0, outside != "hold", gain, reference, self.memory_on == "output",
-                words, memory, before, signal[begin:end], y[begin:end], factors,
+                self.gears, self.n, self.equal_run, self.x0, self.y0, outside != "hold", gain, reference,
+                self.memory_on == "output", words, memory, before, signal[begin:end], y[begin:end], factors,
                 limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts + Counts(*found).shifted(begin)
+            counts = counts + Counts(*found).shifted(begin) if begin else Counts(*found)
             before = float(y[end - 1])
         if signal.size == 0:
             return y, state, counts
@@ -332,21 +340,31 @@ class DiscreteBacklashOperator:
         return spans
 
     def engagement(
-        self, x: ArrayLike, state: BacklashState, *, share: int = 1, outside: Outside = "extend"
+        self, x: ArrayLike, state: BacklashState, *, group_size: int = 1, outside: Outside = "extend"
     ) -> tuple[Floats, BacklashState]:
         """Return the part of the gears that is in the output of every sample, and the state after.
 
         The rows phi (len(x) × n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for an open one, a
-        fraction for the engaged one, so that heights are linear unknowns of the output. With ``share`` > 1
-        that many neighbours share one column (len(x) × ceil(n / share)), their mean: the unknowns are then
-        the heights of the groups, equal within each. Relaxation is not in them (see ``Relaxation.lags``).
+        fraction for the engaged one, so that heights are linear unknowns of the output. With ``group_size``
+        > 1 that many neighbours share one column (len(x) × ceil(n / group_size)), their mean: the unknowns
+        are then the heights of the groups, equal within each. Relaxation is not in them (see
+        ``Relaxation.lags``).
         """
         signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         words = self._words(state)
-        crossed = np.empty(-(-self.n // share))
+        crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((signal.size, crossed.size))
         kernel.CHOSEN.backlash_engagement(
-            self.gears, self.x0, outside != "hold", words, signal, rows, crossed, share
+            self.gears,
+            self.n,
+            self.equal_run,
+            self.x0,
+            outside != "hold",
+            words,
+            signal,
+            rows,
+            crossed,
+            group_size,
         )
         return rows, BacklashState(self._bits(words), state.memory)
 

@@ -17,21 +17,15 @@ Item = TypeVar("Item")
 def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
     """Give the items of an iterator, each made in a thread while the one before is worked on.
 
-    An exception of the iterator is raised here, after the items before it.
+    None is none of them. An exception of the iterator is raised here, after the items before it.
     """
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:
-        coming: Future[list[Item]] = pool.submit(_some, items)
-        while found := coming.result():
-            coming = pool.submit(_some, items)
-            yield found[0]
-
-
-def _some(items: Iterator[Item]) -> list[Item]:
-    for item in items:
-        return [item]
-    return []
+        coming: Future[Item | None] = pool.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = pool.submit(next, items, None)
+            yield item
 
 
 class OneBehind:
@@ -45,7 +39,8 @@ class OneBehind:
 
     def run(self, call: Callable[..., object], *arguments: object) -> None:
         """Start a call once the one before is done."""
-        self.wait()
+        if self._running is not None:
+            self._running.result()
         self._running = self._pool.submit(call, *arguments)
 
     def wait(self) -> None:

@@ -308,33 +308,32 @@ class LineBlocks:
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        yield from self._remembered()  # what was read ahead goes on its way at once
-        while not self._ended:
+        while True:
+            for start, end in self._cuts():  # at first what was read ahead
+                block = self._pending[start:end]
+                self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
+                yield block
+            self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
+            if self._ended:
+                break
             self._fill(self.block_bytes)
-            yield from self._remembered()
         if self._pending:
             last, self._pending = self._pending, b""
             yield last
 
-    def _remembered(self) -> Iterator[bytes]:
-        for block in self._cut():
-            self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
-            yield block
-
-    def _cut(self) -> Iterator[bytes]:
-        """Take the whole lines off what is pending, in blocks of about ``block_bytes``."""
+    def _cuts(self) -> list[tuple[int, int]]:
+        """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
         text, start = self._pending, 0
         last = text.rfind(b"\n") + 1
-        self._pending = text[last:]
         if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
-            if last:
-                yield text[:last]
-            return
+            return [(0, last)] if last else []
+        cuts = []
         while start < last:
             limit = min(last, start + self.block_bytes)
             end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
-            yield text[start:end]
+            cuts.append((start, end))
             start = end
+        return cuts
 
     def _fill(self, size: int) -> None:
         data = self._source.read(size)

@@ -59,7 +59,7 @@ VOLTAGE = RoleNames(
     (),
     frozenset(("voltage", "share", "count")),
     frozenset(("sensor", "position", "displacement", "feedback", "photodiode", "interferometer", "supply")),
-    ("tension", "ch"),
+    ("tension", "piezo", "pzt", "control", "vin", "uin", "ch"),
     frozenset(("voltage",)),
 )  # fmt: skip
 DISPLACEMENT = RoleNames(
@@ -70,7 +70,8 @@ DISPLACEMENT = RoleNames(
     ("x", "z"),
     _PLACES,
     _ORDERS,
-    ("actual", "current", "ist", "istwert", "feedback", "readback", "ch"),
+    ("actual", "current", "ist", "istwert", "feedback", "readback", "laser", "ldv", "vibrometer", "meas",
+     "travel", "ch"),
     frozenset(("length", "angle")),
 )  # fmt: skip
 DESIRED = RoleNames(

@@ -259,7 +259,8 @@ def _one_letter_off(one: str, other: str) -> bool:
 
 
 def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
-    if set(_words(column.quantity)) & set(wish.by_unit):
+    words = set(_words(column.quantity))
+    if words & set(wish.by_unit) and not words & {"monitor", "mon"}:  # a monitor has a scale of its own
         return True
     return "ch" in wish.by_unit and bool(_CHANNEL.fullmatch(column.quantity.strip()))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import signal
 import threading
 from collections.abc import Iterator
@@ -11,11 +12,13 @@ from types import FrameType
 _ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
+@functools.cache
 def keep_interrupts() -> None:
     """Let SIGINT interrupt system calls again; to be called after polars is imported.
 
     Polars puts a handler of its own before Python's and asks for interrupted reads to be restarted, so that
-    a command waiting on standard input would hear Ctrl-C only when the next row arrives.
+    a command waiting on standard input would hear Ctrl-C only when the next row arrives. It does so
+    once, when it is imported, so the first call is the one that counts.
     """
     if hasattr(signal, "siginterrupt"):
         with contextlib.suppress(ValueError, OSError):

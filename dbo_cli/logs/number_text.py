@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import repeat
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.logs.interrupts import keep_interrupts
-from dbo_cli.logs.sample_block import FloatArray
 
 PLAIN_CELLS = (
     1 << 16
@@ -26,7 +26,7 @@ def is_overflow(value: float) -> bool:
     return _OVERFLOW_FROM < abs(value) < _OVERFLOW_TO
 
 
-def are_measured(values: FloatArray) -> NDArray[np.bool_]:
+def are_measured(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tell which numbers are finite and no instrument's overflow."""
     size = np.abs(values)
     usual: NDArray[np.bool_] = size < _OVERFLOW_FROM  # False for NaN and infinity as well
@@ -47,20 +47,21 @@ def shortest(value: float) -> str:
     return f"{digits}e{'+' if exponent[0] == '+' else '-'}{exponent[1:].lstrip('0')}"
 
 
-def rows_as_text(arrays: Sequence[FloatArray], delimiter: str) -> bytes | memoryview:
+def rows_as_text(arrays: Sequence[ArrayLike], delimiter: str) -> bytes | memoryview:
     """Write columns as lines of delimited text; the bytes do not depend on which way is taken."""
-    if "polars" in sys.modules or len(arrays) * len(arrays[0]) >= PLAIN_CELLS:
+    if "polars" in sys.modules or len(arrays) * np.size(arrays[0]) >= PLAIN_CELLS:
         return _fast_rows(arrays, delimiter)
     return _plain_rows(arrays, delimiter)
 
 
-def _plain_rows(arrays: Sequence[FloatArray], delimiter: str) -> bytes:
-    columns = [[shortest(value) for value in array.tolist()] for array in arrays]
+def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
+    numbers = [np.asarray(array, dtype=np.float64).tolist() for array in arrays]
+    columns = [[shortest(value) for value in column] for column in numbers]
     lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
     return ("\n".join(lines) + "\n").encode() if lines else b""
 
 
-def _fast_rows(arrays: Sequence[FloatArray], delimiter: str) -> memoryview:
+def _fast_rows(arrays: Sequence[ArrayLike], delimiter: str) -> memoryview:
     import io
 
     import polars
@@ -68,8 +69,8 @@ def _fast_rows(arrays: Sequence[FloatArray], delimiter: str) -> memoryview:
     keep_interrupts()
 
     buffer = io.BytesIO()
-    table = polars.DataFrame(
-        {str(number): np.ascontiguousarray(array) for number, array in enumerate(arrays)}
-    )
+    names = map(str, range(len(arrays)))
+    columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
+    table = polars.DataFrame(dict(zip(names, columns, strict=False)))
     table.write_csv(buffer, include_header=False, separator=delimiter)
     return buffer.getbuffer()

@@ -16,7 +16,6 @@ from dbo_cli.logs.background_io import OneBehind
 from dbo_cli.logs.number_text import rows_as_text
 from dbo_cli.logs.out_column import OutColumn, header_cell, unique_headers
 from dbo_cli.logs.output_files import descriptor_of
-from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import check_output, opened, replacing
 
 __all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
@@ -53,14 +52,13 @@ class TextWriter:
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
-        columns = [np.asarray(array, dtype=np.float64) for array in arrays]
-        if self._may_lag and columns[0].size >= _WORTH_A_THREAD:
+        if self._may_lag and np.size(arrays[0]) >= _WORTH_A_THREAD:
             self._behind = self._behind or OneBehind()
-            self._behind.run(self._append, columns)
+            self._behind.run(self._append, arrays)
             return
         if self._behind is not None:
             self._behind.wait()
-        self._append(columns)
+        self._append(arrays)
         if self._flush:
             self._stream.flush()
 
@@ -80,9 +78,9 @@ class TextWriter:
         if self._behind is not None:
             self._behind.close()
 
-    def _append(self, columns: list[FloatArray]) -> None:
-        if len(columns[0]):
-            self._stream.write(rows_as_text(columns, self._delimiter))
+    def _append(self, arrays: Sequence[ArrayLike]) -> None:
+        if np.size(arrays[0]):
+            self._stream.write(rows_as_text(arrays, self._delimiter))
 
 
 @contextlib.contextmanager

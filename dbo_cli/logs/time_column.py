@@ -6,6 +6,7 @@ Figures whose unit is not stated are read as seconds, unless they can only be a 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -120,18 +121,16 @@ class TimeColumn:
 
     def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Keep blocks until it can be told what the figures count: at most until the second time stamp."""
-        if self.bare:
-            waiting: list[SampleBlock] = []
-            for block in blocks:
-                waiting.append(block)
-                figures = np.concatenate([one.values[TIME] for one in waiting])
-                if self._decide(figures, last=False):
-                    break
-            else:
-                if waiting:
-                    self._decide(np.concatenate([one.values[TIME] for one in waiting]), last=True)
-            yield from waiting
-        yield from blocks
+        waiting: list[SampleBlock] = []
+        for block in blocks if self.bare else ():
+            waiting.append(block)
+            figures = np.concatenate([one.values[TIME] for one in waiting])
+            if self._decide(figures, last=False):
+                break
+        else:
+            if waiting:
+                self._decide(np.concatenate([one.values[TIME] for one in waiting]), last=True)
+        return itertools.chain(waiting, blocks)
 
     def whole(self, figures: FloatArray, warnings: list[str]) -> FloatArray:
         """Return a whole column in seconds; what is doubtful about it is added to ``warnings``."""

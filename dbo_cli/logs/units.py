@@ -88,7 +88,7 @@ class UnitFactor:
 
     def apply(self, values: FloatArray) -> FloatArray:
         """Return the signal in the other unit; the same array where nothing changes."""
-        if self.is_one:
+        if self.numerator == self.denominator:
             return values
         if abs(self.numerator) == 1:
             return values / float(self.denominator * self.numerator)

@@ -54,6 +54,11 @@ class Controller:
                 f"the model has a delay of {model.delay_seconds:g} s, so the drive depends on what is wanted "
                 "that much later, which a controller does not know (with `ahead` the caller passes it)"
             )
+        if model.dynamics is not None:
+            raise ModelError(
+                "the model has dynamics, so the drive depends on what is wanted after the present sample, "
+                "which a controller does not know (compensate the whole trajectory)"
+            )
         if sample_rate is not None and not 0.0 < sample_rate < math.inf:
             raise UsageError(f"`sample_rate` {sample_rate:g}: give a positive number of samples a second")
         needs = model.needs_time or max_slew is not None

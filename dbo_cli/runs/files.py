@@ -19,15 +19,16 @@ from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_format, format_for, parse_output
 from dbo_cli.logs.columns import ColumnWish, split_header
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
 from dbo_cli.runs.compensation import check_range, compensation
+from dbo_cli.runs.learning import Tracked, tracked_of
 from dbo_cli.runs.model import start_of
-from dbo_cli.runs.model_run import ModelRun
+from dbo_cli.runs.model_run import ModelRun, reads_ahead
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import bring_to, quantity_wish
+from dbo_cli.runs.roles import bring_to, quantity_wish, recording_wishes
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -73,7 +74,7 @@ def simulate_log(
     model = read_model(model_file)
     taken = model.input
     want = {taken.quantity: quantity_wish(taken, column, option="input")}
-    ahead = model.direction == "inverse" and model.delay_seconds > 0.0
+    ahead = model.direction == "inverse" and reads_ahead(model)
     with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
         bring_to(log, taken.quantity, taken, _spoken(model_file))
         last = reading.rows[1] if ahead else None
@@ -95,6 +96,12 @@ def compensate_trajectory(
     refuse_clipping: bool = False,
     state: str = "auto",
     condition: bool = False,
+    bandwidth: float | None = None,
+    tracked: Sequence[str] = (),
+    voltage: str | None = None,
+    measured: str | None = None,
+    periodic: bool = False,
+    passes: int = 0,
     listener: Listener = SILENT,
 ) -> Remarks:
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
@@ -106,7 +113,8 @@ def compensate_trajectory(
     model.require("forward", _spoken(model_file))
     wanted = model.output
     want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
-    ahead = model.delay_seconds > 0.0
+    ahead = (reads_ahead(model) or bandwidth is not None) and not (tracked or periodic)
+    recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
     with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
         bring_to(log, wanted.quantity, wanted, _spoken(model_file))
         run = compensation(
@@ -118,11 +126,31 @@ def compensate_trajectory(
             refuse_clipping=refuse_clipping,
             start="auto" if state == "auto" else start_of(state, model),
             condition=condition,
+            bandwidth=bandwidth,
+            tracked=recordings,
+            periodic=periodic,
+            passes=passes,
             last_row=reading.rows[1] if ahead else None,
         )
         # Not under the name of what will be measured: a drive must not be taken for a recording.
         given = OutColumn("desired", log.columns[wanted.quantity].unit or wanted.unit, "desired")
         return _write(run, log, given, destination, reading, listener)
+
+
+def _recorded(
+    address: str,
+    model: ActuatorModel,
+    reading: ReadingOptions,
+    voltage: str | None,
+    measured: str | None,
+    listener: Listener,
+) -> Tracked:
+    """Read the recording of a pass; ``rows`` are the trajectory's."""
+    want = recording_wishes(voltage, measured)
+    with _opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
+        bring_to(log, "voltage", model.input, "the model")
+        bring_to(log, "displacement", model.output, "the model")
+        return tracked_of(log)
 
 
 def invert_model(model_file: str, output: str) -> ActuatorModel:
@@ -203,7 +231,7 @@ def _write(
                 protect=destination.protect,
             ) as writer:
                 for response in chain([first], responses):
-                    writer.write(*(part for part in response if part is not None))
+                    writer.write(*(response if response.time is not None else response[1:]))
                     listener.progressed(len(response.result))
                 listener.finished()
         except BrokenPipeError:

@@ -24,9 +24,10 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.runs.compensation import compensation
+from dbo_cli.runs.learning import Tracked, tracked_of
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import DboWarning, Remarks
-from dbo_cli.runs.roles import quantity_wish
+from dbo_cli.runs.roles import quantity_wish, recording_wishes
 from dbo_cli.runs.source import ArraySource, Source
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
@@ -215,6 +216,10 @@ class Model:
         on_limit: Literal["clip", "error"] = "clip",
         state: Start = "auto",
         condition: bool = False,
+        bandwidth: float | None = None,
+        tracked: Any = (),
+        periodic: bool = False,
+        passes: int = 0,
         return_state: bool = False,
         details: bool = False,
     ) -> Any:
@@ -237,6 +242,16 @@ class Model:
         condition : bool
             Put the sweep that brings the actuator into a known state before the trajectory; the drive is
             then longer than the trajectory, and ``details`` tells the times.
+        bandwidth : float, optional
+            Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first; with ``tracked``
+            that of what is learned.
+        tracked : table, file name, or pair of arrays (voltage, measured); or a list of these
+            The last pass of this trajectory, recorded once or several times: the drive becomes the next one
+            of a repeated move, better by what the recording shows.
+        periodic : bool
+            The trajectory is one period of a loop; the drive is that of the settled loop.
+        passes : int
+            With ``periodic``, so many passes of run-in stand before it (``details`` tells the times).
 
         Returns
         -------
@@ -262,6 +277,10 @@ class Model:
             refuse_clipping=_one_of("on_limit", on_limit, ON_LIMIT) == "error",
             start=self._start(state),
             condition=condition,
+            bandwidth=bandwidth,
+            tracked=_tracked(tracked),
+            periodic=periodic,
+            passes=passes,
         )
         return _finished(run, return_state, details)
 
@@ -360,6 +379,25 @@ def _source(data: Any, role: str, want: ColumnWish, time: Any, sample_rate: floa
     source.values = {role: source.values[name]}
     source.columns = {role: dataclasses.replace(source.columns[name], unit=None)}
     return source
+
+
+def _tracked(given: Any) -> list[Tracked]:
+    """Return recordings of a pass, whatever form they have."""
+    pair = isinstance(given, tuple) and len(given) == 2 and not any(is_file(x) or is_table(x) for x in given)
+    listed = [given] if pair or is_file(given) or is_table(given) else list(given)
+    return [_one_tracked(one, k) for k, one in enumerate(listed, start=1)]
+
+
+def _one_tracked(one: Any, number: int) -> Tracked:
+    want = recording_wishes(None, None)
+    if is_file(one):
+        with open_log(os.fspath(one), want, ReadingOptions()) as log:
+            return tracked_of(log)
+    if is_table(one):
+        return tracked_of(table_source(one, want))
+    voltage, measured = one
+    name = f"`tracked` {number}"
+    return tracked_of(ArraySource({"voltage": voltage, "displacement": measured}, name=name))
 
 
 def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.delay import read_ahead
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity, Simulated
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
+from dbo_cli.runs.inputs import Inputs, Transforms
 from dbo_cli.runs.remarks import Remarks
 from dbo_cli.runs.source import Source, remarks_of
 from dbo_cli.runs.time_steps import TimeSteps
@@ -35,8 +35,8 @@ class Tally:
     first_row: int = 0
 
     def add(self, count: int, index: int, block: SampleBlock) -> None:
-        """Count what one block had."""
-        if count and not self.count:
+        """Count what one block had, at least one."""
+        if not self.count:
             self.first_row = int(block.rows[index])
         self.count += count
 
@@ -70,6 +70,8 @@ class ModelRun:
         Raise LimitError where the limits are met.
     last_row : int, optional
         The last row that is answered; rows after it are only read ahead.
+    bandwidth : float, optional
+        Cut-off (Hz) of the low-pass that rounds a trajectory first.
     state : ModelState, or None
         After the samples run so far.
     """
@@ -82,6 +84,7 @@ class ModelRun:
     refuse_clipping: bool = False
     last_row: int | None = None
     why_time: str | None = None
+    bandwidth: float | None = None
     state: ModelState | None = None
     rows: int = 0
     beyond: Tally = field(default_factory=Tally)
@@ -90,14 +93,26 @@ class ModelRun:
     unreachable: int = 0
     assumed: float = 0.0
     steps: TimeSteps = field(init=False)
+    prepared: Inputs = field(init=False)
 
     def __post_init__(self) -> None:
         """Refuse a source without time where the model needs one."""
         why = self.why_time
-        if self.model.needs_time or self.look_ahead:
+        inverting = self.limits is not None or self.model.direction == "inverse"
+        if self.model.needs_time or (inverting and reads_ahead(self.model)):
             why = LAG_DEPENDS
-        last = self.start.time if isinstance(self.start, ModelState) else None
-        self.steps = TimeSteps(self.source, why, last)
+        if self.bandwidth is not None and why is None:
+            why = "`bandwidth` depends on it"
+        begun = self.start if isinstance(self.start, ModelState) else None
+        self.steps = TimeSteps(self.source, why, begun.time if begun else None)
+        what = Transforms(
+            self.taken.quantity,
+            self.model.delay_seconds if inverting else 0.0,
+            self.model.dynamics if inverting else None,
+            self.bandwidth,
+            self.last_row,
+        )
+        self.prepared = Inputs(self.source, what, begun, self.taken)
 
     @property
     def taken(self) -> Quantity:
@@ -108,12 +123,6 @@ class ModelRun:
     def given(self) -> Quantity:
         """What the run gives."""
         return self.model.output if self.limits is None else self.model.input
-
-    @property
-    def look_ahead(self) -> float:
-        """Seconds by which the signal is read ahead: how an inverse undoes a delay."""
-        inverting = self.limits is not None or self.model.direction == "inverse"
-        return self.model.delay_seconds if inverting else 0.0
 
     def responses(self) -> Iterator[Response]:
         """Run over the whole source; the blocks may be of any length, their samples always the same.
@@ -139,35 +148,36 @@ class ModelRun:
             )
 
     def inputs(self) -> Iterator[tuple[SampleBlock, FloatArray]]:
-        """Return each block with what goes into the model: the signal, read ahead where there is a delay."""
-        role, seconds = self.taken.quantity, self.look_ahead
-        if seconds == 0.0:
-            yield from ((block, block.values[role]) for block in self.source.blocks())
-            return
-        timed = ((b, b.time, b.values[role]) for b in self.source.blocks() if b.time is not None)
-        for block, x in read_ahead(timed, seconds):
-            if self.last_row is not None and block.rows[-1] >= self.last_row:
-                count = sum(1 for row in block.rows if row <= self.last_row)
-                if count:
-                    yield block.part(0, count), x[:count]
-                return
-            yield block, x
+        """Return each block with what goes into the model (see ``Inputs``)."""
+        return self.prepared.blocks()
 
     def feed(self, block: SampleBlock, x: FloatArray) -> FloatArray:
         """Return the output for one block, and go on from there."""
-        steps = self.steps.of(block)
+        steps = self.steps.of(block) if self.steps.needed else None
         if self.state is None:
             self.state = self._begun(float(x[0]))
-        done = self._run(block, x, steps, self.state)
+        try:
+            if self.limits is None:
+                done = self.model.simulate(x, self.state, time_step=steps, outside=self.outside)
+            else:
+                done = self.model.compensate(x, self.state, limits=self.limits, time_step=steps)
+        except OutsideError as problem:
+            raise InputError(
+                f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
+                f"range of the model ({self._range()}) (`outside` extend or hold)"
+            ) from None
         time = None if block.time is None else float(block.time[-1])
-        self.state = dataclasses.replace(done.state, time=time)
-        self.rows += len(block)
+        self.state = dataclasses.replace(done.state, time=time, undoing=self.prepared.memory)
+        self.rows += len(x)
         if self.limits is not None:
             reach, slack = self.model.output, REACH_SLACK * self.model.output.span
-            outside = (x < reach.minimum - slack) | (x > reach.maximum + slack)
+            wanted = x if self.model.dynamics is None else block.values[self.taken.quantity]
+            outside = (wanted < reach.minimum - slack) | (wanted > reach.maximum + slack)
             self.unreachable += int(np.count_nonzero(outside))
-        self.beyond.add(done.outside_count, done.first_outside, block)
-        self.clipped.add(done.clipped_count, done.first_clipped, block)
+        if done.outside_count:
+            self.beyond.add(done.outside_count, done.first_outside, block)
+        if done.clipped_count:
+            self.clipped.add(done.clipped_count, done.first_clipped, block)
         self.missed = self.missed or done.first_missed
         if self.refuse_clipping and self.clipped.count:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
@@ -176,6 +186,7 @@ class ModelRun:
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
         told = remarks_of(self.source)
+        told.add(self.prepared.remarks())
         if self.assumed:
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             told.notes.append(
@@ -233,16 +244,10 @@ class ModelRun:
             self.assumed = spread if spread > ASSUMED_SPREAD * displacement.span else 0.0
         return begun
 
-    def _run(self, block: SampleBlock, x: FloatArray, steps: Any, state: ModelState) -> Simulated:
-        if self.limits is not None:
-            return self.model.compensate(x, state, limits=self.limits, time_step=steps)
-        try:
-            return self.model.simulate(x, state, time_step=steps, outside=self.outside)
-        except OutsideError as problem:
-            raise InputError(
-                f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
-                f"range of the model ({self._range()}) (`outside` extend or hold)"
-            ) from None
+
+def reads_ahead(model: ActuatorModel) -> bool:
+    """Tell whether the inverse of a model needs samples that come later."""
+    return model.delay_seconds > 0.0 or model.dynamics is not None
 
 
 def _unit(quantity: Quantity) -> str:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.clock import TimeCheck
+from dbo_cli.logs.clock import TimeCheck, require_even
 from dbo_cli.logs.columns import column_info
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
 from dbo_cli.logs.units import match_units
 from dbo_cli.runs.remarks import Remarks
 
@@ -172,3 +172,53 @@ class ArraySource:
             check.feed(self.time, rows, None)
             self.notes.extend(check.notes())
         yield SampleBlock(rows, None, time, self.values)
+
+
+class WholeSource:
+    """Another source read whole: one block, which may be exchanged for what was made of it."""
+
+    def __init__(self, source: Source) -> None:
+        self.name, self.columns = source.name, source.columns
+        self._source = source
+        self.block = joined(list(source.blocks()))
+        self.notes, self.warnings = source.notes, source.warnings
+
+    @property
+    def has_time(self) -> bool:
+        """Whether samples carry a time."""
+        return self._source.has_time
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Have another unit: what was read has the unit that it was read in, so it must be the same."""
+        if self.columns[role].unit != wanted:
+            raise InputError(f"{self.name}: `{role}` was read in {self.columns[role].unit}, not in {wanted}")
+
+    def reading_line(self) -> str | None:
+        """Say what was read."""
+        return self._source.reading_line()
+
+    @property
+    def even_rate(self) -> float | None:
+        """Samples a second (Hz), or None where stamps tell the time."""
+        return self._source.even_rate
+
+    @property
+    def stated_rate(self) -> float | None:
+        """Samples a second (Hz) as it was given, or None."""
+        return self._source.stated_rate
+
+    def require_time(self, why: str) -> None:
+        """Refuse a source without time (InputError)."""
+        self._source.require_time(why)
+
+    def even_step(self, why: str) -> float:
+        """Return the even time step (s), or refuse with the remedy (InputError)."""
+        if self.even_rate is not None:
+            return 1.0 / self.even_rate
+        self.require_time(why)
+        assert self.block.time is not None
+        return require_even(self.name, self.block.time, why)
+
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Return the one block."""
+        yield self.block

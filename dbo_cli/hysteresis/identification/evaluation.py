@@ -92,8 +92,11 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
 def straight_line(recording: Recording, log: PreparedLog) -> float:
     """RMSE of the best straight line from voltage to displacement, offset and drift fitted beside it."""
     rows = log.used
-    columns = np.column_stack((recording.voltage[rows], log.drift[rows]))
-    target = recording.displacement[rows]
+    # About their means: an offset of a million ranges would leave the voltage no digits beside the constant.
+    voltage, target = (
+        signal[rows] - signal[rows].mean() for signal in (recording.voltage, recording.displacement)
+    )
+    columns = np.column_stack((voltage, log.drift[rows]))
     left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
     return float(np.sqrt(np.mean(left**2)))
 

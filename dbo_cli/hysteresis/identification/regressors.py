@@ -184,8 +184,8 @@ class DriveRows:
         """Columns of rows begin..end, and the state at row ``keep``, where the next block begins."""
         keep = min(max(keep, begin), end)
         split = self._basis.split
-        early, state = operator.engagement(self._voltage[begin:keep], state, share=split)
-        late, _ = operator.engagement(self._voltage[keep:end], state, share=split)
+        early, state = operator.engagement(self._voltage[begin:keep], state, group_size=split)
+        late, _ = operator.engagement(self._voltage[keep:end], state, group_size=split)
         engaged = np.vstack((early, late))
         if self._memory.shape[1]:
             engaged = np.hstack((engaged, self._memory[begin:end]))

@@ -1,0 +1,369 @@
+/* See dbo_kernel.h. The readable twin of this file is in the package, export/single_kernel.py; both give
+ * the same bits. */
+#include "dbo_kernel.h"
+
+#include <float.h>
+#include <stddef.h>
+
+#define ALL_ONES UINT32_MAX
+#define LEAP 4 /* a leap costs about as much as crossing so many gears one by one */
+
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && !defined(DBO_Q31)
+#error "float must be computed as float: compile for hardware or software float32, not x87"
+#endif
+
+/* Place of the lowest one, by a de Bruijn sequence: every chip multiplies, few count zeros. */
+static uint32_t first_one(uint32_t word) {
+    static const uint8_t place[32] = {0,  1,  28, 2,  29, 14, 24, 3,  30, 22, 20, 15, 25, 17, 4,  8,
+                                      31, 27, 13, 23, 21, 19, 16, 7,  26, 12, 18, 6,  11, 5,  10, 9};
+    return place[((word & (~word + 1U)) * UINT32_C(0x077CB531)) >> 27];
+}
+
+static uint32_t count_ones(uint32_t word) {
+    word -= word >> 1 & UINT32_C(0x55555555);
+    word = (word & UINT32_C(0x33333333)) + (word >> 2 & UINT32_C(0x33333333));
+    word = (word + (word >> 4)) & UINT32_C(0x0F0F0F0F);
+    return (word * UINT32_C(0x01010101)) >> 24;
+}
+
+/* ---- what differs between the arithmetics ------------------------------------------------------------ */
+
+#define FARTHEST ((dbo_position)1 << 60)
+
+/* value / 2^shift, rounded to nearest. The right shift of a negative number is written out: what it does
+ * is left to the compiler, and every compiler makes one instruction of this. */
+static int64_t scaled_down(int64_t value, uint32_t shift) {
+    if (shift == 0U) return value;
+    value += (int64_t)1 << (shift - 1U);
+    return value >= 0 ? value >> shift : ~(~value >> shift);
+}
+
+static int64_t within(int64_t value, int64_t low, int64_t high) {
+    return value < low ? low : value > high ? high : value;
+}
+
+int32_t dbo_counts_of(int64_t value, uint32_t shift) {
+    return (int32_t)within(scaled_down(value, shift), INT32_MIN, INT32_MAX);
+}
+
+#if defined(DBO_Q31)
+
+/* slope x way / 2^shift; a way beyond 32 bits, outside of the gears, loses its last 16 bits first. */
+static dbo_signal along(dbo_number slope, dbo_position way, uint32_t shift) {
+    if (way >= INT32_MIN && way <= INT32_MAX) return scaled_down((int64_t)slope * way, shift);
+    return scaled_down((int64_t)slope * within(scaled_down(way, 16U), INT32_MIN, INT32_MAX), shift - 16U);
+}
+
+static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_position way) {
+    return along(slope, way, op->slope_shift);
+}
+
+static dbo_position position_of(dbo_signal signal, uint32_t shift) {
+    (void)shift;
+    return signal;
+}
+
+/* The remembered signal as the memories hold it. */
+static int64_t drive_of(const dbo_backlash *op, dbo_position value) {
+    const uint32_t shift = op->memory_on_output ? op->y_shift : op->x_shift;
+    return within((int64_t)dbo_counts_of(value, shift) + op->drive_offset, INT32_MIN, INT32_MAX);
+}
+
+static dbo_signal recalled(const dbo_term *term, const dbo_memory *memory) {
+    return scaled_down((int64_t)term->carried * scaled_down(*memory, 24U), term->carried_shift);
+}
+
+static void remember(const dbo_term *term, dbo_memory *memory, int64_t drive) {
+    const int64_t way = drive - scaled_down(*memory, 24U);
+    *memory += scaled_down(way * term->rest, term->rest_shift - 24U);
+}
+
+static void rest_at(dbo_memory *memory, int64_t drive) { *memory = drive * ((int64_t)1 << 24); }
+
+typedef int64_t remembered_drive;
+
+#else
+
+#define MOST_COUNTS 2147483520.0F /* the greatest float32 below 2^31 */
+
+/* A number of counts as positions; what is beyond 32 bits, or no number, is brought to the end. */
+static dbo_position position_of(dbo_signal counts, uint32_t shift) {
+    if (!(counts > -MOST_COUNTS)) counts = -MOST_COUNTS;
+    if (counts > MOST_COUNTS) counts = MOST_COUNTS;
+    return (dbo_position)(int32_t)counts * ((dbo_position)1 << shift);
+}
+
+static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_position way) {
+    if (way >= INT32_MIN && way <= INT32_MAX)
+        return position_of(slope * (float)(int32_t)way, 0U);
+    return position_of(slope * (float)dbo_counts_of(way, op->y_shift), op->y_shift);
+}
+
+static float drive_of(const dbo_backlash *op, dbo_position value) {
+    return (float)dbo_counts_of(value, op->memory_on_output ? op->y_shift : op->x_shift) + op->drive_offset;
+}
+
+static dbo_signal recalled(const dbo_term *term, const dbo_memory *memory) {
+    return term->carried * memory->value;
+}
+
+static void remember(const dbo_term *term, dbo_memory *memory, float drive) {
+    const float change = term->rest * (drive - memory->value) + memory->lost;
+    const float next = memory->value + change;
+    memory->lost = change - (next - memory->value);
+    memory->value = next;
+}
+
+static void rest_at(dbo_memory *memory, float drive) {
+    memory->value = drive;
+    memory->lost = 0.0F;
+}
+
+typedef float remembered_drive;
+
+#endif
+
+static dbo_position crossed_at(int32_t width, uint32_t tolerance) {
+    return width - (width >> tolerance);
+}
+
+static dbo_position times(uint32_t count, int32_t width) { return (dbo_position)count * width; }
+
+/* ---- the state's bits -------------------------------------------------------------------------------- */
+
+static const dbo_gear *gear_at(const dbo_backlash *op, uint32_t i) {
+    return op->gears + ((i * op->row_factor) >> op->row_shift);
+}
+
+/* The lowest bit that is one, or zero where `inverted` is all ones, from word k on; n where there is none. */
+static uint32_t lowest(const uint32_t *words, uint32_t n, uint32_t k, uint32_t inverted) {
+    for (; 32U * k < n; k++)
+        if ((words[k] ^ inverted) != 0U) {
+            const uint32_t found = 32U * k + first_one(words[k] ^ inverted);
+            return found < n ? found : n;
+        }
+    return n;
+}
+
+/* Bits of word k that belong to gears from ... end - 1 and can still be crossed. */
+static uint32_t open_bits(uint32_t word, uint32_t k, uint32_t from, uint32_t end, int rising) {
+    uint32_t open = rising ? ~word : word;
+    if (32U * k < from) open &= ALL_ONES << (from - 32U * k);
+    if (end - 32U * k < 32U) open &= ~(ALL_ONES << (end - 32U * k));
+    return open;
+}
+
+static uint32_t run_end(const dbo_backlash *op, uint32_t from) {
+    const uint32_t end = (((from * op->row_factor) >> op->row_shift) + 1U) * op->run;
+    return end < op->n ? end : op->n;
+}
+
+/* How many gears of the run of the next one can be crossed. */
+static uint32_t open_gears(const dbo_backlash *op, const dbo_backlash_state *s, int rising) {
+    const uint32_t from = rising ? s->zero : s->set, end = run_end(op, from);
+    uint32_t count = 0U;
+    for (uint32_t k = from >> 5; 32U * k < end; k++)
+        count += count_ones(open_bits(s->words[k], k, from, end, rising));
+    return count;
+}
+
+/* Cross the next `count` gears, all of one run, (6)-(9); 1 <= count <= open_gears. */
+static void cross(const dbo_backlash *op, dbo_backlash_state *s, uint32_t count, int rising) {
+    const uint32_t from = rising ? s->zero : s->set, end = run_end(op, from);
+    const dbo_gear *gear = gear_at(op, from);
+    uint32_t k = from >> 5;
+    if (rising) {
+        s->x += times(count, gear->width);
+        s->y += times(count, gear->height);
+    } else {
+        s->x -= times(count, gear->width);
+        s->y -= times(count, gear->height);
+    }
+    for (;; k++) {
+        uint32_t open = open_bits(s->words[k], k, from, end, rising);
+        const uint32_t here = count_ones(open);
+        if (here > count) {
+            uint32_t left = open;
+            for (uint32_t i = 0U; i < count; i++) left &= left - 1U;
+            open ^= left;
+            count = 0U;
+        } else {
+            count -= here;
+        }
+        s->words[k] ^= open;
+        if (count == 0U) break;
+    }
+    s->set = rising ? 0U : lowest(s->words, op->n, k, 0U);
+    s->zero = rising ? lowest(s->words, op->n, k, ALL_ONES) : 0U;
+}
+
+void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *s) {
+    s->x = 0;
+    s->y = 0;
+    for (uint32_t i = 0U; i < op->n; i++)
+        if ((s->words[i >> 5] >> (i & 31U) & 1U) != 0U) {
+            s->x += gear_at(op, i)->width;
+            s->y += gear_at(op, i)->height;
+        }
+    s->set = lowest(s->words, op->n, 0U, 0U);
+    s->zero = lowest(s->words, op->n, 0U, ALL_ONES);
+}
+
+/* ---- the procedure, steps 1 to 4 --------------------------------------------------------------------- */
+
+/* How many gears of its run the next one, known to be crossed, takes along. What is left to travel, and of
+ * room on the output, falls with every gear crossed, so halving finds what going one by one would. */
+static uint32_t gears_crossed(const dbo_backlash *op, const dbo_backlash_state *s, dbo_position u,
+                              dbo_position bound, int rising) {
+    const dbo_gear *gear = gear_at(op, rising ? s->zero : s->set);
+    const dbo_position reach = crossed_at(gear->width, op->tolerance);
+    const dbo_position rise = crossed_at(gear->height, op->tolerance);
+    uint32_t sure = 1U, most = open_gears(op, s, rising), trial = most;
+    while (sure < most) {
+        const dbo_position on = times(trial - 1U, gear->width), up = times(trial - 1U, gear->height);
+        const dbo_position travelled = rising ? u - (s->x + on) : (s->x - on) - u;
+        const dbo_position room = rising ? bound - (s->y + up) : (s->y - up) - bound;
+        if (travelled >= reach && room >= rise)
+            sure = trial;
+        else
+            most = trial - 1U;
+        trial = sure + (most - sure + 1U) / 2U;
+    }
+    return sure;
+}
+
+/* Cross gears one way while the input `u` is far enough and the output has room up to `bound`; returns the
+ * one crossed last, n where there was none. */
+static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *s, dbo_position u,
+                           dbo_position bound, int rising) {
+    uint32_t last = op->n, next = rising ? s->zero : s->set;
+    while (next < op->n) {
+        const dbo_gear *gear = gear_at(op, next);
+        const dbo_position travelled = rising ? u - s->x : s->x - u;
+        const dbo_position room = rising ? bound - s->y : s->y - bound;
+        if (travelled < crossed_at(gear->width, op->tolerance)) break;
+        if (room < crossed_at(gear->height, op->tolerance)) break;
+        last = next;
+        if (op->run >= LEAP && travelled >= LEAP * (dbo_position)gear->width)
+            cross(op, s, gears_crossed(op, s, u, bound, rising), rising);
+        else
+            cross(op, s, 1U, rising);
+        next = rising ? s->zero : s->set;
+    }
+    return last;
+}
+
+/* Drive the operator with exchanged axes one way, to the output `y`. */
+static void follow_output(const dbo_backlash *op, dbo_backlash_state *s, dbo_position y, int rising) {
+    (void)pass_gears(op, s, rising ? FARTHEST : -FARTHEST, y, rising);
+}
+
+/* The output for the input `u`, never crossing a gear that would leave low ... high. */
+static dbo_position solve(const dbo_backlash *op, dbo_backlash_state *s, dbo_position u, dbo_position low,
+                          dbo_position high) {
+    const int rising = u >= s->x;
+    const uint32_t last = pass_gears(op, s, u, rising ? high : low, rising);
+    uint32_t next = rising ? s->zero : s->set;
+    const dbo_position d = u - s->x;
+    if (last < op->n && (rising ? d < 0 : d > 0)) next = last; /* crossed by the tolerance */
+    return s->y + along_gear(op, gear_at(op, next < op->n ? next : op->n - 1U)->slope, d);
+}
+
+/* The output within low ... high, the state that of the exchanged operator driven by it. */
+static dbo_position solve_within(const dbo_backlash *op, dbo_backlash_state *s, dbo_position u,
+                                 dbo_position low, dbo_position high) {
+    const int rising = u >= s->x;
+    dbo_position y;
+    if (rising ? high < s->y : low > s->y) { /* the limits lie on the other side */
+        follow_output(op, s, rising ? high : low, !rising);
+        return rising ? high : low;
+    }
+    y = solve(op, s, u, low, high);
+    if (y > high) {
+        if (!rising) follow_output(op, s, high, 0);
+        return high;
+    }
+    if (y < low) {
+        if (rising) follow_output(op, s, low, 1);
+        return low;
+    }
+    return y;
+}
+
+dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *s, dbo_signal u,
+                               const dbo_limits *limits) {
+    dbo_signal remembered = 0;
+    dbo_position x, y, low, high;
+    remembered_drive drive;
+    if (!op->memory_on_output) {
+        drive = drive_of(op, position_of(u, op->x_shift));
+        for (uint32_t j = 0U; j < op->term_count; j++) {
+            remember(op->terms + j, s->memory + j, drive);
+            remembered += recalled(op->terms + j, s->memory + j);
+        }
+    } else {
+        for (uint32_t j = 0U; j < op->term_count; j++) remembered += recalled(op->terms + j, s->memory + j);
+        u -= remembered;
+    }
+    x = within(position_of(u, op->x_shift), op->least, op->most);
+    if (limits == NULL) {
+        y = solve(op, s, x, -FARTHEST, FARTHEST);
+    } else {
+        low = limits->low;
+        high = limits->high;
+        if (limits->step >= 0) { /* the range wins over the slew limit */
+            const dbo_position least = s->last - limits->step, most = s->last + limits->step;
+            low = least < low ? low : least > high ? high : least;
+            high = most > high ? high : most < limits->low ? limits->low : most;
+        }
+        y = solve_within(op, s, x, low, high);
+    }
+    s->last = y;
+    if (!op->memory_on_output) return y + position_of(remembered, op->y_shift);
+    drive = drive_of(op, y);
+    for (uint32_t j = 0U; j < op->term_count; j++) remember(op->terms + j, s->memory + j, drive);
+    return y;
+}
+
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *s, uint32_t covered,
+                         dbo_signal drive) {
+    const dbo_position target = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
+    dbo_position low = 0, high = 0, slack;
+    for (uint32_t k = 0U; 32U * k < op->n; k++) s->words[k] = 0U;
+    for (uint32_t i = 0U; i < covered; i++)
+        high += op->memory_on_output ? gear_at(op, i)->height : gear_at(op, i)->width;
+    slack = high / 1048576; /* a tie, as with even gears halfway, stays 1 */
+    for (uint32_t i = covered; i > 0U && target > 0; i--) {
+        const dbo_gear *gear = gear_at(op, i - 1U);
+        const dbo_position width = op->memory_on_output ? gear->height : gear->width;
+        if (target - low >= (high - target) - slack) {
+            s->words[(i - 1U) >> 5] |= (uint32_t)1 << ((i - 1U) & 31U);
+            low += width;
+        } else {
+            high -= width;
+        }
+    }
+    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(s->memory + j, drive_of(op, target));
+    dbo_backlash_load(op, s);
+    if (op->memory_on_output)
+        follow_output(op, s, target, target >= s->y);
+    else
+        (void)pass_gears(op, s, target, target >= s->x ? FARTHEST : -FARTHEST, target >= s->x);
+    s->last = target;
+}
+
+/* ---- points and scales, folded into one piecewise linear function ------------------------------------ */
+
+dbo_signal dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
+                             uint32_t *segment, dbo_number u) {
+    uint32_t c = *segment;
+    while (c + 1U < count && u >= segments[c + 1U].x) c++;
+    while (c > 0U && u < segments[c].x) c--;
+    *segment = c;
+#if defined(DBO_Q31)
+    return segments[c].y + along(segments[c].slope, (dbo_position)u - segments[c].x, shift);
+#else
+    (void)shift;
+    return segments[c].y + segments[c].slope * (u - segments[c].x);
+#endif
+}

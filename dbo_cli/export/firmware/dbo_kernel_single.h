@@ -1,0 +1,113 @@
+/* The Discrete Backlash Operator at a fixed time step in float32 or in 32-bit fixed point.
+ *
+ * C99, no allocation, no recursion, no library calls. The procedure is that of the float64 kernel of the
+ * package, step by step; here positions along either axis are relative to (X_0, Y_0), the memory's
+ * immediate part kappa of the output is in the gears' widths already, and everything that a fixed time step
+ * makes constant is a table. (1) to (18) are the equations of Aye and Ang (2018).
+ *
+ * Positions along either axis are whole numbers, so that (2)-(3) hold exactly and for ever: a range is 2^30
+ * counts, and a count some 2^10 positions. DBO_Q31: all other numbers are whole as well; a product is
+ * 32 x 32 to 64 bits, and what goes beyond the range saturates. DBO_FLOAT: slopes, memories, points and
+ * what goes in and out are float32.
+ */
+#ifndef DBO_KERNEL_H
+#define DBO_KERNEL_H
+
+#include <stdint.h>
+
+/* the arithmetic: DBO_FLOAT or DBO_Q31 */
+
+typedef int64_t dbo_position; /* along the input or the output axis */
+
+#if defined(DBO_Q31)
+typedef int32_t dbo_number;   /* what goes in and comes out, and factors */
+typedef int64_t dbo_signal;   /* what points and scales give: positions */
+typedef int64_t dbo_memory;   /* L_j in 2^-24 of a count */
+#else
+typedef float dbo_number;
+typedef float dbo_signal; /* counts */
+typedef struct {
+    float value; /* L_j in counts */
+    float lost;  /* what adding to the value rounded off: without it slow memories would stand still */
+} dbo_memory;
+#endif
+
+typedef struct {
+    int32_t width;    /* on the input, kappa x height included */
+    int32_t height;   /* on the output */
+    dbo_number slope; /* height / width; q31: times 2^slope_shift */
+} dbo_gear;
+
+/* One relaxation term. q31: factors are times 2 to the power of their shift. */
+typedef struct {
+    dbo_number carried; /* c_j a_j where memory follows the output, c_j where it follows the input */
+    dbo_number rest;    /* 1 - a_j */
+#if defined(DBO_Q31)
+    uint8_t carried_shift;
+    uint8_t rest_shift;
+#endif
+} dbo_term;
+
+/* A backlash operator. Gear i stands in row (i * row_factor) >> row_shift: one row for `run` equal gears. */
+typedef struct {
+    const dbo_gear *gears;
+    uint32_t n;
+    uint32_t run;
+    uint32_t row_factor;
+    uint32_t row_shift;
+    uint32_t tolerance; /* a gear counts as crossed when all but 2^-tolerance of it is travelled */
+    const dbo_term *terms;
+    uint32_t term_count;
+    int memory_on_output;    /* 0: memory follows the input (forward); 1: the output (inverse) */
+    dbo_number drive_offset; /* (X_0, Y_0) on the remembered axis, from the reference on, in counts */
+    uint32_t slope_shift;    /* q31 */
+    uint32_t x_shift;        /* a count is 2^shift positions */
+    uint32_t y_shift;
+    dbo_position least; /* inputs are kept within least ... most */
+    dbo_position most;
+} dbo_backlash;
+
+typedef struct {
+    uint32_t *words; /* (n + 31) / 32 of them: bit i % 32 of word i / 32 is b_i */
+    dbo_memory *memory;
+    uint32_t set;  /* S (4) */
+    uint32_t zero; /* Z (5) */
+    dbo_position x; /* X_B - X_0 (2) */
+    dbo_position y; /* Y_B - Y_0 (3) */
+    dbo_position last;
+} dbo_backlash_state;
+
+/* Limits on the output, as positions; step < 0: no slew limit. */
+typedef struct {
+    dbo_position low;
+    dbo_position high;
+    dbo_position step;
+} dbo_limits;
+
+/* One segment of a piecewise linear function: from x on, y + slope (u - x). q31: slope times 2^shift. */
+typedef struct {
+    dbo_number x;
+    dbo_signal y;
+    dbo_number slope;
+} dbo_segment;
+
+/* X_B, Y_B, S and Z from the words. */
+void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
+
+/* The state of an actuator that was switched on and trimmed to `drive` and rests there;
+ * `covered` gears take part. */
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
+                         dbo_signal drive);
+
+/* One sample; limits may be NULL, and must be where memory follows the input. */
+dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, dbo_signal u,
+                               const dbo_limits *limits);
+
+/* The segments' value at u; `segment` is the one found last. `shift` is of the slopes (q31). */
+dbo_signal dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
+                             uint32_t *segment, dbo_number u);
+
+/* value / 2^shift, rounded, kept within the 32-bit numbers: a position in counts. */
+int32_t dbo_counts_of(int64_t value, uint32_t shift);
+
+#endif

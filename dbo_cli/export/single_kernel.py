@@ -1,0 +1,300 @@
+"""The kernel of ``firmware/dbo_kernel_single.c`` in readable Python: the same bits in float32 and in q31.
+
+It computes what the self-test expects, where no compiler may be. Gears are crossed one by one here; the C
+file crosses many at once and ends in the same state, because what is left to travel falls with every gear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.hysteresis.kernel import find_first_one, find_first_zero
+
+F = np.float32
+FARTHEST = 1 << 60
+INT32 = (-(2**31), 2**31 - 1)
+
+Number = Any
+"""What is float32 in one arithmetic and a whole number in the other; positions are whole in both."""
+
+MOST_COUNTS = F(2147483520.0)
+"""The greatest float32 below 2^31."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """A piecewise linear function: rows (x, y, slope), the slope in q31 times 2^shift."""
+
+    x: list[Number]
+    y: list[Number]
+    slope: list[Number]
+    shift: int
+
+    def place(self, u: Number) -> int:
+        """Return the segment in which ``u`` lies; the end segments go on."""
+        c = 0
+        while c + 1 < len(self.x) and u >= self.x[c + 1]:
+            c += 1
+        return c
+
+
+@dataclass(frozen=True)
+class SingleTables:
+    """All constants of one export in float32 or q31; see ``dbo_kernel_single.h`` for each.
+
+    Gears are rows (width, height, slope), one for ``run`` gears; terms are (carried, rest, carried_shift,
+    rest_shift). ``slope_shift`` and the terms' shifts mean nothing in float32.
+    """
+
+    q31: bool
+    rows: list[tuple[int, int, Number]]
+    n: int
+    run: int
+    tolerance: int
+    terms: list[tuple[Number, Number, int, int]]
+    memory_on_output: bool
+    drive_offset: Number
+    slope_shift: int
+    x_shift: int
+    y_shift: int
+    least: int
+    most: int
+    limits: tuple[int, int, int] | None
+    covered: int
+    before: Segments
+    behind: Segments
+    drive: Segments
+    clip: tuple[Number, Number] | None
+    delay: tuple[int, Number]
+
+
+def scaled_down(value: int, shift: int) -> int:
+    """Return value / 2^shift, rounded to nearest, halves up."""
+    return value if shift == 0 else (value + (1 << (shift - 1))) >> shift
+
+
+def clamped(value: int, bounds: tuple[int, int] = INT32) -> int:
+    """Return ``value`` within bounds."""
+    return min(max(value, bounds[0]), bounds[1])
+
+
+class SingleKernel:
+    """One actuator's state and its steps, in the arithmetic of the tables."""
+
+    def __init__(self, tables: SingleTables) -> None:
+        self.t = tables
+        self.bits = self.x = self.y = self.last = 0
+        self.memory: list[Any] = [self._rest(0 if tables.q31 else F(0.0)) for _ in tables.terms]
+        self.delayed: list[Number] = []
+
+    # ---- what differs between the arithmetics
+
+    def along(self, slope: Number, way: Number, shift: int) -> Number:
+        """Return slope x way of a piecewise linear function."""
+        if not self.t.q31:
+            return slope * way
+        if INT32[0] <= way <= INT32[1]:
+            return scaled_down(slope * way, shift)
+        return scaled_down(slope * clamped(scaled_down(way, 16)), shift - 16)
+
+    def along_gear(self, slope: Number, way: int) -> int:
+        """Return slope x way of a gear, in positions."""
+        if self.t.q31:
+            return int(self.along(slope, way, self.t.slope_shift))
+        if INT32[0] <= way <= INT32[1]:
+            return self.position_of(slope * F(way), 0)
+        return self.position_of(slope * F(self.counts_of(way, self.t.y_shift)), self.t.y_shift)
+
+    def position_of(self, signal: Number, shift: int) -> int:
+        """Return a signal as positions."""
+        if self.t.q31:
+            return int(signal)
+        return int(min(max(signal, -MOST_COUNTS), MOST_COUNTS)) << shift
+
+    def drive_of(self, value: int) -> Number:
+        """Return the remembered signal as the memories hold it."""
+        counts = self.counts_of(value, self.t.y_shift if self.t.memory_on_output else self.t.x_shift)
+        return clamped(counts + self.t.drive_offset) if self.t.q31 else F(counts) + self.t.drive_offset
+
+    @staticmethod
+    def counts_of(value: int, shift: int) -> int:
+        """Return a position in counts."""
+        return clamped(scaled_down(value, shift))
+
+    def recalled(self, j: int) -> Number:
+        """Return what term j adds."""
+        carried, _, shift, _ = self.t.terms[j]
+        if self.t.q31:
+            return scaled_down(carried * scaled_down(self.memory[j], 24), shift)
+        return carried * self.memory[j][0]
+
+    def remember(self, j: int, drive: Number) -> None:
+        """Let term j follow."""
+        _, rest, _, shift = self.t.terms[j]
+        if self.t.q31:
+            way = drive - scaled_down(self.memory[j], 24)
+            self.memory[j] += scaled_down(way * rest, shift - 24)
+            return
+        value, lost = self.memory[j]
+        change = rest * (drive - value) + lost
+        following = value + change
+        self.memory[j] = (following, change - (following - value))
+
+    def _rest(self, drive: Number) -> Any:
+        return drive << 24 if self.t.q31 else (drive, F(0.0))
+
+    # ---- the procedure
+
+    def load(self) -> None:
+        """Work out X_B and Y_B from the bits."""
+        self.x = self.y = 0
+        for i in range(self.t.n):
+            if self.bits >> i & 1:
+                self.x = self.x + self.t.rows[i // self.t.run][0]
+                self.y = self.y + self.t.rows[i // self.t.run][1]
+
+    def _next(self, rising: bool) -> int:
+        return find_first_zero(self.bits) if rising else find_first_one(self.bits, self.t.n)
+
+    def pass_gears(self, u: int, bound: int, rising: bool) -> int:
+        """Cross gears one way; return the last one crossed, n where there was none."""
+        last = self.t.n
+        while (gear := self._next(rising)) < self.t.n:
+            width, height, _ = self.t.rows[gear // self.t.run]
+            travelled = u - self.x if rising else self.x - u
+            room = bound - self.y if rising else self.y - bound
+            tolerance = self.t.tolerance
+            if travelled < width - (width >> tolerance) or room < height - (height >> tolerance):
+                break
+            last = gear
+            if rising:
+                self.x, self.y, self.bits = self.x + width, self.y + height, self.bits | 1 << gear
+            else:
+                self.x, self.y, self.bits = self.x - width, self.y - height, self.bits & ~(1 << gear)
+        return last
+
+    def follow_output(self, y: int, rising: bool) -> None:
+        """Drive the operator with exchanged axes one way."""
+        self.pass_gears(FARTHEST if rising else -FARTHEST, y, rising)
+
+    def solve(self, u: int, low: int, high: int) -> int:
+        """Return the output for the input ``u``."""
+        rising = u >= self.x
+        last = self.pass_gears(u, high if rising else low, rising)
+        following = self._next(rising)
+        d = u - self.x
+        if last < self.t.n and (d < 0 if rising else d > 0):
+            following = last
+        slope = self.t.rows[min(following, self.t.n - 1) // self.t.run][2]
+        return self.y + self.along_gear(slope, d)
+
+    def solve_within(self, u: int, low: int, high: int) -> int:
+        """Return the output within low ... high."""
+        rising = u >= self.x
+        if high < self.y if rising else low > self.y:
+            self.follow_output(high if rising else low, not rising)
+            return high if rising else low
+        y = self.solve(u, low, high)
+        if y > high:
+            if not rising:
+                self.follow_output(high, False)
+            return high
+        if y < low:
+            if rising:
+                self.follow_output(low, True)
+            return low
+        return y
+
+    def _window(self) -> tuple[int, int]:
+        assert self.t.limits is not None
+        low, high, step = self.t.limits
+        if step < 0:
+            return low, high
+        least, most = self.last - step, self.last + step
+        return min(max(least, low), high), max(min(most, high), low)
+
+    def gears_step(self, u: Number) -> int:
+        """Return the backlash stage's output for one input, in positions."""
+        terms = range(len(self.t.terms))
+        remembered: Number = 0 if self.t.q31 else F(0.0)
+        if not self.t.memory_on_output:
+            drive = self.drive_of(self.position_of(u, self.t.x_shift))
+            for j in terms:
+                self.remember(j, drive)
+                remembered = remembered + self.recalled(j)
+        else:
+            for j in terms:
+                remembered = remembered + self.recalled(j)
+            u = u - remembered
+        x = clamped(self.position_of(u, self.t.x_shift), (self.t.least, self.t.most))
+        if self.t.limits is None:
+            y = self.solve(x, -FARTHEST, FARTHEST)
+        else:
+            y = self.solve_within(x, *self._window())
+        self.last = y
+        if not self.t.memory_on_output:
+            return y + self.position_of(remembered, self.t.y_shift)
+        for j in terms:
+            self.remember(j, self.drive_of(y))
+        return y
+
+    # ---- the model around it
+
+    def through(self, segments: Segments, u: Number) -> Number:
+        """Return a piecewise linear function's value."""
+        c = segments.place(u)
+        return segments.y[c] + self.along(segments.slope[c], u - segments.x[c], segments.shift)
+
+    def init(self) -> None:
+        """Do what ``NAME_init`` does."""
+        self.__init__(self.t)  # type: ignore[misc]
+
+    def reset(self, drive: Number) -> None:
+        """Do what ``NAME_reset`` does."""
+        self.init()
+        axis = 1 if self.t.memory_on_output else 0
+        target = self.position_of(self.through(self.t.drive, drive), (self.t.x_shift, self.t.y_shift)[axis])
+        low, high = 0, sum(self.t.rows[i // self.t.run][axis] for i in range(self.t.covered))
+        slack = high // 1048576
+        for i in reversed(range(self.t.covered if target > 0 else 0)):
+            width = self.t.rows[i // self.t.run][axis]
+            if target - low >= (high - target) - slack:
+                self.bits |= 1 << i
+                low += width
+            else:
+                high -= width
+        self.memory = [self._rest(self.drive_of(target)) for _ in self.t.terms]
+        self.load()
+        if self.t.memory_on_output:
+            self.follow_output(target, target >= self.y)
+        else:
+            rising = target >= self.x
+            self.pass_gears(target, FARTHEST if rising else -FARTHEST, rising)
+        self.last = target
+
+    def step(self, x: Number) -> Number:
+        """Do what ``NAME_step`` does."""
+        y = self.gears_step(self.through(self.t.before, x))
+        counts = self.counts_of(y, self.t.y_shift)
+        if self.t.q31:
+            out: Number = self.counts_of(self.through(self.t.behind, counts), 0)
+        else:
+            out = self.through(self.t.behind, F(counts))
+        if self.t.clip is not None:
+            out = min(max(out, self.t.clip[0]), self.t.clip[1])
+        return self._lagged(out)
+
+    def _lagged(self, out: Number) -> Number:
+        whole, part = self.t.delay
+        if whole < 0:
+            return out
+        if not self.delayed:
+            self.delayed = [out] * (whole + 2)
+        self.delayed = [*self.delayed[1:], out]
+        later, earlier = self.delayed[-1 - whole], self.delayed[-2 - whole]
+        if self.t.q31:
+            return later + scaled_down((earlier - later) * part, 30)
+        return later + part * (earlier - later) if part else later

@@ -1,0 +1,296 @@
+"""Tables in float32 and in 32-bit fixed point for one plan."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import ModelError
+from dbo_cli.export.cascade_plan import CascadePlan
+from dbo_cli.export.single_kernel import F, Segments, SingleTables
+from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
+
+Floats = NDArray[np.float64]
+
+COUNTS = 2.0**30
+"""A range is so many counts of q31 to either side of its middle, which leaves a factor of two beyond it."""
+
+MOST_FINE_BITS = 12
+"""Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
+
+MOST_GEARS = 46_340
+"""Up to here n gears find their row with a product of 32 bits, whatever the run."""
+
+SLOWEST_REST = 2.0**-34
+"""A memory that follows by less a step would stand still below 2^10 counts, 1e-6 of the range."""
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Points and scales as one piecewise linear function in float64: its nodes, and the slope of each."""
+
+    x: Floats
+    y: Floats
+    slope: Floats
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The gears at the time step, and how the arithmetic holds them.
+
+    ``wide`` and ``high`` are the widths wanted, per gear; ``widths`` and ``heights`` those of the tables, in
+    the same units; positions are multiples of ``x_unit`` and ``y_unit``. ``fine`` are the bits by which
+    positions are finer than counts, on either axis.
+    """
+
+    kappa: float
+    wide: Floats
+    high: Floats
+    widths: Floats
+    heights: Floats
+    x_unit: float
+    y_unit: float
+    fine: tuple[int, int]
+
+    @property
+    def x_count(self) -> float:
+        """One count of the input axis."""
+        return self.x_unit * 2.0 ** self.fine[0]
+
+    @property
+    def y_count(self) -> float:
+        """One count of the output axis."""
+        return self.y_unit * 2.0 ** self.fine[1]
+
+
+def fold(stages: MemoryFree, low: float, high: float) -> Folded:
+    """Return points and scales, composed, as one function of an input between ``low`` and ``high``.
+
+    Exact up to float64's rounding: its nodes are the points of every stage, led back to the input.
+    """
+    nodes = [low]
+    for place, stage in enumerate(stages):
+        if isinstance(stage, ScaleStage):
+            continue
+        inner = stage.segments[1:, 0] + stage.x0
+        back = tuple(one.inverse() for one in reversed(stages[:place]))
+        nodes += through(back, np.ascontiguousarray(inner)).tolist()
+    span = high - low
+    found: list[float] = []
+    for node in sorted(nodes):
+        if not found or node - found[-1] > 1e-9 * span:
+            found.append(node)
+    x = np.array([*found, max(found[-1] + span, high)])
+    y = through(stages, x.copy())
+    return Folded(x[:-1], y[:-1], np.diff(y) / np.diff(x))
+
+
+def quantised(wanted: Floats, run: int, unit: float) -> Floats:
+    """Return one width a run, whole multiples of ``unit``, whose running sums follow the exact ones."""
+    widths, total, reached = [], 0.0, 0.0
+    for begin in range(0, len(wanted), run):
+        count = min(run, len(wanted) - begin)
+        total += float(wanted[begin]) * count
+        width = max(round((total - reached) / count / unit), 1) * unit
+        widths.append(width)
+        reached += width * count
+    return np.array(widths)
+
+
+def axes_of(plan: CascadePlan) -> Axes:
+    """Return the gears with kappa in their widths, and the units of positions."""
+    gears = plan.backlash
+    kappa = 0.0
+    if gears.memory_on == "output":
+        for c, a in zip(plan.gain.tolist(), plan.decay.tolist(), strict=True):
+            kappa += c * (1.0 - a)
+    wide, high = gears.gears[:, 0] + kappa * gears.gears[:, 1], gears.gears[:, 1].copy()
+    totals = [float(wide.sum()), float(high.sum())]
+    if gears.memory_on == "input" and plan.terms:
+        totals[1] += float(np.sum(plan.gain)) * totals[0]
+    fine = [0, 0]
+    units = []
+    for axis, (total, widths) in enumerate(zip(totals, (wide, high), strict=True)):
+        most = float(widths.max()) / total * COUNTS
+        fine[axis] = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
+        units.append(total / COUNTS / 2.0 ** fine[axis])
+    run = gears.equal_run
+    return Axes(
+        kappa, wide, high, quantised(wide, run, units[0]), quantised(high, run, units[1]),
+        units[0], units[1], (fine[0], fine[1]),
+    )  # fmt: skip
+
+
+def shift_for(largest: float, most: int = 62) -> int:
+    """Return the shift that brings a factor just below 2^31, as a whole number."""
+    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), most) if largest > 0.0 else 30
+
+
+def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]) -> Segments:
+    """Return a folded function in the arithmetic; ``x`` and ``y`` are (offset, unit) of either axis."""
+    at, up = (folded.x - x[0]) / x[1], (folded.y - y[0]) / y[1]
+    slopes = folded.slope * x[1] / y[1]
+    if not q31:
+        return Segments([F(v) for v in at], [F(v) for v in up], [F(v) for v in slopes], 0)
+    at, up = np.rint(at), np.rint(up)
+    slopes[:-1] = np.diff(up) / np.maximum(np.diff(at), 1.0)
+    shift = shift_for(float(np.abs(slopes).max()))
+    if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
+        raise ModelError("points or scales beyond the range of q31 (`arithmetic` float or double)")
+    return Segments(
+        [int(v) for v in at], [int(v) for v in up], [round(v * 2.0**shift) for v in slopes.tolist()], shift
+    )
+
+
+def counts_unit(low: float, high: float) -> float:
+    """Return how much one count of a range is."""
+    return 0.5 * (high - low) / COUNTS
+
+
+def check_memories(plan: CascadePlan) -> None:
+    """Refuse memories that would stand still in q31.
+
+    Raises
+    ------
+    ModelError
+        A memory follows by less than 2^-34 a step.
+    """
+    if plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
+        raise ModelError(
+            "relaxation.tau: a memory this slow at this rate stands still in q31"
+            " (`sample_rate` lower, or `arithmetic` double)"
+        )
+
+
+def _terms(plan: CascadePlan, axes: Axes, q31: bool) -> list[tuple[Any, Any, int, int]]:
+    """Return (carried, rest, carried_shift, rest_shift) of each relaxation term."""
+    found: list[tuple[Any, Any, int, int]] = []
+    on_output = plan.backlash.memory_on == "output"
+    for c, a in zip(plan.gain.tolist(), plan.decay.tolist(), strict=True):
+        carried, rest = (c * a if on_output else c), 1.0 - a
+        # From counts of the remembered axis to the other's: counts in float32, positions in q31.
+        if not q31:
+            ratio = axes.y_count / axes.x_count if on_output else axes.x_count / axes.y_count
+            found.append((F(carried * ratio), F(rest), 0, 0))
+            continue
+        factor = carried * (axes.y_count / axes.x_unit if on_output else axes.x_count / axes.y_unit)
+        up, down = shift_for(factor), math.floor(math.log2(COUNTS / rest))
+        if up < 0:
+            raise ModelError("relaxation.gain: beyond the range of q31 (`arithmetic` float or double)")
+        found.append((round(factor * 2.0**up), round(rest * 2.0**down), up, down))
+    return found
+
+
+def _rows(axes: Axes, q31: bool) -> tuple[list[tuple[int, int, Any]], int]:
+    """Return the gear table and, in q31, the shift of its slopes."""
+    slopes = axes.heights / axes.widths * (axes.x_unit / axes.y_unit)
+    shift = shift_for(float(slopes.max())) if q31 else 0
+    if q31 and shift < 16:
+        raise ModelError("dy: a gear too steep for q31 (`arithmetic` float or double)")
+    return [
+        (round(w / axes.x_unit), round(h / axes.y_unit), round(s * 2.0**shift) if q31 else F(s))
+        for w, h, s in zip(axes.widths.tolist(), axes.heights.tolist(), slopes.tolist(), strict=True)
+    ], shift
+
+
+def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) -> SingleTables:
+    """Return every constant; ``tolerance`` is the part of a gear that may be missing when it is crossed.
+
+    Raises
+    ------
+    ModelError
+        Something is beyond what the arithmetic holds.
+    """
+    gears = plan.backlash
+    if gears.n > MOST_GEARS:
+        raise ModelError(f"dx: {gears.n} gears are more than {MOST_GEARS} (`gears` fewer, or double)")
+    on_output = gears.memory_on == "output"
+    source, result = plan.model.input, plan.model.output
+    rows, slope_shift = _rows(axes, q31)
+    base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
+    middle, unit = 0.5 * (source.minimum + source.maximum), counts_unit(source.minimum, source.maximum)
+    taken = (middle, unit) if q31 else (0.0, 1.0)
+    middle, unit = 0.5 * (result.minimum + result.maximum), counts_unit(result.minimum, result.maximum)
+    given = (middle, unit) if q31 else (0.0, 1.0)
+    behind = fold(plan.tail, gears.y0, gears.y0 + float(axes.high.sum()))
+    undone = tuple(stage.inverse() for stage in reversed(plan.tail))
+    x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
+    before = fold(plan.head, source.minimum, source.maximum)
+    if plan.direction == "forward":
+        drive = segments_of(before, q31, taken, (gears.x0, x_step))
+    else:
+        drive = segments_of(fold(undone, result.minimum, result.maximum), q31, given, (gears.y0, y_step))
+    offset = (gears.y0 if on_output else gears.x0) - plan.reference
+    offset /= axes.y_count if on_output else axes.x_count
+    span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
+    return SingleTables(
+        q31=q31,
+        rows=rows,
+        n=gears.n,
+        run=gears.equal_run,
+        tolerance=round(-math.log2(tolerance)),
+        terms=_terms(plan, axes, q31),
+        memory_on_output=on_output,
+        drive_offset=round(offset) if q31 else F(offset),
+        slope_shift=slope_shift,
+        x_shift=axes.fine[0],
+        y_shift=axes.fine[1],
+        least=-span,
+        most=2 * span,
+        limits=_limit_positions(plan, axes),
+        covered=plan.covered,
+        before=segments_of(before, q31, taken, (base, x_step)),
+        behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
+        drive=drive,
+        clip=_clip(plan, q31, given),
+        delay=_delay(plan, q31),
+    )
+
+
+def _limit_positions(plan: CascadePlan, axes: Axes) -> tuple[int, int, int] | None:
+    """Return low, high and step of the output as positions, rounded inwards."""
+    inner = plan.inner_limits
+    if inner is None:
+        return None
+    low, high = inner.v_min - plan.backlash.y0, inner.v_max - plan.backlash.y0
+    step = plan.slew_step
+    if step is not None and step < 4.0 * axes.y_unit:
+        raise ModelError("`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)")
+    if max(abs(low), abs(high), step or 0.0) / axes.y_unit >= 2.0**59:
+        raise ModelError("`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)")
+    return (
+        math.ceil(low / axes.y_unit),
+        math.floor(high / axes.y_unit),
+        -1 if step is None else math.floor(step / axes.y_unit),
+    )
+
+
+def _clip(plan: CascadePlan, q31: bool, given: tuple[float, float]) -> tuple[Any, Any] | None:
+    if plan.limits is None:
+        return None
+    if not q31:
+        # Inwards, so that no output is beyond a limit that float32 cannot hold.
+        low, high = F(plan.limits.v_min), F(plan.limits.v_max)
+        low = np.nextafter(low, F(np.inf)) if float(low) < plan.limits.v_min else low
+        high = np.nextafter(high, F(-np.inf)) if float(high) > plan.limits.v_max else high
+        return low, high
+    ends = (plan.limits.v_min - given[0]) / given[1], (plan.limits.v_max - given[0]) / given[1]
+    if max(abs(ends[0]), abs(ends[1])) >= 2.0**31:
+        raise ModelError("`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold")
+    return math.ceil(ends[0] - 1e-6), math.floor(ends[1] + 1e-6)
+
+
+def _delay(plan: CascadePlan, q31: bool) -> tuple[int, Any]:
+    """Return a forward model's delay in whole samples and the part beyond; -1 where there is none."""
+    if plan.direction == "inverse" or plan.delay == 0.0:
+        return -1, 0
+    assert plan.time_step is not None
+    samples = plan.delay / plan.time_step
+    whole = math.floor(samples + 1e-9)
+    part = max(samples - whole, 0.0)
+    part = part if part > 1e-9 else 0.0
+    return whole, (round(part * COUNTS) if q31 else F(part))

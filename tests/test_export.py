@@ -1,0 +1,472 @@
+"""The exported sources: the same bits as the package, bounds that hold, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from exported import COMPILERS, SANITIZERS, WARNINGS, compiled, made_model, random_moves
+
+from dbo_cli.errors import DboError, ModelError, OutputError, UsageError
+from dbo_cli.export import export_model
+from dbo_cli.export.c_text import RESERVED, check_name, hex_double, integer
+from dbo_cli.export.cascade_plan import plan_cascade
+from dbo_cli.export.single_code import row_shift
+from dbo_cli.export.single_tables import counts_unit, fold
+from dbo_cli.hysteresis.cascade import through
+from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, DriveLimits, ModelState, Quantity, Relaxation
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
+
+needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+RATE = 1000.0
+
+
+def delayed(model: ActuatorModel, seconds: float) -> ActuatorModel:
+    stages = (*model.stages, DelayStage(seconds))
+    return ActuatorModel("forward", model.input, model.output, stages)
+
+
+def compile_and_run(
+    folder: Path, name: str, compiler: str, flags: list[str]
+) -> subprocess.CompletedProcess[str]:
+    """Compile the self-test, warnings being errors, and run it."""
+    subprocess.run(
+        [compiler, *WARNINGS, *flags, f"{name}_test.c", f"{name}.c", "dbo_kernel.c", "-o", "self_test"],
+        cwd=folder, check=True,
+    )  # fmt: skip
+    return subprocess.run(["./self_test"], cwd=folder, capture_output=True, text=True, check=False)
+
+
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["double", "float", "q31"])
+@pytest.mark.parametrize("direction", ["inverse", "forward"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_self_test_passes(arithmetic: Any, direction: Any, seed: int, tmp_path: Path) -> None:
+    """Every arithmetic and direction, with memory, points, slew and delay or without; warnings are errors."""
+    model = made_model(seed, gears=(8, 90, 300)[seed], slopes=(8, 30, 50)[seed], terms=(0, 2, 4)[seed])
+    if seed == 2:
+        model = delayed(model, 0.00325)
+    slew = 40.0 * model.input.span if direction == "inverse" and seed else None
+    export_model(
+        model, str(tmp_path / "out"), name="stage", direction=direction, arithmetic=arithmetic,
+        sample_rate=RATE, max_slew=slew,
+    )  # fmt: skip
+    # All of it for every compiler would be 54 compilations; each way of compiling meets each arithmetic.
+    ways = ["-O2"], ["-O1"], ["-DDBO_SMALL", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
+    done = compile_and_run(tmp_path / "out", "stage", COMPILERS[-1 if seed == 1 else 0], ways[seed])
+    assert (done.returncode, done.stdout) == (0, "stage: 526 samples, every bit as expected\n")
+
+
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["double", "float", "q31"])
+def test_the_self_test_finds_what_differs(arithmetic: Any, tmp_path: Path) -> None:
+    """One table entry changed by one unit in the last place, or one count, is told and ends with 1."""
+    export_model(made_model(1), str(tmp_path / "out"), name="x", arithmetic=arithmetic, sample_rate=RATE)
+    path = tmp_path / "out" / "x.c"
+    lines = path.read_text().splitlines()
+    row = next(k for k, line in enumerate(lines) if "static const dbo_gear gears" in line) + 1
+    first, rest = lines[row].split(",", 1)
+    value = first.strip(" {")
+    changed = (
+        str(int(value) + 1000) if arithmetic != "double" else hex_double(float.fromhex(value) * (1 + 1e-6))
+    )
+    lines[row] = first.replace(value, changed) + "," + rest
+    path.write_text("\n".join(lines))
+    done = compile_and_run(tmp_path / "out", "x", COMPILERS[0], [])
+    assert done.returncode == 1
+    assert "x: after init, sample " in done.stdout
+    assert "samples differ; were the flags as README.md says?" in done.stdout
+
+
+@needs_compiler
+@pytest.mark.parametrize("slew", [None, 20.0])
+def test_double_gives_the_bits_of_compensate(slew: float | None, tmp_path: Path) -> None:
+    """Ten thousand samples of random moves: started as `compensate` starts, by its first drive."""
+    for seed in range(3):
+        model = made_model(seed, gears=(90, 1152, 25)[seed], slopes=(30, 64, 25)[seed])
+        rng = np.random.default_rng(seed)
+        desired = random_moves(rng, model.output.minimum, model.output.maximum, 10_000)
+        limits = DriveLimits(
+            model.input.minimum, model.input.maximum, None if slew is None else slew * model.input.span
+        )
+        start = model.start_compensation(float(desired[0]), "auto", limits)
+        drive = model.compensate(desired, start, limits=limits, time_step=1.0 / RATE).y
+        folder = tmp_path / f"out{seed}"
+        summary = export_model(model, str(folder), name="x", sample_rate=RATE, max_slew=limits.max_slew)
+        play = compiled(folder, "x", "double", summary.gears)
+        got, _ = play(desired[1:], float(drive[0]))
+        assert got.tobytes() == drive[1:].tobytes()
+
+
+@needs_compiler
+def test_double_forward_gives_the_bits_of_simulate(tmp_path: Path) -> None:
+    for seed, seconds in enumerate((0.0, 0.003, 0.00272)):
+        model = delayed(made_model(seed), seconds) if seconds else made_model(seed)
+        rng = np.random.default_rng(seed)
+        drive = random_moves(rng, model.input.minimum, model.input.maximum, 5_000)
+        empty = ModelState(BacklashState(0, (0.0, 0.0, 0.0)), drive=0.0)
+        expected = model.simulate(drive, empty, time_step=1.0 / RATE).y
+        folder = tmp_path / f"out{seed}"
+        summary = export_model(model, str(folder), name="x", direction="forward", sample_rate=RATE)
+        got, _ = compiled(folder, "x", "double", summary.gears)(drive)
+        assert got.tobytes() == expected.tobytes()
+
+
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+@pytest.mark.parametrize("direction", ["inverse", "forward"])
+def test_errors_stay_within_the_derived_bounds(arithmetic: Any, direction: Any, tmp_path: Path) -> None:
+    """benchmarks/export_bounds.py does the same over 10^6 samples on ten models."""
+    judged = 0
+    for seed in range(3):
+        model = made_model(seed, gears=(8, 64, 1152)[seed], slopes=(8, 32, 64)[seed], terms=seed)
+        turned = model.inverse() if direction == "inverse" else model
+        source, result = turned.input, turned.output
+        play = {}
+        for kind in ("double", arithmetic):
+            folder = tmp_path / f"{kind}{seed}"
+            summary = export_model(
+                model, str(folder), name="x", direction=direction, arithmetic=kind, sample_rate=RATE
+            )
+            play[kind] = compiled(folder, "x", kind, summary.gears)
+        for run in range(30):
+            moves = random_moves(np.random.default_rng(run), source.minimum, source.maximum, 700)
+            given, seen = as_given(moves, source, arithmetic)
+            (exact, gears), (y, others) = play["double"](seen), play[arithmetic](given)
+            error = np.abs(in_units(y, result, arithmetic) - exact)
+            always = np.logical_and.accumulate(gears == others)
+            judged += int(always.sum())
+            assert error[always].max() <= summary.bounds["same_gears"]
+            assert error.max() <= summary.bounds["after_close_turn"]
+    assert judged > 30_000
+
+
+def as_given(moves: Any, quantity: Any, arithmetic: str) -> tuple[Any, Any]:
+    """Return moves as the arithmetic takes them, and what they then are."""
+    if arithmetic == "double":
+        return moves, moves
+    if arithmetic == "float":
+        given = moves.astype(np.float32)
+        return given, given.astype(np.float64)
+    middle = 0.5 * (quantity.minimum + quantity.maximum)
+    unit = counts_unit(quantity.minimum, quantity.maximum)
+    given = np.rint((moves - middle) / unit).astype(np.int32)
+    return given, given * unit + middle
+
+
+def in_units(y: Any, quantity: Any, arithmetic: str) -> Any:
+    middle, unit = (
+        0.5 * (quantity.minimum + quantity.maximum),
+        counts_unit(quantity.minimum, quantity.maximum),
+    )
+    return y.astype(np.float64) * unit + middle if arithmetic == "q31" else y.astype(np.float64)
+
+
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["double", "float", "q31"])
+def test_anything_may_come_in(arithmetic: Any, tmp_path: Path) -> None:
+    """NaN, infinities, the ends of the type, under the sanitizers: outputs stay numbers within the limits."""
+    model = made_model(2)
+    folder = tmp_path / "out"
+    export_model(model, str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE, v_min=0.1, v_max=0.8)
+    rng = np.random.default_rng(5)
+    if arithmetic == "q31":
+        bad = rng.integers(-(2**31), 2**31, 3000).astype(np.int32)
+        bad[::7] = [2**31 - 1, -(2**31), 0][0]
+        bad[::11] = -(2**31)
+        texts = [integer(v) for v in bad.tolist()]
+    else:
+        bad = rng.normal(0.0, 1.0, 3000) * 10.0 ** rng.uniform(-3.0, 37.0, 3000)
+        special = ["(1e300 * 1e300)", "(-1e300 * 1e300)", "(1e300 * 1e300 - 1e300 * 1e300)"]
+        texts = [special[k % 3] if k % 5 == 0 else repr(v) for k, v in enumerate(bad.tolist())]
+        texts = [f"({'float' if arithmetic == 'float' else 'double'}){v}" for v in texts]
+    (folder / "flood.c").write_text(
+        f'#include "x.h"\n#include <stdio.h>\nstatic const {TYPES_IN_C[arithmetic]} in[] = {{\n'
+        + ",\n".join(texts)
+        + "};\nint main(void) {\n    x_state s;\n    x_init(&s);\n"
+        '    for (unsigned k = 0; k < 3000; k++) printf("%.17g\\n", (double)x_step(&s, in[k]));\n'
+        '    x_reset(&s, in[1]);\n    printf("%.17g\\n", (double)x_step(&s, in[2]));\n    return 0;\n}\n'
+    )
+    subprocess.run(
+        [COMPILERS[0], "-std=c99", "-ffp-contract=off", *SANITIZERS, "flood.c", "x.c", "dbo_kernel.c",
+         "-o", "flood"],
+        cwd=folder, check=True,
+    )  # fmt: skip
+    done = subprocess.run(["./flood"], cwd=folder, capture_output=True, text=True, check=True)
+    out = in_units(np.array([float(v) for v in done.stdout.split()]), model.input, arithmetic)
+    assert out.size == 3001
+    assert np.isfinite(out).all()
+    assert out.min() >= 0.1 - 1e-9
+    assert out.max() <= 0.8 + 1e-9
+
+
+TYPES_IN_C = {"double": "double", "float": "float", "q31": "int32_t"}
+
+
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["double", "float", "q31"])
+def test_the_range_wins_over_the_slew_limit_in_every_arithmetic(arithmetic: Any, tmp_path: Path) -> None:
+    """Slew is kept from the drive given to reset on; a drive outside of the limits comes back at once."""
+    model = made_model(1, terms=0)
+    span = model.input.span
+    folder = tmp_path / "out"
+    summary = export_model(
+        model, str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE, max_slew=5.0 * span,
+        v_min=0.2 * span, v_max=0.9 * span,
+    )  # fmt: skip
+    play = compiled(folder, "x", arithmetic, summary.gears)
+    desired = np.concatenate([np.full(60, model.output.minimum), np.full(400, model.output.maximum)])
+    given, _ = as_given(desired, model.output, arithmetic)
+    trimmed, _ = as_given(np.array([0.5 * span, 0.0]), model.input, arithmetic)
+    for drive, first in zip(trimmed.tolist(), (0.495 * span, 0.2 * span), strict=True):
+        out = in_units(play(given, drive)[0], model.input, arithmetic)
+        assert out[0] == pytest.approx(first, abs=1e-6 * span)
+        assert np.abs(np.diff(out)).max() <= 0.005 * span * (1.0 + 1e-5)
+        assert out.min() >= 0.2 * span - 1e-9 * span
+        assert out.max() == pytest.approx(0.9 * span, rel=1e-6)
+
+
+def test_folding_points_and_scales_changes_nothing() -> None:
+    model = made_model(2)
+    for one in (model, model.inverse()):
+        for stages, (low, high) in (
+            (one._head, (one.input.minimum, one.input.maximum)),
+            (one._tail, one.backlash.y_range),
+        ):
+            folded = fold(stages, low, high)
+            x = np.linspace(low - 0.2 * (high - low), high + 0.2 * (high - low), 999)
+            c = np.clip(np.searchsorted(folded.x, x, side="right") - 1, 0, None)
+            y = folded.y[c] + folded.slope[c] * (x - folded.x[c])
+            expected = through(stages, x.copy())
+            np.testing.assert_allclose(y, expected, rtol=0.0, atol=1e-9 * np.ptp(expected))
+
+
+@pytest.mark.parametrize(("n", "run"), [(1, 1), (1152, 18), (46340, 46340), (46340, 3), (46340, 1), (97, 7)])
+def test_the_row_of_a_gear_without_a_division(n: int, run: int) -> None:
+    shift = row_shift(n, run)
+    factor = (2**shift + run - 1) // run
+    gears = np.arange(n, dtype=np.uint64)
+    assert int(gears[-1]) * factor < 2**32
+    np.testing.assert_array_equal(gears * factor >> shift, gears // run)
+
+
+@needs_compiler
+def test_build_files(tmp_path: Path) -> None:
+    """make test and the example work as they are; cmake where it is there."""
+    folder = tmp_path / "out"
+    export_model(made_model(0), str(folder), name="stage", sample_rate=RATE)
+    done = subprocess.run(["make", "test", "example"], cwd=folder, capture_output=True, text=True, check=True)
+    assert "every bit as expected" in done.stdout
+    shown = subprocess.run(["./example"], cwd=folder, capture_output=True, text=True, check=True)
+    assert len(shown.stdout.split()) == 20
+    if shutil.which("cmake"):
+        subprocess.run(["cmake", "-S", ".", "-B", "build"], cwd=folder, capture_output=True, check=True)
+        subprocess.run(["cmake", "--build", "build"], cwd=folder, capture_output=True, check=True)
+        subprocess.run(["ctest"], cwd=folder / "build", capture_output=True, check=True)
+
+
+@needs_compiler
+def test_arduino_layout(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    export_model(made_model(0), str(folder), name="stage", sample_rate=RATE, arduino=True, arithmetic="float")
+    assert (folder / "library.properties").read_text().startswith("name=stage\nversion=")
+    assert "stage_step(&state, input)" in (folder / "examples" / "stage" / "stage.ino").read_text()
+    subprocess.run(
+        [COMPILERS[0], *WARNINGS, "-Isrc", "extras/stage_test.c", "src/stage.c", "src/dbo_kernel.c",
+         "-o", "t"],
+        cwd=folder, check=True,
+    )  # fmt: skip
+    subprocess.run(["./t"], cwd=folder, check=True, capture_output=True)
+
+
+def test_the_same_model_gives_the_same_bytes(tmp_path: Path) -> None:
+    for arithmetic in ("double", "float", "q31"):
+        contents = []
+        for k in range(2):
+            folder = tmp_path / f"{arithmetic}{k}"
+            export_model(made_model(1), str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
+            contents.append({p.name: p.read_bytes() for p in folder.iterdir()})
+        assert contents[0] == contents[1]
+
+
+def test_the_summary_and_the_page_agree(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    model = delayed(made_model(1), 0.002)
+    summary = export_model(model, str(folder), name="x", arithmetic="q31", sample_rate=RATE, gears=48)
+    told = json.loads((folder / "export.json").read_text())
+    assert set(summary.files) == {p.name for p in folder.iterdir()}
+    assert (told["format"], told["gears"], told["table_bytes"]) == ("dbo-export", 48, summary.table_bytes)
+    page = (folder / "README.md").read_text()
+    assert f"{summary.table_bytes} bytes" in page
+    assert f"{summary.bounds['same_gears_percent']:.3g}" in page
+    assert "Read 0.002 s (2 samples) ahead" in page
+    assert summary.gears_loss["max_percent"] > 0.0
+    assert f"{summary.gears_loss['max']:.3g}" in page
+    assert "#define X_READ_AHEAD_S   0.002" in (folder / "x.h").read_text()
+
+
+def test_sizes_are_those_of_a_32_bit_chip(tmp_path: Path) -> None:
+    compiler = shutil.which("arm-none-eabi-gcc")
+    if compiler is None:
+        pytest.skip("no arm-none-eabi-gcc")
+    for arithmetic in ("double", "float", "q31"):
+        folder = tmp_path / arithmetic
+        summary = export_model(made_model(1), str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
+        (folder / "size.c").write_text(
+            f'#include "x.h"\ntypedef char right[sizeof(x_state) == {summary.state_bytes} ? 1 : -1];\n'
+        )
+        subprocess.run([compiler, "-std=c99", "-c", "size.c", "-o", "size.o"], cwd=folder, check=True)
+
+
+REFUSED: list[tuple[dict[str, Any], type[DboError], str]] = [
+    ({"name": "2fast"}, UsageError, "`name` '2fast': is no C identifier (a letter first, then"),
+    ({"name": "größe"}, UsageError, "`name` 'größe': is no C identifier"),
+    ({"name": "while"}, UsageError, "`name` 'while': is a reserved word of C or C++ (choose another)"),
+    ({"name": "Class"}, UsageError, "`name` 'Class': is a reserved word"),
+    ({"name": "dbo_kernel"}, UsageError, "`name` 'dbo_kernel': is taken by the files of the export"),
+    ({"name": "x" * 41}, UsageError, "`name` '" + "x" * 41 + "': has 41 characters; at most 40"),
+    ({"arithmetic": "q15"}, UsageError, "`arithmetic` 'q15': there are double, float, q31"),
+    ({"direction": "up"}, UsageError, "`direction` 'up': there are inverse, forward"),
+    ({"sample_rate": None}, UsageError, "the model depends on the time between samples: give `sample_rate`"),
+    ({"sample_rate": 0.0}, UsageError, "`sample_rate` 0.0: must be a frequency in Hz greater than 0"),
+    ({"sample_rate": float("nan")}, UsageError, "`sample_rate` nan: must be"),
+    ({"gears": 0}, UsageError, "`gears` 0: the model has 288; give a number from 1 to that"),
+    ({"gears": 289}, UsageError, "`gears` 289: the model has 288"),
+    (
+        {"direction": "forward", "max_slew": 1.0},
+        UsageError,
+        "limits on the drive (`v_min`, `v_max`",
+    ),
+    ({"v_min": 5.0, "v_max": 4.0}, ModelError, "the lower voltage limit, 5.0, is not below the upper, 4.0"),
+    ({"arithmetic": "q31", "v_max": 1e6}, ModelError, "`v_min`, `v_max`: beyond twice the model's range"),
+    ({"arithmetic": "q31", "max_slew": 1e-9}, ModelError, "`max_slew`: less than this arithmetic resolves"),
+    (
+        {"arithmetic": "q31", "sample_rate": 1e14},
+        ModelError,
+        "relaxation.tau: a memory this slow at",
+    ),
+    ({"sample_rate": 1e300}, ModelError, "relaxation.tau: "),
+]
+
+
+@pytest.mark.parametrize(("changes", "kind", "message"), REFUSED, ids=lambda value: str(value)[:40])
+def test_what_is_refused(changes: dict[str, Any], kind: type[DboError], message: str, tmp_path: Path) -> None:
+    """One line, and nothing is left behind."""
+    arguments: dict[str, Any] = {"name": "x", "sample_rate": RATE, **changes}
+    with pytest.raises(kind) as problem:
+        export_model(made_model(1), str(tmp_path / "out"), **arguments)
+    assert str(problem.value).startswith(message)
+    assert "\n" not in str(problem.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reserved_words_are_no_names() -> None:
+    for word in RESERVED:
+        with pytest.raises(UsageError):
+            check_name(word)
+    for word in ("stage", "Piezo_2", "x", "main_stage"):
+        check_name(word)
+
+
+def test_gears_too_narrow_for_float(tmp_path: Path) -> None:
+    """A range of 1 V at 1000 V: float32 resolves 7 % of a gear there, q31 counts from the range's middle."""
+    model = ActuatorModel(
+        "forward", Quantity("voltage", "V", 1000.0, 1001.0), Quantity("displacement", "um", 0.0, 1.0),
+        (DiscreteBacklashOperator(np.full(1152, 1 / 1152), np.full(1152, 1 / 1152), 1000.0, 0.0),),
+    )  # fmt: skip
+    with pytest.raises(ModelError, match=r"^1152 gears are too narrow for this arithmetic: its rounding is "):
+        export_model(model, str(tmp_path / "out"), name="x", arithmetic="float", direction="forward")
+    export_model(model, str(tmp_path / "out"), name="x", arithmetic="q31", direction="forward")
+
+
+def test_folders(tmp_path: Path) -> None:
+    """Whole or not at all; an export is replaced only when asked for, anything else never."""
+    model, folder = made_model(0, terms=0), tmp_path / "out"
+    export_model(model, str(folder), name="first")
+    with pytest.raises(OutputError, match=r"the folder exists already \(`overwrite` replaces an export\)$"):
+        export_model(model, str(folder), name="second")
+    export_model(model, str(folder), name="second", overwrite=True)
+    assert not (folder / "first.c").exists()
+    (folder / "mine.c").write_text("int mine;\n")
+    with pytest.raises(OutputError, match=r"holds 'mine\.c', which no export wrote: it is not overwritten"):
+        export_model(model, str(folder), name="third", overwrite=True)
+    assert (folder / "second.c").exists()
+    assert (folder / "mine.c").read_text() == "int mine;\n"
+    with pytest.raises(OutputError, match="create it first"):
+        export_model(model, str(tmp_path / "no" / "out"), name="x")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="is no folder: choose another name"):
+        export_model(model, str(tmp_path / "file"), name="x", overwrite=True)
+    assert {p.name for p in tmp_path.iterdir()} == {"out", "file"}
+
+
+def test_a_folder_that_cannot_be_written_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, folder = made_model(0, terms=0), tmp_path / "out"
+    export_model(model, str(folder), name="first")
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+
+    def full(self: Path, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OutputError, match="cannot be written: No space left on device"):
+        export_model(model, str(folder), name="second", overwrite=True)
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_stage_of_another_kind_is_refused() -> None:
+    class Resonance:
+        def inverse(self) -> Resonance:
+            return self
+
+    model = made_model(1, terms=0)
+    stages = (*model.stages, Resonance())
+    with pytest.raises(ModelError, match=r"^stages\[4\]: a Resonance cannot be exported"):
+        plan_cascade(ActuatorModel("forward", model.input, model.output, stages), "forward", None, None)  # type: ignore[arg-type]
+
+
+def test_steep_gears_are_beyond_q31(tmp_path: Path) -> None:
+    base = made_model(1, terms=0, points=0, bend=False)
+    gears = DiscreteBacklashOperator([1.0, 1e-7], [1e-7, 1.0], 0.0, 0.0)
+    stages = tuple(gears if isinstance(s, DiscreteBacklashOperator) else s for s in base.stages)
+    with pytest.raises(ModelError):
+        export_model(
+            ActuatorModel("forward", base.input, base.output, stages), str(tmp_path / "o"), name="x",
+            arithmetic="q31",
+        )  # fmt: skip
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_slow_memories_do_not_stand_still_in_float(tmp_path: Path) -> None:
+    """A time constant of 10^5 samples: float32 alone would stop at 2^-24 of the value a step."""
+    if not COMPILERS:
+        pytest.skip("no C compiler")
+    base = made_model(0, gears=16, slopes=16, terms=0, points=0, bend=False)
+    old = base.backlash
+    gears = DiscreteBacklashOperator(old.dx, old.dy, old.x0, old.y0, Relaxation(0.0, (100.0,), (0.05,)))
+    stages = tuple(gears if isinstance(s, DiscreteBacklashOperator) else s for s in base.stages)
+    model = ActuatorModel("forward", base.input, base.output, stages)
+    held = np.full(300_000, 0.7 * base.input.maximum)
+    results = []
+    for arithmetic in ("double", "float"):
+        folder = tmp_path / arithmetic
+        summary = export_model(
+            model,
+            str(folder),
+            name="x",
+            direction="forward",
+            arithmetic=arithmetic,
+            sample_rate=RATE,  # type: ignore[arg-type]
+        )
+        results.append(compiled(folder, "x", arithmetic, summary.gears)(held)[0].astype(np.float64))
+    crept = results[0][-1] - results[0][0]
+    assert abs(crept) > 0.01 * model.output.span
+    assert np.abs(results[1] - results[0]).max() <= summary.bounds["same_gears"]

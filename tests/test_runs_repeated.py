@@ -1,0 +1,301 @@
+"""Fast, repeated and looped moves: rounding, learning from the last pass, the drive of a settled loop."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SMALL_MODEL
+from trials import Floats
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.hysteresis.cascade import slow_output_range
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    Stage,
+)
+from dbo_cli.runs.model import Model
+
+RATE = 20_000.0
+COUNT = 6_000
+TIME = np.arange(COUNT) / RATE
+VOLTAGE = Quantity("voltage", "V", 0.0, 100.0)
+
+
+def actuator(loop: float = 0.45, frequency: float | None = 800.0, delay: float = 0.0) -> ActuatorModel:
+    """Return an actuator of 60 gears with creep, a lag and a resonance."""
+    slopes = (1.0 - loop) + 2.0 * loop * np.linspace(0.0, 1.0, 60)
+    widths = np.full(60, 100.0 / 60.0)
+    creep = Relaxation(0.0, (0.4, 6.0), (0.001, 0.002))
+    stages: list[Stage] = [
+        BacklashStage(widths, 0.1 * widths * slopes, 0.0, 0.0, creep),
+        ScaleStage(1.2, 0.5),
+    ]
+    low, high = slow_output_range(stages, 0.0, 100.0)
+    if frequency is not None:
+        stages.append(DynamicsStage((Lag(2e-4), Resonance(frequency, 0.02))))
+    if delay:
+        stages.append(DelayStage(delay))
+    return ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", low, high), tuple(stages))
+
+
+def played(
+    plant: ActuatorModel, drive: Floats, noise: float = 0.002, seed: int = 0, start: Any = "empty"
+) -> tuple[Floats, Floats]:
+    """Return what an actuator does, and what a noisy sensor says of it."""
+    y = plant.simulate(drive, plant.start(float(drive[0]), start), time_step=1.0 / RATE).y
+    return y, y + np.random.default_rng(seed).normal(0.0, noise, y.size)
+
+
+def move(frequency: float = 40.0) -> Floats:
+    """Return a burst of 8 um between two rests."""
+    rise = np.clip((TIME - 0.005) / 0.05, 0.0, 1.0) * np.clip((TIME[-1] - 0.005 - TIME) / 0.05, 0.0, 1.0)
+    rise = rise**3 * (10.0 - 15.0 * rise + 6.0 * rise**2)
+    wanted: Floats = 6.0 + 4.0 * rise * np.sin(2.0 * np.pi * frequency * TIME)
+    return wanted
+
+
+def rms(x: Floats) -> float:
+    return float(np.sqrt(np.mean(x * x)))
+
+
+WIDE = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0, "state": "empty", "details": True}
+
+
+@pytest.mark.parametrize("delay", [0.0, 3.0 / RATE])
+def test_a_model_with_dynamics_is_followed_to_rounding(delay: float) -> None:
+    plant = actuator(delay=delay)
+    wanted = move()
+    done = Model(plant).compensate(wanted, **WIDE)
+    reached, _ = played(plant, done.values)
+    late = round(delay * RATE)
+    assert np.abs(reached - wanted)[late:].max() < 1e-9
+    again = Model(plant).simulate(done.values, sample_rate=RATE, state="empty")
+    assert np.array_equal(again, reached)
+    inverse = Model(plant).inverse().simulate(wanted, sample_rate=RATE, state="empty")
+    assert np.abs(inverse - done.values).max() < 1e-9
+    unaware = Model(actuator(frequency=None)).compensate(wanted, **WIDE)
+    assert rms(played(plant, unaware.values)[0] - wanted) > 0.1
+
+
+def test_clipping_by_corners_is_told_from_clipping_by_place() -> None:
+    corner = np.interp(TIME, [0.0, 0.1, 0.15, 0.2, 0.3], [1.0, 1.0, 12.0, 1.0, 1.0])
+    done = Model(actuator()).compensate(corner, sample_rate=RATE, details=True)
+    assert done.clipped > 0
+    assert any("corners and the speed of the trajectory" in note and "`bandwidth` 267" in note
+               for note in done.notes)  # fmt: skip
+    rounded = Model(actuator()).compensate(corner, sample_rate=RATE, bandwidth=100.0, details=True)
+    assert rounded.clipped < done.clipped
+    (note,) = (note for note in rounded.notes if "takes off" in note)
+    assert note == "`wanted`: `bandwidth` 100 takes off 0.0186 um (RMS), 0.248 um at most"
+
+
+def test_a_move_that_begins_on_the_move_is_warned_of() -> None:
+    wanted = 6.0 + 3.0 * np.sin(2.0 * np.pi * 80.0 * TIME)
+    done = Model(actuator()).compensate(wanted, **WIDE)
+    assert any("begins on the move" in text for text in done.warnings)
+    assert not any(
+        "begins on the move" in text for text in Model(actuator()).compensate(move(), **WIDE).warnings
+    )
+
+
+@pytest.mark.parametrize(
+    ("loop", "frequency", "reached"), [(0.36, 800.0, 0.07), (0.45, 760.0, 0.005), (0.45, None, 0.03)]
+)
+def test_a_repeated_move_is_learned(loop: float, frequency: float | None, reached: float) -> None:
+    plant, model, wanted = actuator(), Model(actuator(loop, frequency)), move()
+    tracked: Any = ()
+    errors = []
+    for k in range(5):
+        done = model.compensate(wanted, tracked=tracked, **WIDE)
+        y, measured = played(plant, done.values, seed=k)
+        errors.append(100.0 * rms(y - wanted) / 8.0)
+        tracked = (done.values, measured)
+    assert errors[2] <= max(reached, errors[0])
+    assert errors[4] <= reached
+    assert any("the last pass was" in note for note in done.notes)
+
+
+def test_several_recordings_of_one_drive_are_averaged() -> None:
+    plant, model, wanted = actuator(), Model(actuator(0.36)), move()
+    first = model.compensate(wanted, **WIDE)
+    recordings = [(first.values, played(plant, first.values, 0.2, seed)[1]) for seed in range(9)]
+    errors = []
+    for given in (recordings[:1], recordings):
+        done = model.compensate(wanted, tracked=given, **WIDE)
+        errors.append(rms(played(plant, done.values)[0] - wanted))
+    assert errors[1] < 0.6 * errors[0]
+    assert any("the mean of 9 recordings" in note for note in done.notes)
+
+
+def refused(wanted: Floats, tracked: Any, **more: Any) -> str:
+    with pytest.raises(InputError) as problem:
+        Model(actuator(0.36)).compensate(wanted, tracked=tracked, **(WIDE | more))
+    return str(problem.value)
+
+
+def test_a_recording_of_something_else_is_refused() -> None:
+    plant, model, wanted = actuator(), Model(actuator(0.36)), move()
+    drive = model.compensate(wanted, **WIDE).values
+    measured = played(plant, drive)[1]
+    assert "5,999 rows from the trajectory's first on, the trajectory has 6,000" in refused(
+        wanted, (drive[:-1], measured[:-1])
+    )
+    assert "its drive belongs to another trajectory" in refused(move(70.0), (drive, measured))
+    other = model.compensate(move(70.0), **WIDE).values
+    assert "was driven otherwise than" in refused(wanted, [(drive, measured), (other, measured)])
+
+
+def test_an_error_that_grew_is_refused() -> None:
+    model, wanted = Model(actuator(0.36)), move()
+    first = model.compensate(wanted, **WIDE).values
+    short = 6.0 + 0.7 * (wanted - 6.0)
+    second = model.compensate(wanted, tracked=(first, short), **WIDE).values
+    away = 6.0 + 0.4 * (wanted - 6.0)  # asked for more, it did less
+    assert "the error grew" in refused(wanted, (second, away))
+
+
+def period(count: int = 500) -> Floats:
+    phase = 2.0 * np.pi * np.arange(count) / count
+    wanted: Floats = 6.0 + 3.0 * np.sin(phase + 0.7) + np.sin(2.0 * phase)
+    return wanted
+
+
+@pytest.mark.parametrize("passes", [0, 2])
+@pytest.mark.parametrize("delay", [0.0, 7.0 / RATE])
+def test_the_drive_of_a_loop_settles_without_a_seam(passes: int, delay: float) -> None:
+    plant, wanted = actuator(delay=delay), period()
+    done = Model(plant).compensate(wanted, periodic=True, passes=passes, **WIDE)
+    assert done.time is not None and done.values.size == (passes + 1) * 500
+    assert done.time[[0, -1]] == pytest.approx([-passes * 500 / RATE, 499 / RATE])
+    drive = done.values[-500:]
+    assert abs(drive[0] - drive[-1]) <= np.abs(np.diff(drive)).max()
+    long = np.concatenate([done.values, np.tile(drive, 4_000)])
+    reached, _ = played(plant, long)
+    assert np.abs(reached[-500:] - wanted).max() < 1e-6
+    if passes:  # by the end of the run-in only creep is left to settle
+        assert np.abs(reached[passes * 500 :][:500] - wanted).max() < 0.15
+
+
+def test_a_loop_is_learned() -> None:
+    plant, model, wanted = actuator(), Model(actuator(0.36, 780.0)), period()
+    tracked: Any = ()
+    errors = []
+    for k in range(4):
+        done = model.compensate(wanted, periodic=True, passes=0, tracked=tracked, **WIDE)
+        y, measured = played(plant, np.tile(done.values, 3_000), seed=k)
+        errors.append(rms(y[-500:] - wanted))
+        tracked = (done.values, measured[-500:])
+    assert errors[0] > 0.05
+    assert errors[3] < 0.1 * errors[0]
+
+
+def test_a_period_that_does_not_close_is_refused() -> None:
+    with pytest.raises(
+        InputError, match=r"does not close: from the last row, .* without its first row again"
+    ):
+        Model(actuator()).compensate(np.linspace(2.0, 9.0, 400), periodic=True, **WIDE)
+    with pytest.raises(InputError, match=r"3 rows are no period of a loop \(at least 4\)"):
+        Model(actuator()).compensate(np.array([1.0, 2.0, 1.0]), periodic=True, **WIDE)
+    for more, text in (
+        (
+            {"periodic": True, "condition": True, "state": "auto"},
+            "`periodic` and `condition` exclude each other",
+        ),
+        ({"passes": 2}, "`passes` is the run-in of a loop"),
+        ({"bandwidth": 0.0}, "`bandwidth` 0: give a positive number of Hz"),
+        ({"bandwidth": 11_000.0}, "`bandwidth` 11000: above half the sampling rate of 20000 Hz"),
+    ):
+        with pytest.raises(UsageError) as problem:
+            Model(actuator()).compensate(period(), **(WIDE | more))
+        assert text in str(problem.value)
+
+
+def test_a_move_shorter_than_the_read_ahead_and_an_uneven_clock_are_refused() -> None:
+    with pytest.raises(InputError, match=r"20 samples are fewer than the 30 that the inverse .* reads ahead"):
+        Model(actuator()).compensate(move()[:20], **WIDE)
+    uneven = TIME + np.where(np.arange(COUNT) > 3_000, 0.4 / RATE, 0.0)
+    with pytest.raises(InputError, match=r"row 3002: a time step of 7e-05 s among .* \(`resample` HZ"):
+        Model(actuator()).compensate(move(), time=uneven, v_max=140.0)
+    with pytest.raises(InputError, match=r"the model has dynamics|resonance at 800 Hz is above half"):
+        Model(actuator()).compensate(move(), sample_rate=1_000.0)
+
+
+def test_the_commands_give_the_bits_of_the_library(dbo: Any) -> None:
+    plant, model = actuator(), Model(actuator(0.36))
+    model.save("model.json")
+    write = "time_s,displacement_um\n" + "".join(f"{t!r},{x!r}\n" for t, x in
+                                                 np.column_stack([TIME, move()]).tolist())  # fmt: skip
+    Path("move.csv").write_text(write)
+    words: Any = [
+        "compensate",
+        "model.json",
+        "move.csv",
+        "--v-min",
+        "-40",
+        "--v-max",
+        "140",
+        "--state",
+        "empty",
+    ]
+    assert dbo(*words, "-o", "drive.csv").code == 0
+    drive = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
+    limits: Any = {"v_min": -40.0, "v_max": 140.0, "state": "empty", "details": True}
+    expected = model.compensate(move(), time=TIME, **limits)
+    assert np.array_equal(drive[:, 2], expected.values)
+    measured = played(plant, drive[:, 2])[1]
+    rows = np.column_stack([drive, measured]).tolist()
+    Path("pass.csv").write_text("time_s,desired_um,voltage_V,displacement_um\n" + "".join(
+        ",".join(map(repr, row)) + "\n" for row in rows))  # fmt: skip
+    told = dbo(*words, "--tracked", "pass.csv", "-o", "next.csv")
+    assert told.code == 0 and "which this pass takes off" in told.err
+    after = np.loadtxt("next.csv", delimiter=",", skiprows=1)
+    learned = model.compensate(move(), time=TIME, tracked="pass.csv", **limits)
+    assert np.array_equal(after[:, 2], learned.values)
+    assert np.array_equal(after[:, 1], drive[:, 1])
+    Path("bare.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
+    bare = dbo(*words, "--tracked", "bare.csv")
+    assert bare.code == 1 and "voltage" in bare.err
+    small = dict(SMALL_MODEL) | {"version": 2}
+    Path("small.json").write_text(json.dumps(small))
+    loop = "time_s,displacement_um\n" + "".join(f"{k / 100},{5 + 3 * np.sin(k * np.pi / 50)!r}\n" for k in
+                                                range(100))  # fmt: skip
+    Path("loop.csv").write_text(loop.replace("np.float64(", "").replace(")", ""))
+    once = dbo("compensate", "small.json", "loop.csv", "--periodic", "-n", "1")
+    assert once.code == 0 and once.out.count("\n") == 201 and "settles in 2 passes" in once.err
+
+
+def test_a_controller_refuses_dynamics() -> None:
+    from dbo_cli.errors import ModelError
+
+    with pytest.raises(
+        ModelError, match=r"the model has dynamics, so the drive depends on what is wanted after"
+    ):
+        Model(actuator()).controller(RATE)
+
+
+def test_dynamics_survive_the_model_file_and_stand_where_they_must(tmp_path: Path) -> None:
+    from dbo_cli.errors import ModelError
+    from dbo_cli.hysteresis.model_file import read_model
+
+    model = actuator(delay=1e-3)
+    for one in (model, model.inverse()):
+        Model(one).save(tmp_path / "m.json")
+        again = read_model(str(tmp_path / "m.json"))
+        assert again.dynamics == one.dynamics
+        assert again.digest == model.digest
+    early = (model.stages[2], *model.stages[:2])
+    with pytest.raises(
+        ModelError, match=r"stages\[0\]: dynamics stand after all stages but a delay, and once"
+    ):
+        dataclasses.replace(model, stages=early)
