@@ -94,9 +94,8 @@ def drive_for(model: ActuatorModel, wanted: Floats, step: float, cuts: list[int]
 
     inverter = model.dynamics.inverter(step)
     low, high = model.forward_backlash.x_range
-    limits = DriveLimits(
-        low - 10.0 * (high - low), high + 10.0 * (high - low)
-    )  # what they cut off is no error
+    beyond = 1e3 * (high - low)  # so far that nothing is cut off: what limits cut off is no error
+    limits = DriveLimits(low - beyond, high + beyond)
     state, drives = None, []
     for _, u, _ in undone(read_ahead(blocks(), model.delay_seconds), inverter):
         if state is None:

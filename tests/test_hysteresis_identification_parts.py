@@ -184,7 +184,7 @@ def test_statistics_are_the_products_of_the_dense_table() -> None:
     vector = rng.normal(size=statistics.columns.total)
     left = table @ np.append(vector, -1.0)
     assert squared_error(gram, vector) == pytest.approx(left @ left)
-    assert statistics.loose[2] == slice(statistics.columns.total, statistics.columns.total)
+    assert statistics.nuisance[2] == slice(statistics.columns.total, statistics.columns.total)
     nuisance = slice(statistics.columns.total - 2, statistics.columns.total)
     part = table[log.fold == 2]
     loose = part[:, nuisance]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -26,6 +27,7 @@ from test_hysteresis_model_file import (
 )
 
 from dbo_cli.errors import DboError
+from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, InverseMemory, Lag, Resonance
 from dbo_cli.hysteresis.model import ModelState
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.operators import BacklashState
@@ -50,6 +52,21 @@ def is_json(values: object) -> bool:
 
 def test_the_schema_is_one() -> None:
     Draft202012Validator.check_schema(SCHEMA)
+
+
+def test_models_and_states_with_dynamics_fit() -> None:
+    plain = build(3)
+    notched = Resonance(800.0, 0.02, Antiresonance(900.0, 0.01))
+    stages = (*plain.stages, DynamicsStage((Lag(1e-3), notched)))
+    model = dataclasses.replace(plain, stages=stages)
+    for one in (model, model.inverse()):
+        CHECK.validate(json.loads(model_to_bytes(one)))
+    moving = ((1.0, 0.0, 1.0), (2.0, 0.5, 1.0))
+    for state in (
+        ModelState(BacklashState(1), dynamics=moving),
+        ModelState(BacklashState(1), dynamics=moving, undoing=InverseMemory(1e-3, moving)),
+    ):
+        CHECK.validate(json.loads(state_to_bytes(state, model)))
 
 
 def test_every_model_and_state_that_is_written_fits() -> None:

@@ -205,6 +205,36 @@ DelaySeconds = Annotated[
         parse=values.auto_or(values.not_negative),
     ),
 ]
+SensorDelay = Annotated[
+    float,
+    _option(
+        "--sensor-delay",
+        "SECONDS",
+        "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
+SensorLag = Annotated[
+    float,
+    _option(
+        "--sensor-lag",
+        "SECONDS",
+        "First-order time constant of the sensor or its filter: taken off likewise.",
+        default="0",
+        parse=values.not_negative,
+    ),
+]
+Dynamics = Annotated[
+    int | None,
+    _option(
+        "--dynamics",
+        "auto|0|1|2",
+        "Resonances of the actuator, from a log with a small sweep or a fast log beside a slow one.",
+        default="auto",
+        parse=values.auto_or(values.whole(0)),
+    ),
+]
 Skip = Annotated[
     float,
     _option(
@@ -479,6 +509,19 @@ Frequency = Annotated[
 Seed = Annotated[
     int,
     _option("--seed", "N", "Another number, another drive.", default="1", parse=values.whole(0)),
+]
+SweepTo = Annotated[
+    float | None,
+    _option(
+        "--sweep-to",
+        "HZ",
+        "Append a small sweep up to this frequency, for the dynamics of the actuator.",
+        parse=values.positive,
+    ),
+]
+SweepAmplitude = Annotated[
+    float | None,
+    _option("--sweep-amplitude", "VOLT", "Of that sweep [default: 1 % of the range].", parse=values.positive),
 ]
 OutputFormat = Annotated[
     str | None,

@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,15 +90,48 @@ def slow_output_range(stages: Sequence[Stage], v_min: float, v_max: float) -> tu
     return min(ends), max(ends)
 
 
-def gears_up_to(gears: DiscreteBacklashOperator, top: float) -> DiscreteBacklashOperator:
-    """Return an operator without its last gears, those that begin at ``top`` or above."""
-    reach = gears.x0 + np.cumsum(gears.dx)
-    count = int(np.searchsorted(reach, top - 0.5 * gears.dx[-1])) + 1
-    if count >= gears.n:
-        return gears
-    return DiscreteBacklashOperator(
-        gears.dx[:count], gears.dy[:count], gears.x0, gears.y0, gears.relaxation, gears.memory_on
-    )
+class CoveredGears(NamedTuple):
+    """The gears that a drive inside the covered range moves, and the bits of all others while it does."""
+
+    operator: DiscreteBacklashOperator
+    spare_bits: int
+
+    def whole(self, state: BacklashState) -> BacklashState:
+        """Return a state of the covered gears as a state of all gears."""
+        return BacklashState(state.bits | self.spare_bits, state.memory)
+
+
+def covered_gears(gears: DiscreteBacklashOperator, low: float, top: float) -> CoveredGears:
+    """Return the gears of a forward operator that a drive from ``low`` to ``top`` moves.
+
+    A model may have gears to spare, so that a drive that goes a little further turns there as it does
+    inside. They come last in the table, so that the bits of the others keep their places. Where some reach
+    below ``low``, the drive finds them engaged after one swing over the covered range, and there they stay.
+    """
+    core, bits, x0, y0 = gears, 0, gears.x0, gears.y0
+    if low > gears.x0 + 0.5 * float(gears.dx[-1]):
+        _, state, _ = gears.run([top, low], gears.empty(), decay=_at_once(gears))
+        count = _gears_within(gears, top - low)
+        if state.bits & ((1 << count) - 1) == 0:  # else the gears do not divide the range: nothing to spare
+            bits, x0 = state.bits, low
+            y0 = gears.coordinates(BacklashState(bits))[1]
+    count = _gears_within(gears, top - x0)
+    if count < gears.n or bits:
+        core = DiscreteBacklashOperator(
+            gears.dx[:count], gears.dy[:count], x0, y0, gears.relaxation, gears.memory_on
+        )
+    return CoveredGears(core, bits)
+
+
+def _gears_within(gears: DiscreteBacklashOperator, width: float) -> int:
+    """Return how many gears, the first ones, are needed to span ``width``."""
+    count = int(np.searchsorted(np.cumsum(gears.dx), width - 0.5 * float(gears.dx[-1]))) + 1
+    return min(count, gears.n)
+
+
+def _at_once(gears: DiscreteBacklashOperator) -> Floats | None:
+    """Return decay factors with which relaxation plays no part in where the gears stand."""
+    return np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
 
 
 def digest_of(stages: Sequence[Stage]) -> str:

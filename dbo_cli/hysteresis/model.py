@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import (
+    CoveredGears,
     MemoryFree,
     ScaleStage,
     Stage,
+    covered_gears,
     digest_of,
-    gears_up_to,
     least_slope,
     memory_free,
     slow_output_range,
@@ -178,18 +179,12 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def _core(self) -> DiscreteBacklashOperator:
-        """The forward backlash stage without gears beyond the voltages the model covers.
-
-        A model may have some, so that a drive that goes a little further turns there as inside. They come
-        last, so a state of the others is a state of all; they take no part in where ``full`` and ``settled``
-        are.
-        """
-        gears = self.forward_backlash
+    def _covered_gears(self) -> CoveredGears:
+        """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         drive = self.input if self.direction == "forward" else self.output
         bent = self._head if self.direction == "forward" else [s.inverse() for s in reversed(self._tail)]
-        top = float(through(bent, np.array([drive.minimum, drive.maximum])).max())
-        return gears_up_to(gears, top)
+        ends = through(bent, np.array([drive.minimum, drive.maximum]))
+        return covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
     def _head(self) -> MemoryFree:
@@ -266,13 +261,15 @@ class ActuatorModel:
         if isinstance(state, ModelState):
             return state
         value = float(self._before_backlash([first_input])[0])
-        operator = self._core
+        covered = self._covered_gears
+        operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
-            return ModelState(start_state(operator, value, state))
+            return ModelState(covered.whole(start_state(operator, value, state)))
         start_state(operator, value, state)  # refuses a name that is none
         inner = None if limits is None else self._inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
+        first = first._replace(state=covered.whole(first.state))
         return ModelState(first.state, first=first)
 
     def simulate(
@@ -313,8 +310,8 @@ class ActuatorModel:
         signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         for stage in self._head:
             signal = stage.run(signal)
-        if outside == "hold" and self.direction == "forward" and self._core.n < self.backlash.n:
-            signal = np.clip(signal, *self._core.x_range)
+        if outside == "hold":
+            signal = self._held(signal)
         steps = self._steps(time_step, signal.size, state, limits)
         inner = None if limits is None else self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
@@ -329,13 +326,30 @@ class ActuatorModel:
         if self.direction == "forward":
             if signal.size:
                 after = dataclasses.replace(after, drive=float(signal[-1]))
-            if self.dynamics and steps is not None:
-                y, sections = self.dynamics.run(y, steps, state.dynamics)
-                after = dataclasses.replace(after, dynamics=sections)
-            if self._delay and self._delay.seconds > 0.0 and steps is not None:
-                y, history = self._delay.lag(y, steps, state.history)
-                after = dataclasses.replace(after, history=history)
+            y, after = self._lagging(y, after, steps, state)
         return Simulated(y, after, *counts, missed)
+
+    def _lagging(
+        self, y: Floats, after: ModelState, steps: float | Floats | None, before: ModelState
+    ) -> tuple[Floats, ModelState]:
+        """Pass a block through the dynamics and the delay of a forward model."""
+        if steps is None:
+            return y, after
+        if self.dynamics:
+            y, sections = self.dynamics.run(y, steps, before.dynamics)
+            after = dataclasses.replace(after, dynamics=sections)
+        if self._delay and self._delay.seconds > 0.0:
+            y, history = self._delay.lag(y, steps, before.history)
+            after = dataclasses.replace(after, history=history)
+        return y, after
+
+    def _held(self, signal: Floats) -> Floats:
+        """Return what reaches the gears, kept within those that the model covers."""
+        core = self._covered_gears.operator
+        if self.direction == "inverse" or core.n == self.backlash.n:
+            return signal
+        held: Floats = np.clip(signal, *core.x_range)
+        return held
 
     def _steps(
         self,
@@ -468,7 +482,7 @@ class ActuatorModel:
         begun = self._inverted.start(first_desired, state, limits)
         inner = self._inverted._inner_limits(limits)
         if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
-            drive = self._core.x_range[0 if state == "empty" else 1]
+            drive = self._covered_gears.operator.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
         return begun
 
@@ -479,7 +493,9 @@ class ActuatorModel:
         """
         gears = self.forward_backlash
         drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
-        ends = [gears.run([drive], state)[0] for state in (gears.empty(), gears.full())]
+        covered = self._covered_gears
+        pasts = (covered.operator.empty(), covered.operator.full())
+        ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]
         bent = self._tail if self.direction == "forward" else [s.inverse() for s in reversed(self._head)]
         low, high = (float(through(bent, end)[0]) for end in ends)
         return abs(high - low)

@@ -122,6 +122,8 @@ class _Node:
         value = self.values[key]
         if not isinstance(value, str):
             raise self.refuse(key, f"{json.dumps(value)} is not a text")
+        if not value.isprintable():
+            raise self.refuse(key, f"{json.dumps(value)} holds characters that cannot be shown")
         return value
 
     def node(self, key: str) -> _Node:
@@ -504,7 +506,10 @@ def _with_dynamics(state: ModelState, root: _Node, model: ActuatorModel) -> Mode
     if node.values["inverse"] is not None:
         inverse = node.node("inverse")
         inverse.only(("time_step", "sections"))
-        undoing = InverseMemory(inverse.number("time_step"), _section_states(inverse, count))
+        time_step = inverse.number("time_step")
+        if not time_step > 0.0:
+            raise inverse.refuse("time_step", f"{time_step!r} is not greater than 0")
+        undoing = InverseMemory(time_step, _section_states(inverse, count))
     return replace(state, dynamics=forward, undoing=undoing)
 
 

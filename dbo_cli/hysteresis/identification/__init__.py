@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dbo_cli.hysteresis.identification.identify import Identification, IdentificationOptions, identify
+from dbo_cli.hysteresis.identification.identify import Identification, identify
+from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Recording
 
 __all__ = ["Identification", "IdentificationOptions", "Recording", "identify"]

@@ -57,12 +57,14 @@ def stages_of(
     count = gears or basis.gears * basis.split
     slope = np.minimum((np.arange(count) + 0.5) * basis.gears / count, basis.gears - 1).astype(np.int64)
     heights = fitted.heights[slope] * basis.gears / count
-    if gears is None:
-        # A drive that goes a little further than the logs did shall turn there as it does inside.
-        heights = np.append(heights, np.full(int(MARGIN * count), heights[-1]))
+    x0, y0 = basis.low, fitted.origin
+    spare = 0 if gears is not None else int(MARGIN * count)
+    # A drive that goes a little further than the logs did shall turn there as it does inside.
+    heights = np.append(heights, np.full(2 * spare, heights[-1]))
     widths = np.full(len(heights), basis.span / count)
+    x0, y0 = x0 - spare * widths[0], y0 - spare * heights[-1]
     stages: list[Stage] = [basis.bend_points()] if basis.bend else []
-    stages.append(BacklashStage(widths, heights, basis.low, fitted.origin, relaxation))
+    stages.append(BacklashStage(widths, heights, x0, y0, relaxation))
     segments = len(fitted.knots) - 1
     if segments > 1:
         stages.append(PointStage(np.diff(fitted.knots), np.full(segments, 1.0 / segments), 0.0, 0.0))

@@ -12,7 +12,7 @@ from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 
 POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
-HELD_SHARE = 0.5  # of the moving samples that repeat the one before: sample-and-hold
+MOST_HELD = 0.5  # of the moving samples that repeat the one before: sample-and-hold
 SPEED_CORRELATION = 0.35
 SATURATION = 0.15  # slope at an end, relative to the median slope
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
@@ -24,12 +24,11 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
     for log in recordings:
         moving = np.abs(np.diff(log.voltage)) > 0.0
         held = (np.diff(log.displacement) == 0.0) & moving
-        if moving.any() and held.sum() > HELD_SHARE * moving.sum() and not _stepped(log.displacement):
+        if moving.any() and held.sum() > MOST_HELD * moving.sum() and not _stepped(log.displacement):
             warnings.append(
                 f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
-                "before while the drive moves: the sensor is slower than the log (sample-and-hold); "
-                "log at the "
-                "sensor's rate, or the fit sees a lag that is not the actuator's"
+                "before while the drive moves: the sensor is slower than the log (sample-and-hold); log at "
+                "the sensor's rate, or the fit sees a lag that is not the actuator's"
             )
         seconds = log.seconds()
         if seconds is not None and log.time is not None:
@@ -43,19 +42,19 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
             elif (steps == 0.0).any():
                 warnings.append(
                     f"{log.name}: {int((steps == 0).sum())} repeated time stamps (first at row "
-                    f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time "
-                    "with more digits"
+                    f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time with more "
+                    "digits"
                 )
     if prepared.one_amplitude:
         warnings.append(
-            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, "
-            "loop width and "
-            "delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a drive)"
+            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, loop width "
+            "and delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a "
+            "drive)"
         )
     if all(shape.cycle_count < 2 for shape in prepared.shapes):
         warnings.append(
-            "less than two whole cycles: nothing could be left out to test the model on; record at "
-            "least three"
+            "less than two whole cycles: nothing could be left out to test the model on; record at least "
+            "three"
         )
     return warnings
 
@@ -76,17 +75,15 @@ def rated_warnings(prepared: Prepared, rated: tuple[float, float] | None) -> lis
     warnings = []
     if prepared.low < low - slack or prepared.high > high + slack:
         warnings.append(
-            f"the logs go from {prepared.low:g} to {prepared.high:g}, beyond the rated range {low:g} "
-            f"to {high:g}: "
-            "check the voltage column, or give compensate `v_min` and `v_max`"
+            f"the logs go from {prepared.low:g} to {prepared.high:g}, beyond the rated range {low:g} to "
+            f"{high:g}: check the voltage column, or give compensate `v_min` and `v_max`"
         )
     covered = 100.0 * (min(prepared.high, high) - max(prepared.low, low)) / (high - low)
     if covered < 95.0:
         warnings.append(
             f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range "
-            f"{low:g} to {high:g}: outside, the model goes straight on; record the whole range before "
-            "using it "
-            "there"
+            f"{low:g} to {high:g}: outside, the model goes straight on; record the whole range before using "
+            "it there"
         )
     return warnings
 
@@ -104,32 +101,27 @@ def fit_warnings(
     rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in residuals) / rows))
     if rows < ROWS_PER_SLOPE * choice.basis.gears:
         warnings.append(
-            f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} "
-            "for each that "
-            "are safe: record longer, or give fewer gears (`gears`)"
+            f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
+            "each that are safe: record longer, or give fewer gears (`gears`)"
         )
     if choice.clockwise > CLOCKWISE:
         warnings.append(
-            "the loop runs clockwise: the displacement leads the voltage. Either the actuator "
-            "softens after a turn "
-            "(friction, magnetics), or voltage and displacement are swapped: check `voltage` and "
+            "the loop runs clockwise: the displacement leads the voltage. Either the actuator softens after "
+            "a turn (friction, magnetics), or voltage and displacement are swapped: check `voltage` and "
             "`displacement`"
         )
     if 100.0 * rmse / span > POOR_PERCENT:
         warnings.append(
-            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows "
-            "something this "
-            "class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
-            "column); look at "
-            "'dbo report `model`' before using it"
+            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows something "
+            "this class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
+            "column); look at 'dbo report `model`' before using it"
         )
     warnings.extend(_shape_warnings(recordings, prepared))
     speed = _speed_correlation(recordings, residuals)
     if abs(speed) > SPEED_CORRELATION and 100.0 * rmse / span > 0.5:
         warnings.append(
-            f"what is left over follows the drive's speed (correlation {speed:.2f}): the actuator's "
-            "loop depends "
-            "on the rate, which this model does not follow; identify at the speed of use"
+            f"what is left over follows the drive's speed (correlation {speed:.2f}): the actuator's loop "
+            "depends on the rate, which this model does not follow; identify at the speed of use"
         )
     return warnings
 
@@ -150,15 +142,15 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
         if falls > 0.25 * float(climbs[climbs > 0.0].sum()):
             warnings.append(
                 f"{log.name}: the displacement rises and falls again as the voltage rises (a butterfly, or a "
-                "turning direction of motion): no invertible model follows that; stay on one side of the turn"
+                "turning direction of motion): no invertible model follows that; stay on one side of the "
+                "turn"
             )
         elif min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
             np.median(climbs)
         ):
             warnings.append(
-                f"{log.name}: the displacement hardly moves at an end of the drive's range "
-                "(saturation, or an end "
-                "stop): the inverse asks for large voltages there; keep trajectories away from it"
+                f"{log.name}: the displacement hardly moves at an end of the drive's range (saturation, or "
+                "an end stop): the inverse asks for large voltages there; keep trajectories away from it"
             )
     return warnings
 

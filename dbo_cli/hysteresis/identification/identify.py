@@ -11,6 +11,8 @@ import numpy as np
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification import diagnostics
 from dbo_cli.hysteresis.identification.assembly import model_of
+from dbo_cli.hysteresis.identification.cleaning import cleaned
+from dbo_cli.hysteresis.identification.dynamics import with_dynamics
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     loop_width_percent,
@@ -18,6 +20,8 @@ from dbo_cli.hysteresis.identification.evaluation import (
     straight_line,
     validation_of,
 )
+from dbo_cli.hysteresis.identification.expectation import Expectation, expect
+from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.paper_method import identify_as_in_paper
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
@@ -28,42 +32,10 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.refinement import Fitted, fit
 from dbo_cli.hysteresis.identification.search import Choice, Orders, choose
+from dbo_cli.hysteresis.identification.sensor import Sensor
 from dbo_cli.hysteresis.model import ActuatorModel
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
-
-
-@dataclass(frozen=True)
-class IdentificationOptions:
-    """What the user asked for.
-
-    ``gears``, ``points``, ``relaxation`` (time constants in seconds, () for none) and ``delay`` (seconds):
-    None stands for 'auto'. ``slopes``: None (from the data), 'growing', 'falling' or 'free'.
-    ``skip_seconds`` of every log. ``zero``: 'none', 'mean', 'first' or a displacement. ``rated``: the drive's
-    full range, for a warning where the logs cover less. ``force`` keeps a model that would be refused.
-    """
-
-    gears: int | None = None
-    points: int | None = None
-    relaxation: tuple[float, ...] | None = None
-    delay: float | None = None
-    slopes: str | None = None
-    skip_seconds: float = 0.0
-    method: str = "least-squares"
-    zero: str | float = "none"
-    rated: tuple[float, float] | None = None
-    force: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse what contradicts itself."""
-        if self.gears is not None and self.gears < 1:
-            raise UsageError(f"`gears` {self.gears}: at least one gear is needed")
-        if self.points is not None and self.points < 0:
-            raise UsageError(f"`points` {self.points}: a number of segments is not negative")
-        if self.delay is not None and not 0.0 <= self.delay < np.inf:
-            raise UsageError(f"`delay` {self.delay:g}: a delay is a time in seconds, not negative")
-        if self.relaxation is not None and not all(0.0 < tau < np.inf for tau in self.relaxation):
-            raise UsageError("`relaxation`: time constants are positive numbers of seconds")
 
 
 @dataclass(frozen=True)
@@ -105,16 +77,24 @@ def identify(
         raise UsageError(
             "`delay` and `relaxation` need a clock: name the time column (`time`) or give `sample_rate`"
         )
-    recordings, glitches = without_voltage_glitches(recordings)
-    prepared = prepare(recordings, options.skip_seconds)
+    if clocked and options.dynamics != 0:
+        moving = with_dynamics(recordings, options, validation, identify)
+        if moving is not None:
+            return Identification(*moving)
+    cycle = median_cycle_seconds(recordings) if clocked else None
+    options.sensor.check(cycle)
+    recordings, said = without_voltage_glitches([options.sensor.taken_off(log) for log in recordings])
+    logs = [cleaned(log) for log in recordings]
+    recordings = [one.recording for one in logs]
+    said += [note for one in logs for note in one.notes]
+    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs])
     orders = Orders(
         options.gears,
         None if options.points is None else max(options.points, 1),
-        options.relaxation,
+        None if options.relaxation is None else tuple(options.relaxation),
         options.delay,
         options.slopes,
     )
-    cycle = median_cycle_seconds(recordings) if clocked else None
     choice = choose(prepared, orders, cycle)
     fitted = fit(prepared.logs, choice.basis, choice.structure)
     model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
@@ -135,16 +115,18 @@ def identify(
         )
     if rmse > NO_BETTER * line:
         message = (
-            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the "
-            "log shows no loop "
-            "that this class of models can follow; check the columns and the sensor"
+            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows "
+            "no loop that this class of models can follow; check the columns and the sensor"
         )
         if not options.force:
             raise FitError(f"{message} (`force` keeps the model)")
         warnings.append(message)
-    checks = [validation_of(model, log, options.skip_seconds) for log in validation]
-    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle)
-    summary = glitches + prepared.notes + _summary(figures, model, prepared, choice, checks)
+    checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
+    expected = expect(prepared.logs, choice.basis, choice.structure, choice.score.rmse, choice.delay_interval)
+    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected)
+    summary = said + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
+    if options.sensor:
+        figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
     figures["warnings"] = list(warnings)
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
 
@@ -165,10 +147,12 @@ def _figures(
     rmse: float,
     line: float,
     cycle: float | None,
+    expected: Expectation,
 ) -> dict[str, object]:
     """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
     span = abs(prepared.scale)
-    cross = choice.score.rmse * span
+    cross = rmse * choice.score.rmse / expected.fitted
+    new_moves = span * expected.rmse(rmse / span)
     gears = fitted.basis
     figures: dict[str, object] = {
         "method": "least-squares",
@@ -176,6 +160,9 @@ def _figures(
         "rmse_percent": 100.0 * rmse / span,
         "cross_validated_rmse": cross,
         "cross_validated_percent": 100.0 * cross / span,
+        "expected_rmse": new_moves,
+        "expected_percent": 100.0 * new_moves / span,
+        "expected_from": expected.words(),
         "straight_line_rmse": line,
     }
     if checks:
@@ -244,28 +231,31 @@ def _summary(
     prepared: Prepared,
     choice: Choice,
     checks: Sequence[Residual],
+    sensor: Sensor,
 ) -> list[str]:
     """Lines for the person at the terminal."""
     unit = f" {model.output.unit}" if model.output.unit else ""
     volt = f" {model.input.unit}" if model.input.unit else ""
     lines = [
-        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles "
-        "left out "
-        f"{figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles left "
+        f"out {figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
         f"straight line {figures['straight_line_rmse']:.4g}{unit}"
     ]
     lines.extend(
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE "
-        f"({100.0 * one.rmse / abs(prepared.scale):.2f} % "
-        "of range), offset removed"
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / abs(prepared.scale):.2f} "
+        "% of range), offset removed"
         for one in checks
     )
     lines.append(
-        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of "
-        "asymmetry, loop "
-        f"{figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to {prepared.high:g}{volt}"
+        f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+        f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
     )
-    lines.append(_lag_line(figures, choice))
+    lines.append(
+        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, "
+        f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "
+        f"{prepared.high:g}{volt}"
+    )
+    lines.append(_lag_line(figures, choice, sensor))
     lines.extend(
         f"{log.name}: sensor drift of {drift:.3g}{unit} fitted beside the model and left out of it"
         for log, drift in zip(prepared.logs, _drifts(figures), strict=True)
@@ -280,7 +270,7 @@ def _drifts(figures: dict[str, object]) -> list[float]:
     return [float(log["drift"]) for log in logs]
 
 
-def _lag_line(figures: dict[str, object], choice: Choice) -> str:
+def _lag_line(figures: dict[str, object], choice: Choice, sensor: Sensor) -> str:
     """Say what lag was found and how well it is determined."""
     taus = figures["relaxation_seconds"]
     assert isinstance(taus, list)
@@ -288,8 +278,8 @@ def _lag_line(figures: dict[str, object], choice: Choice) -> str:
     lag = figures["lag_seconds"]
     assert isinstance(lag, float)
     line = (
-        f"lag {1e3 * lag:.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories}), "
-        f"drive bent by {100.0 * choice.basis.bend:.0f} %"
+        f"lag {1e3 * lag:.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories}), drive "
+        f"bent by {100.0 * choice.basis.bend:.0f} %"
     )
     if choice.delay_interval is not None:
         low, high = choice.delay_interval
@@ -297,6 +287,16 @@ def _lag_line(figures: dict[str, object], choice: Choice) -> str:
             line += f"; a delay from {1e3 * low:.3g} to {1e3 * high:.3g} ms explains the logs as well" + (
                 ", the middle was taken" if choice.basis.delay > 0.0 else ""
             )
+    if sensor:
+        return (
+            f"{line}; the sensor's delay of {1e3 * sensor.delay:.3g} ms and lag of {1e3 * sensor.lag:.3g} ms "
+            "were taken off before and are not compensated"
+        )
+    if lag > 0.0:
+        line += (
+            "; whether the actuator or its sensor is late a log cannot tell: all of it is taken for the "
+            "actuator's and will be compensated (`sensor_delay`, `sensor_lag` take the sensor's part off)"
+        )
     return line
 
 
@@ -306,11 +306,6 @@ def _paper(
     """Identify as in the paper's Section V."""
     if len(recordings) > 1:
         raise UsageError("`method` paper takes one log of one cycle (`rows` A:B cuts it out)")
-    for value, name in ((options.delay, "`delay`"), (options.relaxation, "`relaxation`")):
-        if value:
-            raise UsageError(
-                f"{name} does not go with `method` paper: the paper's model has neither lag nor delay"
-            )
     log = recordings[0]
     model, cycle = identify_as_in_paper(log, options.gears, options.points, options.zero)
     again = dataclasses.replace(

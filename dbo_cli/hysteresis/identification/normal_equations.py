@@ -11,8 +11,18 @@ from dbo_cli.errors import FitError
 
 Floats = NDArray[np.float64]
 
-SLOPE_FLOOR = 1e-3  # of the mean slope: a flatter gear would make the inverse ill-conditioned
-DUST = 1e-12  # ridge, relative to each column: columns that were never excited stay harmless
+SLOPE_FLOOR = 1e-3
+"""Least slope of a gear, as a share of the mean: flatter ones drown in the rounding of the inverse."""
+
+MAX_STEEPNESS = 15.0
+"""Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse. With
+narrower segments the curves of a shape-memory wire and of an end stop fit no better (less than 1 %)."""
+
+RIDGE = 1e-12
+"""Added to each column's own square, as a share of it: a column that was never excited stays harmless."""
+
+TIE = 1e3
+"""Weight of the equation that makes the widths of the segments add up to one, over the data's own."""
 
 
 @dataclass(frozen=True)
@@ -127,22 +137,26 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
     FitError
         The solver did not reach the optimum.
     """
-    total = columns.total
+    total, gears = columns.total, columns.gears
     matrix = gram[:total, :total] + penalties(columns, structure, weight)
-    right = gram[:total, total].copy()
-    gears = columns.gears
-    floor = np.zeros(total)
-    floor[:gears] = SLOPE_FLOOR / gears
-    spread = np.zeros((total, gears + len(structure.memories)))
-    spread[:gears, :gears] = slope_map(gears, structure.slopes) / gears
+    right = gram[:total, total]
+    fixed = np.zeros(total)
+    fixed[:gears] = SLOPE_FLOOR / gears
+    bounded = np.zeros((total, gears + len(structure.memories)))
+    bounded[:gears, :gears] = slope_map(gears, structure.slopes) / gears
     for place, memory in enumerate(structure.memories):
-        spread[gears + memory, gears + place] = 1.0
+        bounded[gears + memory, gears + place] = 1.0
     at = gears + columns.memories
-    knots = knot_map(columns.segments, structure.segments)
-    loose = np.zeros((total, knots.shape[1] + columns.drift))
-    loose[at : at + columns.hats, : knots.shape[1]] = knots
-    loose[at + columns.hats :, knots.shape[1] :] = np.eye(columns.drift)
-    vector = floor + _bounded(matrix, right - matrix @ floor, spread, loose)
+    free = np.zeros((total, columns.drift))
+    free[at + columns.hats :, :] = np.eye(columns.drift)
+    tie = None
+    if structure.segments > 1:
+        least, widths, spare = _bounded_widths(columns, structure.segments)
+        tie = bounded.shape[1], spare
+        bounded = np.hstack((bounded, np.zeros((total, structure.segments))))
+        bounded[at : at + columns.hats, tie[0] :] = widths
+        fixed[at : at + columns.hats] = least
+    vector = fixed + _bounded(matrix, right - matrix @ fixed, bounded, free, tie)
     return Solution(
         heights=vector[:gears],
         gains=vector[gears:at],
@@ -152,23 +166,48 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
     )
 
 
-def _bounded(matrix: Floats, right: Floats, bounded: Floats, loose: Floats) -> Floats:
-    """Minimise x'Mx - 2r'x over x = bounded p + loose q, p >= 0; the loose unknowns are eliminated first."""
+def _bounded_widths(columns: Columns, segments: int) -> tuple[Floats, Floats, float]:
+    """Inner knots of an asymmetry whose segments are at least 1 / (MAX_STEEPNESS segments) wide.
+
+    Returns the knots' deviations with all segments at the bound, shape (hats,); what each segment adds per
+    unit of width beyond it, shape (hats, segments), the last one nothing; and what all add up to.
+    """
+    narrowest = 1.0 / (MAX_STEEPNESS * segments)
+    knots = knot_map(columns.segments, segments)
+    at_bound: Floats = knots @ (np.arange(1, segments) * (narrowest - 1.0 / segments))
+    wider = knots @ np.tril(np.ones((segments - 1, segments - 1)))
+    return at_bound, np.hstack((wider, np.zeros((columns.hats, 1)))), 1.0 - segments * narrowest
+
+
+def _bounded(
+    matrix: Floats, right: Floats, bounded: Floats, free: Floats, tie: tuple[int, float] | None
+) -> Floats:
+    """Minimise x'Mx - 2r'x over x = bounded p + free q, p >= 0; the free unknowns are eliminated first.
+
+    ``tie``: the unknowns p from this index on add up to this number.
+    """
     from scipy.linalg import cholesky, qr, solve_triangular
     from scipy.optimize import nnls
 
     # The factor is taken in the gears' own coordinates, where neighbours differ, not in those of the slope
     # increments, whose columns are sums over gears and nearly collinear.
-    scale = np.sqrt(np.maximum(np.diag(matrix), DUST * float(np.trace(matrix))))
+    scale = np.sqrt(np.maximum(np.diag(matrix), RIDGE * float(np.trace(matrix))))
     scaled = matrix / np.outer(scale, scale)
-    scaled[np.diag_indices_from(scaled)] += DUST
+    scaled[np.diag_indices_from(scaled)] += RIDGE
     factor = cholesky(scaled, check_finite=False)
-    goal = solve_triangular(factor, right / scale, trans="T", check_finite=False)
-    both = np.hstack((loose, bounded))
-    length = np.linalg.norm(factor @ (scale[:, None] * both), axis=0)
-    rotation, factor = qr(factor @ (scale[:, None] * both / length), mode="economic", check_finite=False)
+    goal: Floats = solve_triangular(factor, right / scale, trans="T", check_finite=False)
+    both = np.hstack((free, bounded))
+    rows = factor @ (scale[:, None] * both)
+    if tie is not None:
+        weight = TIE * float(np.linalg.norm(goal))
+        equation = np.zeros((1, both.shape[1]))
+        equation[0, free.shape[1] + tie[0] :] = weight
+        rows = np.vstack((rows, equation))
+        goal = np.append(goal, weight * tie[1])
+    length = np.linalg.norm(rows, axis=0)
+    rotation, factor = qr(rows / length, mode="economic", check_finite=False)
     target = rotation.T @ goal
-    count = loose.shape[1]
+    count = free.shape[1]
     corner = factor[count:, count:]
     try:
         positive, _ = nnls(corner, target[count:], maxiter=60 * corner.shape[1])
@@ -177,10 +216,10 @@ def _bounded(matrix: Floats, right: Floats, bounded: Floats, loose: Floats) -> F
             "the least-squares solver did not converge: give fewer gears (`gears`) or leave out bad rows"
         ) from problem
     _check_optimum(corner, target[count:], positive)
-    free = solve_triangular(
+    others = solve_triangular(
         factor[:count, :count], target[:count] - factor[:count, count:] @ positive, check_finite=False
     )
-    answer: Floats = both @ (np.concatenate((free, positive)) / length)
+    answer: Floats = both @ (np.concatenate((others, positive)) / length)
     return answer
 
 
@@ -193,10 +232,14 @@ def _check_optimum(matrix: Floats, target: Floats, answer: Floats) -> None:
     )
     if not falls_short <= 1e-7 * size:
         raise FitError(
-            "the least-squares solver stopped away from the optimum (gradient "
-            f"{falls_short / size:.1e} of its "
-            "size): give fewer gears (`gears`) or leave out bad rows"
+            f"the least-squares solver stopped away from the optimum (gradient {falls_short / size:.1e} of "
+            "its size): give fewer gears (`gears`) or leave out bad rows"
         )
+
+
+def least_squares(gram: Floats, products: Floats) -> Floats:
+    """Solve symmetric normal equations; columns that say the same, or nothing, share or get zero."""
+    return np.asarray(np.linalg.lstsq(gram, products, rcond=1e-10)[0], dtype=np.float64)
 
 
 def squared_error(gram: Floats, vector: Floats) -> float:
@@ -217,6 +260,4 @@ def squared_error_free_of(gram: Floats, vector: Floats, nuisance: slice) -> floa
     full[nuisance] = 0.0
     left = float(full @ gram @ full)
     products = gram[nuisance, :] @ full
-    own = gram[nuisance, nuisance]
-    ridge = DUST * np.trace(own) * np.eye(len(own))
-    return max(left - float(products @ np.linalg.solve(own + ridge, products)), 0.0)
+    return max(left - float(products @ least_squares(gram[nuisance, nuisance], products)), 0.0)

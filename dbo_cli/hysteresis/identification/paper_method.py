@@ -17,7 +17,7 @@ from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.assembly import zero_shift
 from dbo_cli.hysteresis.identification.normal_equations import SLOPE_FLOOR, Structure, solve
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
-from dbo_cli.hysteresis.identification.refinement import corners, invertible
+from dbo_cli.hysteresis.identification.refinement import corners
 from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, gather
 from dbo_cli.hysteresis.model import (
@@ -95,15 +95,10 @@ def identify_as_in_paper(
 
 def _fine_heights(log: PreparedLog, basis: Basis, segments: int) -> tuple[Floats, Floats]:
     """Heights of the fine operator (a slope's gears together) and the corners of the asymmetry."""
-    while True:
-        statistics = gather([log], basis, segments)
-        gram, rows = statistics.total()
-        structure = Structure("growing", (), segments, SMOOTHNESS)
-        solution = solve(gram, statistics.columns, structure, rows)
-        knots = corners(solution.knots, segments)
-        if segments == 1 or invertible(knots):
-            return solution.heights, knots
-        segments //= 2
+    statistics = gather([log], basis, segments)
+    gram, rows = statistics.total()
+    solution = solve(gram, statistics.columns, Structure("growing", (), segments, SMOOTHNESS), rows)
+    return solution.heights, corners(solution.knots, segments)
 
 
 def _few_heights(cycle: Floats, basis: Basis, fine: Floats, widths: Floats) -> Floats:

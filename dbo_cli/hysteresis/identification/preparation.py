@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.drift import drift_order, level_moves, with_drift_needed
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
 from dbo_cli.hysteresis.identification.recordings import (
     AMPLITUDE_SCATTER,
@@ -28,7 +29,11 @@ Booleans = NDArray[np.bool_]
 
 FOLDS = 10
 OUTLIER_SIGMAS = 8.0
-SPIKE_SHARE = 0.02  # more rows than this are no outliers: they are what the actuator does
+MOST_OUTLIERS = 0.02  # more rows than this are no outliers: they are what the actuator does
+CLIPPED_STEEPNESS = 0.35
+"""Slope just before the displacement stands still, over the mean one, above which the sensor is to blame: a
+piezo cut off in its upper half has 0.8 to 1.3, a wire that has reached its plateau less than 0.2."""
+
 PROBE_SLOPES = 64
 PROBE_SPLIT = 8
 PROBE_SEGMENTS = 4
@@ -59,8 +64,7 @@ class Prepared:
     @property
     def one_amplitude(self) -> bool:
         """Whether all cycles of all logs go over one and the same range."""
-        amplitudes = np.concatenate([shape.amplitudes for shape in self.shapes])
-        return len(amplitudes) < 2 or float(np.ptp(amplitudes)) <= AMPLITUDE_SCATTER * float(amplitudes.max())
+        return one_amplitude_of(self.shapes)
 
     @property
     def span(self) -> float:
@@ -68,18 +72,43 @@ class Prepared:
         return self.high - self.low
 
 
+def one_amplitude_of(shapes: Sequence[DriveShape]) -> bool:
+    """Whether all cycles of all logs go over one and the same range."""
+    amplitudes = np.concatenate([shape.amplitudes for shape in shapes])
+    return len(amplitudes) < 2 or float(np.ptp(amplitudes)) <= AMPLITUDE_SCATTER * float(amplitudes.max())
+
+
 def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
-    """Rows where the displacement stands at its own extreme while the drive moves on: out of range."""
+    """Rows where the displacement stands at its own extreme while the drive moves on: out of range.
+
+    An actuator may stand still there, too (an end stop, a shape-memory wire below its transition). It comes
+    to rest by and by; a clipped sensor is cut off in full motion.
+    """
     stuck = np.zeros(len(displacement), bool)
     moving = np.abs(np.diff(voltage, prepend=voltage[0])) > 0.0
+    usual = _steepness(displacement, voltage)
     for extreme in (displacement.min(), displacement.max()):
         at = (displacement == extreme) & moving
         edges = np.flatnonzero(np.diff(np.concatenate(([0], at.astype(np.int8), [0]))))
+        found: list[tuple[int, int]] = []
+        before: list[float] = []
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             swing = float(np.ptp(voltage[begin:end]))
             if end - begin >= 5 and swing > 0.01 * float(np.ptp(voltage)):
+                found.append((begin, end))
+                near = slice(max(begin - max((end - begin) // 5, 3), 0), begin + 1)
+                if begin - near.start >= 3:
+                    before.append(_steepness(displacement[near], voltage[near]))
+        if found and (not before or float(np.median(before)) > CLIPPED_STEEPNESS * usual):
+            for begin, end in found:
                 stuck[begin:end] = True
     return stuck
+
+
+def _steepness(displacement: Floats, voltage: Floats) -> float:
+    """Displacement travelled for each volt travelled."""
+    path = float(np.abs(np.diff(voltage)).sum())
+    return float(np.abs(np.diff(displacement)).sum()) / path if path > 0.0 else 0.0
 
 
 def without_outliers(values: Floats) -> Floats:
@@ -118,17 +147,9 @@ def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) 
     return np.where(usable, fold + first_fold, -1)
 
 
-def drift_order(shape: DriveShape, has_clock: bool) -> int:
-    """Order of the drift polynomial that a log of so many cycles can tell from what the actuator does.
-
-    Where the amplitude changes, so does the mean of an asymmetric loop; a curved drift would swallow that.
-    """
-    if not has_clock or shape.cycle_count < 3:
-        return 0
-    return 2 if shape.one_amplitude and shape.cycle_count >= 6 else 1
-
-
-def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
+def prepare(
+    recordings: Sequence[Recording], skip_seconds: float, bad: Sequence[Booleans] | None = None
+) -> Prepared:
     """Make logs ready: sign, rows to leave out, start states, drift taken out, output scaled to 0..1.
 
     Raises
@@ -145,14 +166,17 @@ def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
     logs: list[PreparedLog] = []
     transients: list[int] = []
     clipped: list[int] = []
+    outlying: list[int] = []
     fold = 0
-    for log, shape in zip(recordings, shapes, strict=True):
-        usable, transient, stuck = _usable_rows(log, skip_seconds, notes)
+    faults = bad or [np.zeros(len(log.voltage), bool) for log in recordings]
+    for log, shape, faulty in zip(recordings, shapes, faults, strict=True):
+        usable, transient, left_out, stuck = _usable_rows(log, skip_seconds, faulty, notes)
+        outlying.append(left_out)
         transients.append(transient)
         clipped.append(stuck)
         seconds = log.seconds()
         clock = np.arange(len(log.voltage), dtype=float) if seconds is None else seconds
-        order = drift_order(shape, seconds is not None)
+        order = drift_order(shape, seconds is not None, level_moves(shape, log.voltage))
         share = max(2, round(FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)))
         folds = folds_of(shape, usable, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
@@ -172,7 +196,10 @@ def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
         log if cut else _with_history(log, low, high, notes)
         for log, cut in zip(logs, transients, strict=True)
     ]
-    flat, outliers = _without_drift_and_spikes(chosen, low, high, notes)
+    one_level = not any(
+        level_moves(shape, log.voltage) for shape, log in zip(shapes, recordings, strict=True)
+    )
+    flat, outliers = _without_drift_and_spikes(chosen, low, high, notes, one_level)
     bottom = min(float(log.output[log.used].min()) for log in flat)
     top = max(float(log.output[log.used].max()) for log in flat)
     ready = tuple(replace(log, output=(log.output - bottom) / (top - bottom)) for log in flat)
@@ -184,14 +211,16 @@ def prepare(recordings: Sequence[Recording], skip_seconds: float) -> Prepared:
         scale=scale * (top - bottom),
         offset=scale * bottom,
         transient_rows=tuple(transients),
-        outlier_rows=outliers,
+        outlier_rows=tuple(a + b for a, b in zip(outlying, outliers, strict=True)),
         clipped_rows=tuple(clipped),
         notes=notes,
     )
 
 
-def _usable_rows(log: Recording, skip_seconds: float, notes: list[str]) -> tuple[Booleans, int, int]:
-    """Rows of one log that can take part: not skipped, not under the unknown history, sensor not clipped."""
+def _usable_rows(
+    log: Recording, skip_seconds: float, faulty: Booleans, notes: list[str]
+) -> tuple[Booleans, int, int, int]:
+    """Rows of one log that can take part, and how many do not: history unknown, faulty, sensor clipped."""
     samples = len(log.voltage)
     usable = np.ones(samples, bool)
     seconds = log.seconds()
@@ -209,24 +238,24 @@ def _usable_rows(log: Recording, skip_seconds: float, notes: list[str]) -> tuple
         usable[:wiped] = False
         transient = wiped - skipped
         notes.append(
-            f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both "
-            "ends of its "
-            "range, the actuator's history is unknown"
+            f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both ends of "
+            "its range, the actuator's history is unknown"
         )
+    left_out = int((usable & faulty).sum())
+    usable &= ~faulty
     stuck = clipped_sensor(log.displacement, log.voltage) & usable
     if stuck.any():
         usable &= ~stuck
         notes.append(
-            f"{log.name}: {int(stuck.sum())} rows left out: the sensor stands at the end of its range "
-            "while the "
-            "drive moves (clipped); move the sensor or lower its gain and record again"
+            f"{log.name}: {int(stuck.sum())} rows left out: the sensor stands at the end of its range while "
+            "the drive moves (clipped); move the sensor or lower its gain and record again"
         )
     if int(usable.sum()) < FEWEST_ROWS:
         raise FitError(
-            f"{log.name}: {int(usable.sum())} usable rows are too few to identify from: record "
-            "longer, or skip less"
+            f"{log.name}: {int(usable.sum())} usable rows are too few to identify from: record longer, or "
+            "skip less"
         )
-    return usable, transient, int(stuck.sum())
+    return usable, transient, left_out, int(stuck.sum())
 
 
 def _probe(low: float, high: float) -> tuple[Basis, Structure]:
@@ -249,8 +278,8 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
     if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
         lost = int(log.used.sum() - opened.used.sum())
         notes.append(
-            f"{log.name}: {lost} rows at new extremes of the drive left out: no known start explains "
-            "them, so the history before the log is left open"
+            f"{log.name}: {lost} rows at new extremes of the drive left out: no known start explains them, "
+            "so the history before the log is left open"
         )
         return opened
     return starts[best]
@@ -284,10 +313,11 @@ def _probe_error(log: PreparedLog, low: float, high: float) -> float:
 
 
 def _without_drift_and_spikes(
-    logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
+    logs: Sequence[PreparedLog], low: float, high: float, notes: list[str], one_level: bool
 ) -> tuple[list[PreparedLog], tuple[int, ...]]:
     """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
     basis, structure = _probe(low, high)
+    logs = with_drift_needed(logs, low, high, one_level)
     outliers = np.zeros(len(logs), np.int64)
     residuals: list[Floats] = []
     for attempt in range(2):
@@ -329,7 +359,7 @@ def _leave_out_spikes(
         centre = float(np.median(values))
         sigma = 1.4826 * float(np.median(np.abs(values - centre)))
         far = used & (np.abs(residual - centre) > OUTLIER_SIGMAS * max(sigma, 1e-12))
-        if 0 < int(far.sum()) <= SPIKE_SHARE * int(used.sum()):
+        if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
             found[place] = int(far.sum())
             notes.append(
                 f"{log.name}: {found[place]} outlying rows left out (more than {OUTLIER_SIGMAS:g} standard "

@@ -16,7 +16,7 @@ Integers = NDArray[np.int64]
 FEWEST_ROWS = 40
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
-REVERSAL_SHARE = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn
+SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def turning_points(signal: Floats, threshold: float) -> Integers:
 
 def drive_shape(voltage: Floats) -> DriveShape:
     """Find turning points, whole cycles and amplitudes of one log's drive."""
-    turns = turning_points(voltage, REVERSAL_SHARE * float(np.ptp(voltage)))
+    turns = turning_points(voltage, SMALLEST_TURN * float(np.ptp(voltage)))
     heights = voltage[turns]
     amplitudes = np.abs(np.diff(heights))
     if len(turns) >= 2:
@@ -128,9 +128,8 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
     for log in recordings:
         if len(log.voltage) < FEWEST_ROWS:
             raise FitError(
-                f"{log.name}: {len(log.voltage)} rows are too few to identify from: record at least "
-                "one whole "
-                f"cycle with {FEWEST_ROWS} rows or more"
+                f"{log.name}: {len(log.voltage)} rows are too few to identify from: record at least one "
+                f"whole cycle with {FEWEST_ROWS} rows or more"
             )
         _check_sizes(log)
         if np.ptp(log.voltage) == 0.0:
@@ -166,8 +165,7 @@ def _check_sizes(log: Recording) -> None:
         if huge.any():
             row = int(np.argmax(huge))
             raise FitError(
-                f"{log.name}: the {what} in row {row + 1} is {values[row]:g}, which no instrument "
-                "measured: "
+                f"{log.name}: the {what} in row {row + 1} is {values[row]:g}, which no instrument measured: "
                 "correct it, or cut the log with `rows`"
             )
 
@@ -184,7 +182,7 @@ def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Reco
         middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
         jump = np.abs(v[1:-1] - middle)
         usual = float(np.abs(np.diff(middle)).max())
-        rows = np.flatnonzero(jump > max(3.0 * usual, REVERSAL_SHARE * float(np.ptp(middle)))) + 1
+        rows = np.flatnonzero(jump > max(3.0 * usual, SMALLEST_TURN * float(np.ptp(middle)))) + 1
         if len(rows) and usual > 0.0:
             repaired = v.copy()
             repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
@@ -204,7 +202,7 @@ def first_wiped_row(voltage: Floats) -> int:
     set and cleared (wiping-out), so whatever was remembered before is gone.
     """
     low, high = float(voltage.min()), float(voltage.max())
-    near = REVERSAL_SHARE / 4 * (high - low)
+    near = SMALLEST_TURN / 4 * (high - low)
     at_low = int(np.argmax(voltage <= low + near))
     at_high = int(np.argmax(voltage >= high - near))
     return max(at_low, at_high)

@@ -21,6 +21,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     Columns,
     Solution,
     Structure,
+    least_squares,
     penalties,
     solve,
     squared_error_free_of,
@@ -37,7 +38,6 @@ from dbo_cli.hysteresis.identification.statistics import (
 STEPS = 4
 WORTHWHILE = 0.02  # of the squared output error: a smaller gain is not worth leaving the convex solution
 SMALL_GAIN = 1e-3  # of the gears' whole height: a memory below this is pruned
-STEEPEST = 20.0  # ratio between the slopes of the asymmetry that is still called invertible
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,6 @@ def corners(deviation: Floats, segments: int) -> Floats:
     return at
 
 
-def invertible(knots: Floats) -> bool:
-    """Whether the asymmetry is strictly increasing, with slopes that do not differ beyond reason."""
-    widths = np.diff(knots) * (len(knots) - 1)
-    return bool(widths.min() > 1.0 / STEEPEST and widths.max() < STEEPEST)
-
-
 def asymmetry(w: Floats, knots: Floats) -> tuple[Floats, Floats]:
     """Output and slope of the piecewise-linear asymmetry at ``w``; the end segments go straight on."""
     segments = len(knots) - 1
@@ -81,8 +75,8 @@ def asymmetry(w: Floats, knots: Floats) -> tuple[Floats, Floats]:
 def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitted:
     """Solve the equation-error problem, prune memories, refine on the output error where that helps.
 
-    What to prune, how many segments can be inverted and whether refining helps is found out on at most
-    ``SELECTION_ROWS`` rows; the model itself is fitted to all of them.
+    What to prune and whether refining helps is found out on at most ``SELECTION_ROWS`` rows; the model itself
+    is fitted to all of them.
 
     Raises
     ------
@@ -90,33 +84,25 @@ def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitt
         The solver failed.
     """
     some = fewer_rows(logs)
-    fitted, structure = _equation_error(some, basis, structure)
+    fitted = _equation_error(some, basis, structure)
     kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * fitted.heights.sum())
     if kept != tuple(range(len(basis.time_constants))):
         basis = replace(basis, time_constants=tuple(basis.time_constants[k] for k in kept))
         structure = replace(structure, memories=tuple(range(len(kept))))
-        fitted, structure = _equation_error(some, basis, structure)
+        fitted = _equation_error(some, basis, structure)
     helps = _refined(some, fitted, structure) is not None
-    fitted, structure = _equation_error(logs, basis, structure)
+    fitted = _equation_error(logs, basis, structure)
     refined = _refined(logs, fitted, structure) if helps else None
     return refined or _levelled(logs, fitted)
 
 
-def _equation_error(
-    logs: Sequence[PreparedLog], basis: Basis, structure: Structure
-) -> tuple[Fitted, Structure]:
-    """Solve with fewer and fewer segments until the asymmetry can be inverted."""
-    segments = structure.segments
-    while True:
-        structure = replace(structure, segments=segments)
-        statistics = gather(logs, basis, segments)
-        gram, rows = statistics.total()
-        solution = solve(gram, statistics.columns, structure, rows)
-        knots = corners(solution.knots, segments)
-        if segments == 1 or invertible(knots):
-            origin = float(solution.drift[0])
-            return Fitted(basis, solution.heights, solution.gains, origin, knots, solution.drift), structure
-        segments //= 2
+def _equation_error(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitted:
+    """Solve the convex problem."""
+    statistics = gather(logs, basis, structure.segments)
+    gram, rows = statistics.total()
+    solution = solve(gram, statistics.columns, structure, rows)
+    knots = corners(solution.knots, structure.segments)
+    return Fitted(basis, solution.heights, solution.gains, float(solution.drift[0]), knots, solution.drift)
 
 
 def _rows_about(fitted: Fitted) -> Linearise:
@@ -162,11 +148,12 @@ def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -
             solution: Solution = solve(gram, statistics.columns, structure, rows)
         except FitError:
             break
-        knots = corners(solution.knots, segments)
-        if not invertible(knots):
-            break
         current = replace(
-            current, heights=solution.heights, gains=solution.gains, knots=knots, drift=solution.drift
+            current,
+            heights=solution.heights,
+            gains=solution.gains,
+            knots=corners(solution.knots, segments),
+            drift=solution.drift,
         )
     return found if best < (1.0 - WORTHWHILE) * first else None
 
@@ -189,6 +176,4 @@ def _vector_of(fitted: Fitted, columns: Columns) -> tuple[Floats, slice]:
 def _with_drift(fitted: Fitted, gram: Floats, vector: Floats, drift: slice) -> Fitted:
     """Return the same model with offset and drift fitted to what it leaves over."""
     full = np.append(vector, -1.0)
-    own = gram[drift, drift]
-    ridge = 1e-12 * float(np.trace(own)) * np.eye(len(own))
-    return replace(fitted, drift=-np.linalg.solve(own + ridge, gram[drift, :] @ full))
+    return replace(fitted, drift=-least_squares(gram[drift, drift], gram[drift, :] @ full))

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 INDIFFERENCE = 0.02  # a gain in RMSE below this share is not worth a larger model, however certain
 
-LARGEST_EXCUSE = 0.03  # of the RMSE: what one standard error can excuse at most
+MAX_STANDARD_ERROR = 0.03  # of the RMSE: what one standard error can excuse at most
 
 
 @dataclass(frozen=True)
@@ -54,29 +54,36 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     for fold, gram in enumerate(statistics.grams):
         rest, rows = statistics.total(leave_out=fold)
         solution = solve(rest, statistics.columns, structure, rows)
-        left = squared_error_free_of(gram, solution.vector, statistics.loose[fold])
+        left = squared_error_free_of(gram, solution.vector, statistics.nuisance[fold])
         errors.append(left / max(statistics.rows[fold], 1))
     rows_of = np.asarray(statistics.rows, dtype=float)
     return Score(np.asarray(errors), rows_of / rows_of.sum())
 
 
 def no_worse(
-    candidate: Score, best: Score, indifference: float = INDIFFERENCE, excuse: float = LARGEST_EXCUSE
+    candidate: Score,
+    best: Score,
+    indifference: float = INDIFFERENCE,
+    max_standard_error: float = MAX_STANDARD_ERROR,
 ) -> bool:
     """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
 
     The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common. With few or uneven folds it says little, so it excuses a loss only up to ``excuse``.
+    common. With few or uneven folds it says little, so it excuses a loss only up to ``max_standard_error``.
     """
     excess = candidate.excess_over(best)
     mean = float(excess.mean())
     error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
-    return bool(mean <= max(min(error, excuse), float(np.log1p(indifference))))
+    return bool(mean <= max(min(error, max_standard_error), float(np.log1p(indifference))))
 
 
 def simplest_of(
-    scores: Sequence[Score], indifference: float = INDIFFERENCE, excuse: float = LARGEST_EXCUSE
+    scores: Sequence[Score],
+    indifference: float = INDIFFERENCE,
+    max_standard_error: float = MAX_STANDARD_ERROR,
 ) -> int:
     """Index of the first (simplest first) candidate that is no worse than the best of all."""
     best = min(scores, key=lambda score: float(score.excess_over(scores[0]).mean()))
-    return next(k for k, score in enumerate(scores) if no_worse(score, best, indifference, excuse))
+    return next(
+        k for k, score in enumerate(scores) if no_worse(score, best, indifference, max_standard_error)
+    )

@@ -41,6 +41,17 @@ class PreparedLog:
     stretches: int = 0
 
     @property
+    def drift_order(self) -> int:
+        """Order of the polynomial among the columns of drift; 0 for an offset alone."""
+        return int(self.drift.shape[1]) - self.stretches - 1
+
+    def with_drift_of(self, order: int) -> PreparedLog:
+        """Return the log with a drift polynomial of at most this order; offsets of stretches stay."""
+        own = self.drift_order + 1
+        kept = [k for k in range(self.drift.shape[1]) if k <= order or k >= own]
+        return replace(self, drift=self.drift[:, kept])
+
+    @property
     def used(self) -> NDArray[np.bool_]:
         """Rows that take part in the fit; shape (samples,)."""
         return self.fold >= 0
@@ -50,14 +61,14 @@ class PreparedLog:
 class Statistics:
     """Products of the columns and the target, one symmetric matrix a fold, with the rows that went in.
 
-    ``loose`` are the columns that a fold, when it is left out, still has to itself: the offsets of stretches
-    of an open history, or offset and drift altogether where no other fold is of the same log.
+    ``nuisance`` are the columns that a fold, when it is left out, still has to itself: the offsets of
+    stretches of an open history, or offset and drift altogether where no other fold is of the same log.
     """
 
     columns: Columns
     grams: tuple[Floats, ...]
     rows: tuple[int, ...]
-    loose: tuple[slice, ...]
+    nuisance: tuple[slice, ...]
 
     def total(self, leave_out: int | None = None) -> tuple[Floats, int]:
         """Sum over the folds, all or all but one: the products and the number of rows."""
@@ -103,7 +114,7 @@ def gather(
     size = columns.total + 1
     grams = [np.zeros((size, size)) for _ in range(folds)]
     rows = [0] * folds
-    loose = [slice(shared, shared)] * folds
+    nuisance = [slice(shared, shared)] * folds
     begin = shared
     for log in logs:
         end = begin + log.drift.shape[1]
@@ -118,6 +129,6 @@ def gather(
                 part = table[fold == k]
                 grams[k][np.ix_(picked, picked)] += part.T @ part
                 rows[k] += len(part)
-                loose[k] = slice(begin if alone else end - log.stretches, end)
+                nuisance[k] = slice(begin if alone else end - log.stretches, end)
         begin = end
-    return Statistics(columns, tuple(grams), tuple(rows), tuple(loose))
+    return Statistics(columns, tuple(grams), tuple(rows), tuple(nuisance))

@@ -1,0 +1,239 @@
+"""Faults of sensors and loggers, mended or left out before anything is fitted, and said.
+
+Voltage: noise of its read-back moves the gears, so it is smoothed. Displacement: hum of the mains is taken
+off; spikes, and rows in which the sensor stands still while the drive moves, are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.hysteresis.identification.recordings import Floats, Recording, drive_shape
+
+Booleans = NDArray[np.bool_]
+
+FEWEST_ROWS = 200
+"""For a spectrum in which noise and drive can be told apart."""
+
+EVEN = 1e-3  # of a sample: a clock written with few digits still counts as even
+
+READ_BACK_NOISE = 3e-4
+"""Of the drive's range: less noise moves fewer gears than the sensor's own noise hides."""
+
+FLOOR_FACTOR = 5.0
+"""The drive ends where its spectrum, averaged over bands, is down to so many times the noise floor."""
+
+LOWEST_CUTOFF = 12.0
+"""In cycles of the drive: a low-pass below its twelfth harmonic rounds the turns (0.3 % of the range)."""
+
+HUM_LINE = 30.0
+"""Power of a line over the median around it; white noise reaches 12 in a log of 10,000 rows."""
+
+HUM_RMS = 3e-4  # of the range: a smaller line is not worth mentioning
+HUM_LOWEST = 8.0  # in cycles of the drive: below, a line may be what the actuator does
+HUM_OF_DRIVE = 0.03  # power in the voltage, scaled to the displacement: more, and the drive does hum
+MOST_HELD = 0.5  # of the rows: a sensor slower than the log has lines of its own
+MOST_LINES = 4  # the mains and their harmonics
+
+SPIKE_WINDOW = 7
+SPIKE_SIGMAS = 8.0
+SPIKE_SPREAD = 2.0
+"""A spike leaves its neighbours by so many times what they differ among themselves; a turn does not."""
+
+MOST_SPIKES = 0.2  # of the rows: more are not spikes
+
+STUCK_PATH = 0.08
+"""Of the drive's range: how far it may travel while a working sensor, even one of 5 bits, repeats itself."""
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """A recording with faults mended, the rows to leave out (bool, shape (samples,)), and what to say."""
+
+    recording: Recording
+    bad: Booleans
+    notes: list[str]
+
+
+def cleaned(recording: Recording) -> Cleaned:
+    """Mend or mark what sensor and logger did to one recording."""
+    notes: list[str] = []
+    spikes = spiked_rows(recording.displacement)
+    if spikes.any():
+        notes.append(
+            f"{recording.name}: {int(spikes.sum())} outlying rows left out (spikes of the displacement; "
+            f"first at row {int(np.argmax(spikes)) + 1})"
+        )
+    stuck = stuck_rows(recording.displacement, recording.voltage)
+    if stuck.any():
+        notes.append(
+            f"{recording.name}: {int(stuck.sum())} rows left out: the displacement stands still while the "
+            f"drive moves (first at row {int(np.argmax(stuck)) + 1}): check the sensor"
+        )
+    bad = spikes | stuck
+    step = even_step(recording)
+    if step is not None and len(recording.voltage) >= FEWEST_ROWS:
+        recording = _without_hum(recording, bad, step, notes)
+        recording = _without_read_back_noise(recording, bad, step, notes)
+    return Cleaned(recording, bad, notes)
+
+
+def even_step(recording: Recording) -> float | None:
+    """Seconds between samples; None where the clock is uneven or there is none."""
+    seconds = recording.seconds()
+    if seconds is None:
+        return None
+    steps = np.diff(seconds)
+    step = float(np.median(steps))
+    return step if step > 0.0 and float(np.abs(steps - step).max()) <= EVEN * step else None
+
+
+def spiked_rows(displacement: Floats) -> Booleans:
+    """Rows that leave their neighbours and come back, further than these differ among themselves."""
+    from numpy.lib.stride_tricks import sliding_window_view
+
+    spiked = np.zeros(len(displacement), bool)
+    if len(displacement) < 4 * SPIKE_WINDOW:
+        return spiked
+    half = SPIKE_WINDOW // 2
+    around = np.sort(sliding_window_view(np.pad(displacement, half, mode="edge"), SPIKE_WINDOW), axis=1)
+    away = np.abs(displacement - around[:, half])
+    sigma = 1.4826 * float(np.median(away[away > 0.0])) if (away > 0.0).any() else 0.0
+    spread = around[:, -3] - around[:, 2]  # two spikes within a window do not widen it
+    spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
+    spiked &= away > 1e-3 * float(np.subtract(*np.percentile(displacement, [99.0, 1.0])))
+    return spiked if spiked.mean() <= MOST_SPIKES else np.zeros(len(displacement), bool)
+
+
+def stuck_rows(displacement: Floats, voltage: Floats) -> Booleans:
+    """Rows of runs of one displacement, away from its extremes, over which the drive travels far."""
+    stuck = np.zeros(len(displacement), bool)
+    edges = np.flatnonzero(np.diff(displacement) != 0.0) + 1
+    begins, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(displacement)]))
+    path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(voltage)))))
+    travelled = path[ends - 1] - path[begins]
+    usual = float(np.percentile(travelled, 90.0))
+    far = travelled > max(STUCK_PATH * float(np.ptp(voltage)), 4.0 * usual)
+    low, high = float(displacement.min()), float(displacement.max())
+    for begin, end in zip(begins[far], ends[far], strict=True):
+        if low < displacement[begin] < high:  # at an extreme it is clipped, which is looked at elsewhere
+            stuck[begin:end] = True
+    return stuck
+
+
+def _drive_frequency(recording: Recording, step: float) -> float | None:
+    """Cycles of the drive per second: turns over twice their time."""
+    turns = drive_shape(recording.voltage).turns
+    if len(turns) < 2:
+        return None
+    return (len(turns) - 1) / (2.0 * step * float(turns[-1] - turns[0]))
+
+
+def _spectrum(values: Floats, step: float) -> tuple[Floats, Floats]:
+    """Frequency and power of each line of a signal with its ends brought together, by a Hann window."""
+    window = np.hanning(len(values))
+    power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2
+    lines: Floats = np.asarray(np.fft.rfftfreq(len(values), step), dtype=np.float64)
+    return lines, power / float(window @ window)
+
+
+def _filled(values: Floats, bad: Booleans) -> Floats:
+    """Bad rows replaced by a straight line between their neighbours."""
+    if not bad.any() or bad.all():
+        return values
+    rows = np.arange(len(values))
+    return np.interp(rows, rows[~bad], values[~bad])
+
+
+def _without_hum(recording: Recording, bad: Booleans, step: float, notes: list[str]) -> Recording:
+    """Take lines that the drive does not have off the displacement, each with a slowly changing size."""
+    base = _drive_frequency(recording, step)
+    held = float(np.mean(np.diff(recording.displacement) == 0.0))
+    if base is None or held > MOST_HELD:
+        return recording
+    displacement = _filled(recording.displacement, bad)
+    found = _hum_lines(displacement, recording.voltage, step, base)
+    if not found:
+        return recording
+    from scipy.signal import filtfilt, iirnotch
+
+    clean = displacement
+    for frequency in found:
+        width = max(1.0 / (step * len(displacement)) * 8.0, frequency / 30.0)
+        taps = iirnotch(frequency, frequency / width, 1.0 / step)
+        clean = filtfilt(*taps, clean)
+    size = np.sqrt(2.0) * float(np.std(displacement - clean))
+    shown = ", ".join(f"{frequency:.4g}" for frequency in found)
+    unit = f" {recording.displacement_unit}" if recording.displacement_unit else ""
+    notes.append(
+        f"{recording.name}: hum of {size:.3g}{unit} at {shown} Hz, which the drive does not have, taken off "
+        "the displacement: shield the sensor, or ground it"
+    )
+    return replace(recording, displacement=np.where(bad, recording.displacement, clean))
+
+
+def _hum_lines(displacement: Floats, voltage: Floats, step: float, base: float) -> list[float]:
+    """Frequencies (Hz) of lines far above the drive that stand out of the displacement alone."""
+    frequency, power = _spectrum(displacement, step)
+    _, driven = _spectrum(voltage * (np.ptp(displacement) / np.ptp(voltage)), step)
+    least = (HUM_RMS * float(np.ptp(displacement))) ** 2 * len(displacement) / 4.0
+    candidates = np.flatnonzero((frequency > HUM_LOWEST * base) & (power > least))
+    found: list[float] = []
+    for line in candidates[np.argsort(-power[candidates])]:
+        near = any(abs(frequency[line] - one) < 6.0 * frequency[1] for one in found)
+        foreign = float(driven[line]) < HUM_OF_DRIVE * float(power[line])
+        if not near and foreign and _stands_out(power, int(line), base / float(frequency[1])):
+            found.append(float(frequency[line]))
+        if len(found) == MOST_LINES:
+            break
+    return sorted(found)
+
+
+def _stands_out(power: Floats, line: int, base: float) -> bool:
+    """Whether a line is far above what is around it, the drive's own harmonics (every ``base`` lines) too.
+
+    Harmonics fall off evenly; the mains' line is alone.
+    """
+    reach = max(len(power) // 200, 12)
+    around = np.r_[max(line - reach, 0) : max(line - 4, 0), line + 5 : min(line + reach, len(power))]
+    if len(around) < 8 or power[line] < HUM_LINE * float(np.median(power[around])):
+        return False
+    order = round(line / base)
+    places = [round((order + k) * base) for k in (-2, -1, 1, 2)]
+    harmonics = [float(power[max(at - 2, 0) : at + 3].max()) for at in places if 2 < at < len(power) - 2]
+    return not harmonics or float(power[line]) > HUM_LINE * max(harmonics)
+
+
+def _without_read_back_noise(recording: Recording, bad: Booleans, step: float, notes: list[str]) -> Recording:
+    """Smooth a noisy voltage, and the displacement alike so that they stay together."""
+    base = _drive_frequency(recording, step)
+    voltage = recording.voltage
+    if base is None:
+        return recording
+    frequency, power = _spectrum(voltage, step)
+    floor = float(np.median(power[3 * len(power) // 4 :]))
+    noise = float(np.sqrt(floor / 0.69))  # the median of an exponential variable is 0.69 of its mean
+    between_rows = 1.4826 * float(np.median(np.abs(np.diff(voltage, 2)))) / np.sqrt(6.0)
+    if min(noise, 2.0 * between_rows) < READ_BACK_NOISE * float(np.ptp(voltage)):
+        return recording  # a few jumps have a broad spectrum, too; noise is in most rows
+    bands = np.array_split(power[1:], min(100, len(power) // 20))
+    above = [band.mean() > FLOOR_FACTOR * floor / 0.69 for band in bands]
+    last = max((k for k, yes in enumerate(above) if yes), default=0)
+    cutoff = max(float(frequency[sum(map(len, bands[: last + 1]))]), LOWEST_CUTOFF * base)
+    if cutoff > 0.35 / step:
+        return recording
+    from scipy.signal import butter, sosfiltfilt
+
+    sections = butter(4, cutoff, fs=1.0 / step, output="sos")
+    smooth = sosfiltfilt(sections, voltage)
+    displacement = np.where(
+        bad, recording.displacement, sosfiltfilt(sections, _filled(recording.displacement, bad))
+    )
+    notes.append(
+        f"{recording.name}: the voltage's read-back is noisy ({100.0 * noise / np.ptp(voltage):.2g} % of its "
+        f"range): voltage and displacement smoothed above {cutoff:.3g} Hz; log the voltage that was sent"
+    )
+    return replace(recording, voltage=smooth, displacement=displacement)
