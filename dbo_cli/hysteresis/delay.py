@@ -30,8 +30,9 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     gap = times[second] - times[first]
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(gap > 0.0, (wanted - times[first]) / gap, 0.0)
-    part = np.where(part < _WHOLE, 0.0, np.where(part > 1.0 - _WHOLE, 1.0, part))
-    return values[first] + part * (values[second] - values[first]), int(first[-1])
+    part = np.where(part < _WHOLE, 0.0, part)
+    between = values[first] + part * (values[second] - values[first])
+    return np.where(part > 1.0 - _WHOLE, values[second], between), int(first[-1])
 
 
 @dataclass(frozen=True)
