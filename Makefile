@@ -2,6 +2,7 @@
 # make test    ruff, mypy and pytest
 # make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
 # make fuzz    100,000 malformed inputs;  make bench    the figures of speed and memory;  make clean
+# make attack  killed runs, full disks, mutated models, random command lines (ATTACK=10: ten times as many)
 #
 # Needs python3 (3.11 or newer) and make; everything else is installed into .venv by the first call.
 # Another interpreter: make PYTHON=python3.12 demo. On Windows see README.md.
@@ -13,11 +14,11 @@ DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
 KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
 
-.PHONY: help demo test paper fuzz bench clean
+.PHONY: help demo test paper fuzz attack bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,8p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,9p'
 
 # --- the environment ---
 
@@ -89,6 +90,14 @@ paper: $(VENV)/installed
 
 fuzz: $(VENV)/installed-test
 	$(BIN)/python benchmarks/fuzz.py
+
+ATTACK ?= 1
+
+attack: $(VENV)/installed-test
+	$(BIN)/python benchmarks/attack/kills.py $$((200 * $(ATTACK)))
+	$(BIN)/python benchmarks/attack/full_disk.py $$((200 * $(ATTACK)))
+	$(BIN)/python benchmarks/attack/mutants.py $$((10000 * $(ATTACK)))
+	$(BIN)/python benchmarks/attack/command_lines.py $$((10000 * $(ATTACK)))
 
 bench: $(VENV)/installed-test
 	@for script in benchmarks/*.py; do \

@@ -35,7 +35,7 @@ from dbo_cli.reports.page import to_html
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.sample_pairs import PairBlock, rows_with_lag
-from dbo_cli.reports.thinned_curves import Traces
+from dbo_cli.reports.thinned_curves import FigureData
 
 RATE = 200.0
 CYCLE = (3152, 3351)
@@ -126,10 +126,10 @@ def numbered(plots: list[Plot], numbers: dict[str, int], folder: Path, note: str
     return chosen
 
 
-def evaluated(name: str, blocks: Iterator[PairBlock], options: ReportOptions) -> tuple[LogReport, Traces]:
+def evaluated(name: str, blocks: Iterator[PairBlock], options: ReportOptions) -> tuple[LogReport, FigureData]:
     """Compare one log and keep what its figures need."""
-    traces = Traces("V")
-    return evaluate(name, blocks, options, sample_rate=RATE, traces=traces), traces
+    figure_data = FigureData("V")
+    return evaluate(name, blocks, options, sample_rate=RATE, figure_data=figure_data), figure_data
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -180,8 +180,8 @@ def reproduce(folder: Path, out: Path) -> int:
     numbered(fit_plots, {"drive": 5, "tracking": 6, "loop": 7}, out, "identification log")
     report = Report.of([log for log, _ in pairs], tracking, "um")
     drawn = []
-    for number, (log, (_, traces)) in enumerate(zip(report.logs, pairs, strict=True)):
-        plots = plots_of_log(report, log, traces)
+    for number, (log, (_, figure_data)) in enumerate(zip(report.logs, pairs, strict=True)):
+        plots = plots_of_log(report, log, figure_data)
         start = 8 + 3 * number
         numbered(plots, {"tracking": start, "error": start + 1, "output": start + 2}, out, f"{log.name} log")
         drawn.append(plots)

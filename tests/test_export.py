@@ -48,7 +48,13 @@ def compile_and_run(
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_self_test_passes(arithmetic: Any, direction: Any, seed: int, tmp_path: Path) -> None:
     """Every arithmetic and direction, with memory, points, slew and delay or without; warnings are errors."""
-    model = made_model(seed, gears=(8, 90, 300)[seed], slopes=(8, 30, 50)[seed], terms=(0, 2, 4)[seed])
+    model = made_model(
+        seed,
+        gears=(8, 90, 300)[seed],
+        slopes=(8, 30, 50)[seed],
+        terms=(0, 2, 4)[seed],
+        below=(0, 9, 25)[seed],
+    )
     if seed == 2:
         model = delayed(model, 0.00325)
     slew = 40.0 * model.input.span if direction == "inverse" and seed else None
@@ -88,7 +94,9 @@ def test_the_self_test_finds_what_differs(arithmetic: Any, tmp_path: Path) -> No
 def test_double_gives_the_bits_of_compensate(slew: float | None, tmp_path: Path) -> None:
     """Ten thousand samples of random moves: started as `compensate` starts, by its first drive."""
     for seed in range(3):
-        model = made_model(seed, gears=(90, 1152, 25)[seed], slopes=(30, 64, 25)[seed])
+        model = made_model(
+            seed, gears=(90, 1152, 25)[seed], slopes=(30, 64, 25)[seed], below=(0, 36, 3)[seed]
+        )
         rng = np.random.default_rng(seed)
         desired = random_moves(rng, model.output.minimum, model.output.maximum, 10_000)
         limits = DriveLimits(
@@ -212,7 +220,7 @@ TYPES_IN_C = {"double": "double", "float": "float", "q31": "int32_t"}
 @pytest.mark.parametrize("arithmetic", ["double", "float", "q31"])
 def test_the_range_wins_over_the_slew_limit_in_every_arithmetic(arithmetic: Any, tmp_path: Path) -> None:
     """Slew is kept from the drive given to reset on; a drive outside of the limits comes back at once."""
-    model = made_model(1, terms=0)
+    model = made_model(1, terms=0, bend=False)
     span = model.input.span
     folder = tmp_path / "out"
     summary = export_model(
@@ -282,6 +290,22 @@ def test_arduino_layout(tmp_path: Path) -> None:
         cwd=folder, check=True,
     )  # fmt: skip
     subprocess.run(["./t"], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck")
+def test_a_static_check_finds_nothing(tmp_path: Path) -> None:
+    for arithmetic, gears in (("double", None), ("float", None), ("q31", None), ("double", 8)):
+        folder = tmp_path / f"{arithmetic}{gears}"
+        export_model(
+            made_model(1), str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE, gears=gears,  # type: ignore[arg-type]
+            lookup=gears is not None,
+        )  # fmt: skip
+        done = subprocess.run(
+            ["cppcheck", "--std=c99", "--enable=warning,style,performance,portability", "--inconclusive",
+             "--quiet", "--error-exitcode=3", "."],
+            cwd=folder, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path: Path) -> None:

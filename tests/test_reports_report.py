@@ -20,11 +20,9 @@ from dbo_cli.reports.report import (
     check_limits,
     common_unit,
     evaluate,
-    parse_lag,
-    parse_segment,
 )
 from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read
-from dbo_cli.reports.thinned_curves import Traces
+from dbo_cli.reports.thinned_curves import FigureData
 
 PAPER = Path(os.environ.get("DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"))
 
@@ -266,16 +264,6 @@ def test_one_report_speaks_one_unit():
     )
 
 
-def test_option_values():
-    assert [parse_lag(text) for text in ("3", "-2", "auto")] == [3, -2, "auto"]
-    assert [parse_segment(text) for text in (None, "cycles", "2.5")] == [None, "cycles", 2.5]
-    with pytest.raises(UsageError, match=r"^`lag` 1\.5: neither a whole number of samples nor 'auto'$"):
-        parse_lag("1.5")
-    for text in ("0", "-1", "nan", "inf", "x"):
-        with pytest.raises(UsageError, match=rf"^`segment` {text}: neither 'cycles' nor a number of seconds"):
-            parse_segment(text)
-
-
 def test_too_many_segments():
     desired = np.tile([0.0, 1.0], 10_010)
     with pytest.raises(
@@ -385,10 +373,10 @@ class TestConditioningSweep:
         assert log == self.log(100)
 
     def test_figures_show_the_trajectory_alone(self):
-        traces = Traces()
-        self.log(traces=traces)
-        assert traces.samples == 600
-        assert float(traces.against_time("error").x[0]) == 0.0
+        figure_data = FigureData()
+        self.log(figure_data=figure_data)
+        assert figure_data.samples == 600
+        assert float(figure_data.against_time("error").x[0]) == 0.0
 
     def test_it_counts_where_it_is_asked_for(self):
         assert self.log(count_sweep=True).figures.samples == 1000

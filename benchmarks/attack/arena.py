@@ -82,7 +82,7 @@ def run(words: Sequence[str]) -> Outcome:
 
     raw, err = io.BytesIO(), io.StringIO()
     out = io.TextIOWrapper(raw, encoding="utf-8", write_through=True)
-    stdin = io.TextIOWrapper(io.BytesIO(b""), encoding="utf-8")
+    stdin = io.TextIOWrapper(io.BufferedReader(io.BytesIO(b"")), encoding="utf-8")
     kept = sys.stdin, sys.stdout, sys.stderr
     sys.stdin, sys.stdout, sys.stderr = stdin, out, err
     try:

@@ -15,13 +15,19 @@ from dbo_cli.export.cascade_plan import CascadePlan
 from dbo_cli.export.self_test_moves import self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import buffer_words
-from dbo_cli.hysteresis.model import NEGLIGIBLE, ModelState
+from dbo_cli.hysteresis.model import NEGLIGIBLE, ModelState, Quantity
 from dbo_cli.hysteresis.operators import BacklashState
 
 Floats = NDArray[np.float64]
 
 IGNORED_BEYOND = 1e6
 """An input so many ranges beyond the model's counts as no number: what it leads to would not be finite."""
+
+
+def ignored_beyond(source: Quantity) -> str:
+    """Return the C constant beyond which an input counts as no number: a power of two, in decimals."""
+    largest = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
+    return repr(2.0 ** min(math.ceil(math.log2(largest)), 126))
 
 
 MOST_LOOKUP_GEARS = 12
@@ -95,21 +101,22 @@ def _recursion(plan: CascadePlan, limits: str) -> _Gears:
     if plan.limits is not None or (plan.terms > 0 and gears.memory_on == "output"):
         more, extra = _fixed_step(plan, gears.equal_run)
         text, size = text + more, size + extra
-        step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, &counts);"
+        step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, 0);"
     else:
-        step = (
-            f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, &counts);"
-        )
-    words = buffer_words(gears.n)
+        step = f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, 0);"
+    words, spare, engage = buffer_words(gears.n), plan.spare_words(64), ""
+    if spare:
+        text += array("uint64_t", "spare", spare)
+        engage = f"    for (size_t k = 0; k < {len(spare)}; k++) state->words[k] = spare[k];\n"
     memory = "state->memory" if plan.terms else "0"
     return _Gears(
         text, size, [f"uint64_t words[{words}];", "dbo_backlash_state gears;"],
         f"    state->gears.words = state->words;\n    state->gears.memory = {memory};\n",
-        f"    for (size_t k = 0; k < {words}; k++) state->words[k] = 0;\n"
+        f"    for (size_t k = 0; k < {words}; k++) state->words[k] = 0;\n" + engage +
         "    dbo_backlash_load(&op, &state->gears);\n"
-        f"    state->gears.last = {hex_double(plan.drive_origin)};",
-        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, x);",
-        step.replace("    x =", "    dbo_counts counts = {0, 0, 0, 0};\n    x =", 1),
+        f"    state->gears.last = {hex_double(plan.start_drive)};",
+        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, {'spare' if spare else '0'}, x);",
+        step,
     )  # fmt: skip
 
 
@@ -140,8 +147,9 @@ def _lookup(plan: CascadePlan, limits: str) -> _Gears:
     return _Gears(
         text + more, size + extra + 17 * len(states), ["dbo_lookup_state gears;"],
         f"    state->gears.memory = {memory};\n",
-        f"    state->gears.state = 0U;\n    state->gears.last = {hex_double(plan.drive_origin)};",
-        f"    dbo_lookup_settle(&lookup, &state->gears, {plan.covered}U, x);",
+        f"    state->gears.state = {plan.spare_bits}U;\n"
+        f"    state->gears.last = {hex_double(plan.start_drive)};",
+        f"    dbo_lookup_settle(&lookup, &state->gears, {plan.covered}U, {plan.spare_bits}U, x);",
         f"    x = dbo_lookup_step(&lookup, &state->gears, x, {limits});",
     )  # fmt: skip
 
@@ -211,12 +219,8 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         if count:
             members.append(f"{kind} {name}[{count}];")
             clear += f"    for (size_t k = 0; k < {count}; k++) state->{name}[k] = 0;\n"
-    initialise, step = clear + gears.attach + gears.initialise, gears.step
-    if step.startswith("    dbo_counts"):
-        counts, step = step.split("\n", 1)
-        step = f"{counts}\n{gears.attach}{stages.before}{step}"
-    else:
-        step = gears.attach + stages.before + step
+    initialise = clear + gears.attach + gears.initialise
+    step = gears.attach + stages.before + gears.step
     step += "\n" + stages.behind.rstrip("\n") if stages.behind else ""
     if plan.direction == "forward" and plan.delay > 0.0:
         whole, part = _delay_samples(plan)
@@ -225,7 +229,7 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         members += more
         initialise, step = initialise + "\n" + empty, step + "\n" + line
     source = plan.model.input
-    reach = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
+    reach = ignored_beyond(source)
     parts = SourceParts(
         number="double",
         tables=gears.tables + limit_text + stages.tables,
@@ -233,8 +237,8 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         initialise=initialise,
         start=stages.drive + gears.settle,
         step=step,
-        lowest=hex_double(-reach),
-        highest=hex_double(reach),
+        lowest=f"-{reach}",
+        highest=reach,
         first_output=hex_double(first_output(plan)),
         drive_is_output=plan.direction == "inverse",
         macros=common_macros(plan),
@@ -255,8 +259,10 @@ def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
 
 
 def first_output(plan: CascadePlan) -> float:
-    """Return the output at B = 0 after a rest at the lower end."""
-    y = float(through(plan.tail, np.array([plan.backlash.y0]))[0])
+    """Return the output after a rest at the lower end, no covered gear engaged."""
+    covered = plan.model._covered_gears.operator
+    at = covered.x0 if plan.direction == "inverse" else covered.y0
+    y = float(through(plan.tail, np.array([at]))[0])
     if plan.limits is not None:
         y = min(max(y, plan.limits.v_min), plan.limits.v_max)
     return y

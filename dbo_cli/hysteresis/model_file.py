@@ -122,6 +122,8 @@ class _Node:
         value = self.values[key]
         if not isinstance(value, str):
             raise self.refuse(key, f"{json.dumps(value)} is not a text")
+        if not value.isprintable():
+            raise self.refuse(key, f"{json.dumps(value)} holds characters that cannot be shown")
         return value
 
     def node(self, key: str) -> _Node:

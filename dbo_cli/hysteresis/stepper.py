@@ -53,7 +53,8 @@ class BacklashStepper:
         gain = np.array(terms.gain if terms else (), dtype=np.float64)
         reference = terms.reference if terms else 0.0
         on_output = operator.memory_on == "output"
-        self._before = (operator.gears, operator.x0, operator.y0, True, gain, reference, on_output)
+        table = (operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0)
+        self._before = (*table, True, gain, reference, on_output)
         decay = terms.decay(time_step) if terms and time_step is not None else np.zeros((0, 0))
         self._after = (decay, limits is not None, bound.low, bound.high, bound.slack, step)
         self._remembers = terms is not None

@@ -8,6 +8,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from dbo_cli.logs.number_text import is_overflow
+
 BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 _POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
@@ -60,7 +62,7 @@ def to_number(cell: str, decimal: str) -> float | None:
     if not cell.isascii() or pattern.fullmatch(cell) is None:
         return None
     value = float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
-    return value if abs(value) != float("inf") else None
+    return value if abs(value) != float("inf") and not is_overflow(value) else None
 
 
 def is_number(cell: str, decimal: str) -> bool:
@@ -91,5 +93,6 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
     if written != "numbers":
         return f"is not a time stamp like the others: {shown}"
     if is_number(cell, decimal):
-        return f"is not finite: {shown}"
+        overflow = "the instrument's overflow" if to_number(cell, decimal) is None and "37" in cell else ""
+        return f"is {overflow or 'not finite'}: {shown}"
     return f"is not a number: {shown}"

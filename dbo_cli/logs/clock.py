@@ -182,6 +182,10 @@ def require_even(place: str, time: FloatArray, why: str) -> float:
     return step
 
 
+_NEW_ROWS = 1 << 16  # made at a time
+_MOST_NEW_ROWS, _MOST_FACTOR = 20_000_000, 100  # more, and a rate or a time stamp is wrong
+
+
 def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterator[SampleBlock]:
     """Interpolate blocks linearly to ``rate`` (Hz), from the first time stamp to the last.
 
@@ -196,7 +200,7 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
     """
     start: float | None = None
     carried: SampleBlock | None = None
-    done = 0
+    done = read = 0
     for block in blocks:
         if not len(block):
             continue
@@ -210,10 +214,15 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
         _require_rising(place, piece)
         carried = piece.part(len(piece) - 1, len(piece))
         assert piece.time is not None
+        read += len(block)
         reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
-        if reached > done:
-            yield _interpolated(piece, start, rate, done, reached)
-            done = reached
+        if reached > _MOST_NEW_ROWS + _MOST_FACTOR * read:
+            raise InputError(
+                f"{place}: `resample` {rate:g} makes {reached:,} rows of {read:,}: give a lower rate"
+            )
+        for first in range(done, reached, _NEW_ROWS):
+            yield _interpolated(piece, start, rate, first, min(reached, first + _NEW_ROWS))
+        done = max(done, reached)
 
 
 def _require_rising(place: str, block: SampleBlock) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.cell_grammar import SKIP_REMEDY
 from dbo_cli.logs.columns import column_info, column_label
+from dbo_cli.logs.number_text import are_measured
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.stated_clock import Statement, agreed_rate
@@ -175,7 +176,7 @@ class ColumnTable:
         dropped, first = 0, ""
         for start in range(rows[0] - 1, end, block_rows):
             block = self._block(list(picks), sources, start, min(end, start + block_rows))
-            good = np.logical_and.reduce([np.isfinite(array) for array in block.values.values()])
+            good = np.logical_and.reduce([are_measured(array) for array in block.values.values()])
             if not good.all():
                 message = self._complaint(picks, block, int(np.flatnonzero(~good)[0]))
                 if not skip_bad:
@@ -217,7 +218,7 @@ class ColumnTable:
     def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int) -> str:
         for role, pick in picks.items():
             array = block.values[role]
-            if not np.isfinite(array[index]):
+            if not are_measured(array[index : index + 1])[0]:
                 value = repr(str(float(array[index])))
                 return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
         raise AssertionError("a row without a bad value was complained about")

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 
@@ -85,6 +86,9 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
     """Describe column ``number`` (from 1) by its header cell; a unit given apart (units line) goes first."""
+    header, unit = cleaned(header or ""), cleaned(unit or "")  # no command for a terminal, no half a letter
+    if header[:1] == "'" and header[1:2] in ("=", "+", "-", "@"):
+        header = header[1:]  # what keeps a spreadsheet from taking it for a formula
     if not header:
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
     quantity, own = split_header(header)
@@ -127,7 +131,7 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     by_number, by_name = selector.startswith("number="), selector.startswith("name=")
     if by_number or by_name:
         selector = selector.partition("=")[2]
-    if re.fullmatch(r"[+-]?\d+", selector) and not by_name:
+    if re.fullmatch(r"[+-]?\d{1,15}", selector) and not by_name:
         number = int(selector)
         if not by_number:
             _ask_about_number(place, columns, selector, option)
@@ -137,7 +141,7 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
             plural = "s" if len(columns) != 1 else ""
             raise InputError(f"{place}: there is no column {number}: it has {len(columns)} column{plural}")
         return columns[number - 1]
-    wanted = " ".join(selector.split())
+    wanted = cleaned(selector)
     for same in (_same_name, _same_name_but_case, _same_quantity):
         found = [column for column in columns if same(column, wanted)]
         if len(found) == 1:

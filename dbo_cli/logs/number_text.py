@@ -7,13 +7,32 @@ from collections.abc import Sequence
 from itertools import repeat
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.logs.interrupts import keep_interrupts
 
 PLAIN_CELLS = (
     1 << 16
 )  # fewer cells than this are written before polars is imported (benchmarks/text_speed.py)
+
+
+# What instruments send in place of a value that is beyond their range (9.9E37) or none (9.91E37): SCPI-99,
+# volume 1, 7.2.1. Their 32-bit numbers are a little off.
+_OVERFLOW_FROM, _OVERFLOW_TO = 9.899e37, 9.911e37
+
+
+def is_overflow(value: float) -> bool:
+    """Tell whether a number is an instrument's way to say that it has none."""
+    return _OVERFLOW_FROM < abs(value) < _OVERFLOW_TO
+
+
+def are_measured(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which numbers are finite and no instrument's overflow."""
+    size = np.abs(values)
+    usual: NDArray[np.bool_] = size < _OVERFLOW_FROM  # False for NaN and infinity as well
+    if not usual.all():
+        usual = usual | ((size >= _OVERFLOW_TO) & np.isfinite(values))
+    return usual
 
 
 def shortest(value: float) -> str:

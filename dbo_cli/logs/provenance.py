@@ -7,6 +7,7 @@ from typing import TypedDict
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.version import __version__
 
 
@@ -47,4 +48,4 @@ def input_record(address: str, rows: int, sha256: str | None = None) -> InputRec
     """
     parsed = parse_address(address)
     name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
-    return InputRecord(name=name, sha256=sha256 or file_sha256(parsed.path), rows=rows)
+    return InputRecord(name=cleaned(name), sha256=sha256 or file_sha256(parsed.path), rows=rows)

@@ -20,6 +20,7 @@ Rows = tuple[int, int | None]
 
 ALL_ROWS: Rows = (1, None)
 BLOCK_ROWS = 1 << 16
+_LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost in rounding, or the rows are
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
@@ -86,6 +87,10 @@ class ReadingOptions:
             rate = getattr(self, name)
             if rate is not None and not (math.isfinite(rate) and rate > 0.0):
                 raise UsageError(f"`{name}` {rate:g}: give a positive number of samples a second")
+            if rate is not None and not _LOWEST_RATE <= rate <= _HIGHEST_RATE:
+                raise UsageError(
+                    f"`{name}` {rate:g}: give between {_LOWEST_RATE:g} and {_HIGHEST_RATE:g} samples a second"
+                )
         if self.time is not None and self.sample_rate is not None:
             raise UsageError(
                 "`time` and `sample_rate` exclude each other: the log has the one or needs the other"

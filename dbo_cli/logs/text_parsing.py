@@ -29,6 +29,7 @@ from dbo_cli.logs.cell_grammar import (
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.header_blocks import RepeatedHeader
 from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.number_text import are_measured
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock
 from dbo_cli.logs.text_dialect import Dialect, is_comment
@@ -330,7 +331,7 @@ def _parse_plain(
         ]
     except (ValueError, TypeError):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
-    return arrays if all(np.isfinite(array).all() for array in arrays) else None
+    return arrays if all(are_measured(array).all() for array in arrays) else None
 
 
 def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
@@ -398,7 +399,7 @@ def _parse_fast(
     for column in columns:
         read = table.get_column(f"column_{column + 1}")
         array = read.to_numpy()
-        if read.null_count() or not np.isfinite(array).all():
+        if read.null_count() or not are_measured(array).all():
             return None
         arrays.append(array)
     return arrays

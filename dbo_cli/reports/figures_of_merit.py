@@ -19,7 +19,7 @@ from dbo_cli.reports.running_statistics import (
     CompensatedSum,
     ErrorDistribution,
     Floats,
-    usable,
+    comparable,
 )
 
 
@@ -150,11 +150,11 @@ class TrackingMetrics:
             return
         first = self._times[0] if self._times else float(time[0])
         self._times = (first, float(time[-1]))
-        finite = usable(desired, measured)
+        finite = comparable(desired, measured)
         if not finite.all():
             self._not_finite += int(len(finite) - np.count_nonzero(finite))
             for which, column in enumerate((desired, measured)):
-                self.missing[which] += int(len(column) - np.count_nonzero(usable(column, column)))
+                self.missing[which] += int(len(column) - np.count_nonzero(comparable(column, column)))
             desired, measured, row, time = (array[finite] for array in (desired, measured, row, time))
         if len(desired) == 0:
             return

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.runs.source import Source
 
 
@@ -29,7 +30,7 @@ def recording_wishes(voltage: str | None, displacement: str | None) -> dict[str,
 
 def short_names(addresses: Sequence[str]) -> dict[str, str]:
     """Return the names of logs without their folders, where that tells them apart."""
-    short = {address: os.path.basename(address) for address in addresses if address != "-"}
+    short = {address: cleaned(os.path.basename(address)) for address in addresses if address != "-"}
     return short if len(set(short.values())) == len(short) else {}
 
 

@@ -24,6 +24,8 @@ NOT_FOR_PAPER = (
     "dynamics",
 )
 
+MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
+
 
 @dataclass(frozen=True)
 class IdentificationOptions:
@@ -77,6 +79,8 @@ class IdentificationOptions:
     def __post_init__(self) -> None:
         """Refuse what is not of its kind or contradicts the rest."""
         self._check_count("gears", self.gears, 1)
+        if self.gears is not None and self.gears > MOST_GEARS:
+            raise UsageError(f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart")
         self._check_count("points", self.points, 0)
         self._check_count("dynamics", self.dynamics, 0)
         if self.dynamics is not None and self.dynamics > 2:
