@@ -2,8 +2,8 @@
 
     python benchmarks/dynamics_found.py [--actuators N] [--learn]
 
-Actuators of 80 gears with a random resonance (15 to 130 Hz at 2 kHz, damping 0.003 to 0.4) and lag are driven by
-``excite`` with a small sweep and identified; the same without a resonance. Prints the errors of frequency and
+Actuators of 80 gears with a random resonance (15 to 130 Hz at 2 kHz, damping 0.003 to 0.4) and lag are driven
+by ``excite`` with a small sweep and identified; the same without a resonance. Prints the errors of frequency and
 damping; exits 1 where a frequency is off by more than 0.5 %, a damping by more than 20 %, or a resonance is
 found where there is none. ``--learn`` prints instead the error by pass of repeated moves, slow and fast, with
 models whose loop is 20 % or whose resonance is 5 % wrong, or that know no resonance.
@@ -46,11 +46,9 @@ def found(actuators: int) -> int:
         bad += not fine
         none = identify([recorded(plant(Lag(lag)), drive, seed)], FEW).model.dynamics
         wrong += none is not None
-        print(
-            f"{seed:3} {frequency:7.2f} Hz, damping {damping:.4f}: found {len(resonances)}, off {off[0]:+.3f} % "
-            f"and {off[1]:+.1f} %{'' if fine else '  BAD'}; without a resonance {'FOUND' if none else 'none'}",
-            flush=True,
-        )
+        told = f"found {len(resonances)}, off {off[0]:+.3f} % and {off[1]:+.1f} %{'' if fine else '  BAD'}"
+        other = f"without a resonance {'FOUND' if none else 'none'}"
+        print(f"{seed:3} {frequency:7.2f} Hz, damping {damping:.4f}: {told}; {other}", flush=True)
     print(f"{bad} of {actuators} missed the bounds; a resonance where there is none: {wrong} of {actuators}")
     return int(bad + wrong > 0)
 
