@@ -34,7 +34,7 @@ from dbo_cli.reports.model_figures import plots_of_model
 from dbo_cli.reports.page import to_html
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import PairBlock, rows_with_lag
+from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read
 from dbo_cli.reports.thinned_curves import FigureData
 
 RATE = 200.0
@@ -67,10 +67,11 @@ class Line:
         return f"{self.what:<48}{f'{self.published:g} {self.unit}':>11}{found:>14}{mark}".rstrip()
 
 
-def read(path: Path, roles: tuple[str, ...], rows: str) -> SampleBlock:
+def read(path: Path, roles: tuple[str, ...], rows: str, lag: int = 0) -> SampleBlock:
     """Return the wanted columns of the wanted rows."""
     wish = {role: ColumnWish(COLUMNS[role]) for role in roles}
-    with open_log(str(path), wish, ReadingOptions(sample_rate=RATE, rows=parse_rows(rows))) as log:
+    options = ReadingOptions(sample_rate=RATE, rows=rows_to_read(parse_rows(rows), lag))
+    with open_log(str(path), wish, options) as log:
         return log.read()
 
 
@@ -107,7 +108,7 @@ def modelled(path: Path, model: ActuatorModel) -> Iterator[PairBlock]:
 
 def tracked(path: Path, rows: str) -> Iterator[PairBlock]:
     """Yield desired and measured displacement of the test log."""
-    block = read(path, ("desired", "measured", "voltage"), rows_with_lag(rows, LAG) or rows)
+    block = read(path, ("desired", "measured", "voltage"), rows, LAG)
     values = block.values
     yield PairBlock(block.rows, values["desired"], values["measured"], block.time, values["voltage"])
 

@@ -349,6 +349,14 @@ def test_names_and_units_are_drawn_as_they_are_written(kind):
         assert "Error ($\\um_1$)" in shown
 
 
+def test_a_long_name_is_cut_to_fit_the_figure():
+    report, figure_data = log_of(500)
+    plot = plots_of_log(report, report.logs[0], figure_data)[0]
+    texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline", note="a" * 200 + ".csv").decode())
+    assert [len(text) for text in texts if text.startswith("aaa")] == [40]
+    assert any(text.endswith("a.csv") for text in texts)
+
+
 def test_errors_of_all_logs_stand_in_one_figure():
     report, figure_data = reports_of(["before.csv", "after.csv"], "um")
     [plot] = plots_of_comparison(report, figure_data)

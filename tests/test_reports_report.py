@@ -436,3 +436,18 @@ def test_wide_letters_keep_their_columns():
     table = to_text(report).split("\n\n")[1].splitlines()
     wide = [len(line) + sum(unicodedata.east_asian_width(sign) in "WF" for sign in line) for line in table]
     assert len(set(wide)) == 1
+
+
+@pytest.mark.parametrize("step", [1e-300, 1e-3, 1e306])
+@pytest.mark.parametrize("scale", [1e-300, 1e-60, 1.0, 1e69])
+@pytest.mark.parametrize("gain", [1e-60, 0.9, 1e308])
+def test_no_scale_writes_what_is_no_number(scale, gain, step):
+    desired, measured = sine() * scale / 20.0, np.roll(sine(), 20) * min(scale * gain, 1e69) / 20.0
+    time = np.arange(1000) * step if step < 1.0 else np.linspace(-1.0, 1.0, 1000) * 1e308 / 2.0
+    logs = [
+        evaluate(name, blocks_of(desired, values, 1000, time), ReportOptions(lag=lag), count_sweep=True)
+        for name, values, lag in (("a", desired * (1.0 + 1e-9), 0), ("b", measured, 3))
+    ]
+    report = Report.of(logs, ReportOptions(), "um")
+    for text in (to_json(report), to_csv(report), to_text(report)):
+        assert "nan" not in text.lower() and "inf" not in text.lower()

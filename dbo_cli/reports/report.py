@@ -10,6 +10,7 @@ model makes block by block (then ``labels`` is ``("model", "measured")``). To co
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -99,7 +100,7 @@ class LogReport:
             "name": self.name,
             **_record(figures),
             "lag_samples": self.lag,
-            "lag_s": None if period is None else self.lag * period,
+            "lag_s": None if period is None else _finite(self.lag * period),
             "offset_removed": figures.offset,
             "sample_period_s": period,
             "not_finite": figures.not_finite,
@@ -122,7 +123,8 @@ class Report:
         unit = None if unit is None else cleaned(unit)
         first = logs[0].figures.rmse if logs else 0.0
         rated = tuple(
-            replace(log, ratio_to_first=log.figures.rmse / first if first > 0.0 else None) for log in logs
+            replace(log, ratio_to_first=_finite(log.figures.rmse / first) if first > 0.0 else None)
+            for log in logs
         )
         return cls(unit, options, rated)
 
@@ -366,11 +368,16 @@ def _record(figures: TrackingFigures) -> dict[str, Any]:
         "loop_width": figures.loop_width,
         "loop_width_percent": figures.loop_width_percent,
         "lag_left_samples": lag,
-        "lag_left_s": None if lag is None or period is None else lag * period,
+        "lag_left_s": None if lag is None or period is None else _finite(lag * period),
         "phase_left_degrees": figures.phase_left,
         "desired_min": figures.desired_min,
         "desired_max": figures.desired_max,
     }
+
+
+def _finite(value: float) -> float | None:
+    """Return a number as it is, None for one that is none: a report holds nothing that JSON cannot."""
+    return value if math.isfinite(value) else None
 
 
 def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:
