@@ -55,8 +55,8 @@ def require_finite(headers: Sequence[str], arrays: Sequence[ArrayLike]) -> None:
     for header, array in zip(headers, arrays, strict=True):
         if not np.isfinite(array).all():
             raise OutputError(
-                f"column '{header}' would hold a number that is not finite: the model or the signal is beyond "
-                "the range of the arithmetic"
+                f"column '{header}' would hold a number that is not finite: the model or the signal is "
+                "beyond the range of the arithmetic"
             )
 
 
