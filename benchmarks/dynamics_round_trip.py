@@ -94,9 +94,8 @@ def drive_for(model: ActuatorModel, wanted: Floats, step: float, cuts: list[int]
 
     inverter = model.dynamics.inverter(step)
     low, high = model.forward_backlash.x_range
-    limits = DriveLimits(
-        low - 10.0 * (high - low), high + 10.0 * (high - low)
-    )  # what they cut off is no error
+    beyond = 1e3 * (high - low)  # so far that nothing is cut off: what limits cut off is no error
+    limits = DriveLimits(low - beyond, high + beyond)
     state, drives = None, []
     for _, u, _ in undone(read_ahead(blocks(), model.delay_seconds), inverter):
         if state is None:
@@ -129,7 +128,7 @@ def speed() -> None:
     rng = np.random.default_rng(0)
     operator = random_operator(rng, 128)
     low, high = operator.x_range
-    x = low + (high - low) * (0.5 + 0.5 * np.sin(np.arange(1_000_000) * 2e-3))
+    x = low + (high - low) * (0.5 + 0.5 * np.sin(np.arange(1_000_000) * 0.05))  # some gears a sample
     gears = clock(lambda: operator.run(x, operator.empty()))
     inverse, y = operator.inverse(), operator.run(x, operator.empty())[0]
     back = clock(lambda: inverse.run(y, operator.empty()))

@@ -34,8 +34,8 @@ from dbo_cli.reports.model_figures import plots_of_model
 from dbo_cli.reports.page import to_html
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import PairBlock, rows_with_lag
-from dbo_cli.reports.thinned_curves import Traces
+from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read
+from dbo_cli.reports.thinned_curves import FigureData
 
 RATE = 200.0
 CYCLE = (3152, 3351)
@@ -67,10 +67,11 @@ class Line:
         return f"{self.what:<48}{f'{self.published:g} {self.unit}':>11}{found:>14}{mark}".rstrip()
 
 
-def read(path: Path, roles: tuple[str, ...], rows: str) -> SampleBlock:
+def read(path: Path, roles: tuple[str, ...], rows: str, lag: int = 0) -> SampleBlock:
     """Return the wanted columns of the wanted rows."""
     wish = {role: ColumnWish(COLUMNS[role]) for role in roles}
-    with open_log(str(path), wish, ReadingOptions(sample_rate=RATE, rows=parse_rows(rows))) as log:
+    options = ReadingOptions(sample_rate=RATE, rows=rows_to_read(parse_rows(rows), lag))
+    with open_log(str(path), wish, options) as log:
         return log.read()
 
 
@@ -107,7 +108,7 @@ def modelled(path: Path, model: ActuatorModel) -> Iterator[PairBlock]:
 
 def tracked(path: Path, rows: str) -> Iterator[PairBlock]:
     """Yield desired and measured displacement of the test log."""
-    block = read(path, ("desired", "measured", "voltage"), rows_with_lag(rows, LAG) or rows)
+    block = read(path, ("desired", "measured", "voltage"), rows, LAG)
     values = block.values
     yield PairBlock(block.rows, values["desired"], values["measured"], block.time, values["voltage"])
 
@@ -126,10 +127,10 @@ def numbered(plots: list[Plot], numbers: dict[str, int], folder: Path, note: str
     return chosen
 
 
-def evaluated(name: str, blocks: Iterator[PairBlock], options: ReportOptions) -> tuple[LogReport, Traces]:
+def evaluated(name: str, blocks: Iterator[PairBlock], options: ReportOptions) -> tuple[LogReport, FigureData]:
     """Compare one log and keep what its figures need."""
-    traces = Traces("V")
-    return evaluate(name, blocks, options, sample_rate=RATE, traces=traces), traces
+    figure_data = FigureData("V")
+    return evaluate(name, blocks, options, sample_rate=RATE, figure_data=figure_data), figure_data
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -180,8 +181,8 @@ def reproduce(folder: Path, out: Path) -> int:
     numbered(fit_plots, {"drive": 5, "tracking": 6, "loop": 7}, out, "identification log")
     report = Report.of([log for log, _ in pairs], tracking, "um")
     drawn = []
-    for number, (log, (_, traces)) in enumerate(zip(report.logs, pairs, strict=True)):
-        plots = plots_of_log(report, log, traces)
+    for number, (log, (_, figure_data)) in enumerate(zip(report.logs, pairs, strict=True)):
+        plots = plots_of_log(report, log, figure_data)
         start = 8 + 3 * number
         numbered(plots, {"tracking": start, "error": start + 1, "output": start + 2}, out, f"{log.name} log")
         drawn.append(plots)

@@ -68,9 +68,18 @@ def compiled(folder: Path, name: str, arithmetic: str, gears: int, flags: tuple[
 
 
 def made_model(
-    seed: int, gears: int = 288, slopes: int = 48, terms: int = 3, points: int = 4, bend: bool = True
+    seed: int,
+    gears: int = 288,
+    slopes: int = 48,
+    terms: int = 3,
+    points: int = 4,
+    bend: bool = True,
+    below: int = 0,
 ) -> ActuatorModel:
-    """Return a model as identification makes them: even gears in runs of one slope, terms, points, scale."""
+    """Return a model as identification makes them: even gears in runs of one slope, terms, points, scale.
+
+    ``below`` gears to spare stand below the voltages, and as many above.
+    """
     rng = np.random.default_rng(seed)
     top = float(rng.choice([1.0, 10.0, 100.0, 150.0]))
     growing = np.sort(rng.uniform(0.4, 1.6, slopes))
@@ -84,7 +93,9 @@ def made_model(
         at = np.arange(9) / 8.0
         bent = at + 0.2 * at * (1.0 - at)
         stages.append(PointStage(np.diff(at) * top, np.diff(bent) * top, 0.0, 0.0))
-    stages.append(DiscreteBacklashOperator(np.full(gears, top / gears), heights, 0.0, -0.01, relaxation))
+    width = top / (gears - 2 * below)
+    low = -below * width
+    stages.append(DiscreteBacklashOperator(np.full(gears, width), heights, low, -0.01, relaxation))
     if points:
         knots = rng.uniform(0.8, 1.2, points)
         stages.append(PointStage(1.2 * knots / knots.sum(), np.full(points, 1.2 / points), 0.0, 0.0))

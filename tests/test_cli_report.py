@@ -135,12 +135,91 @@ def test_a_model_takes_the_place_of_desired(dbo: Any, model_file: Path) -> None:
     assert report["logs"][0]["rmse"] == 0.0
 
 
+def test_rows_of_a_model_are_scored_by_a_run_from_the_first_row(dbo: Any, model_file: Path) -> None:
+    """Started at row 61, in the middle of a swing, the model would guess a state and be wrong."""
+    drive = 5.0 - 5.0 * np.cos(2 * np.pi * T) * np.exp(-0.8 * T)
+    rows = zip(T.tolist(), drive.tolist(), strict=True)
+    Path("drive.csv").write_text("time_s,voltage_V\n" + "".join(f"{t!r},{v!r}\n" for t, v in rows))
+    dbo("simulate", "model.json", "drive.csv", "--state", "empty", "-o", "played.csv")
+    words = ["report", "played.csv", "--model", "model.json", "--format", "json"]
+    whole = json.loads(dbo(*words).out)["logs"][0]
+    for block in ("1", "17", "1000"):
+        [log] = json.loads(dbo(*words, "--rows", "61:150", "--block-rows", block).out)["logs"]
+        assert (log["samples"], log["rmse"]) == (90, 0.0)
+    assert whole["rmse"] == 0.0
+    done = dbo(*words, "--rows", "61:150", "--resample", "50")
+    assert done.code == 2
+    assert done.err == (
+        "dbo: error: --rows are those that were recorded, and after --resample there are others (give one of"
+        " them)\n"
+    )
+
+
+def test_the_conditioning_sweep_is_left_out_and_said(dbo: Any, model_file: Path) -> None:
+    rows = zip(T.tolist(), (5.0 - 2.0 * np.cos(2 * np.pi * T)).tolist(), strict=True)
+    Path("wish.csv").write_text("time_s,displacement_um\n" + "".join(f"{t!r},{d!r}\n" for t, d in rows))
+    dbo("compensate", "model.json", "wish.csv", "--condition", "-o", "drive.csv", "-q")
+    table = np.loadtxt("drive.csv", delimiter=",", skiprows=1)
+    sweep = int((table[:, 0] < 0.0).sum())
+    assert sweep > 100
+    measured = table[:, 1] + np.where(table[:, 0] < 0.0, 1.0, 0.25)
+    np.savetxt(
+        "run.csv",
+        np.column_stack([table[:, :2], measured]),
+        delimiter=",",
+        header="time_s,desired_um,displacement_um",
+        comments="",
+    )
+    done = dbo("report", "run.csv", "--format", "json")
+    [log] = json.loads(done.out)["logs"]
+    assert (log["samples"], log["rmse"]) == (200, pytest.approx(0.25))
+    assert done.err == f"dbo: run.csv: {sweep} rows before time 0, a conditioning sweep, left out\n"
+    for words in (["--count-sweep"], ["--rows", f"1:{sweep + 200}"]):
+        [log] = json.loads(dbo("report", "run.csv", "--format", "json", *words).out)["logs"]
+        assert log["samples"] == sweep + 200
+
+
+def test_the_desired_signal_may_lie_in_another_file(logs: Any) -> None:
+    """A recording at twice the rate, begun 0.1 s early, beside the file that was played."""
+    write_log("drive.csv", 0.0)
+    time = np.arange(430) / 200.0 - 0.1
+    wanted = np.interp(time, T, DESIRED)
+    np.savetxt(
+        "sensor.csv",
+        np.column_stack([time, wanted + 0.5]),
+        delimiter=",",
+        header="t (s),pos (um)",
+        comments="",
+    )
+    done = logs(
+        "report", "sensor.csv", "--trajectory", "drive.csv", "--desired", "desired_um", "--format", "json"
+    )
+    [log] = json.loads(done.out)["logs"]
+    inside = int(((time >= 0.0) & (time <= T[-1] + 1e-9)).sum())
+    assert (log["samples"], log["rmse"]) == (inside, pytest.approx(0.5))
+    assert done.err == f"dbo: sensor.csv: {430 - inside} rows outside the time of drive.csv take no part\n"
+    np.savetxt("plain.csv", DESIRED + 0.25, header="pos (um)", comments="")
+    words = ["report", "plain.csv", "--trajectory", "drive.csv", "--desired", "2", "--format", "json"]
+    [log] = json.loads(logs(*words).out)["logs"]
+    assert (log["samples"], log["rmse"]) == (200, pytest.approx(0.25))
+    assert logs(*words, "--match", "time").code == 1
+    done = logs("report", "after.csv", "--trajectory", "drive.csv", "--model", "drive.csv")
+    assert (done.code, done.err.split(":")[2]) == (
+        2,
+        " --trajectory and --model exclude each other",
+    )
+
+
 def test_figures_are_drawn(logs: Any) -> None:
     assert logs("report", "after.csv", "--figures", "figures", "-o", "r.txt") == (0, "", "")
     names = folder_content(Path("figures"))
     for key in ("tracking", "error", "output", "histogram"):
         assert {f"after-{key}.png", f"after-{key}.svg"} <= names
     assert Path("figures/after-error.png").read_bytes().startswith(b"\x89PNG")
+    assert logs("report", "before.csv", "after.csv", "--figures", "both", "-o", "r.html").code == 0
+    assert {"all-logs-errors.png", "all-logs-errors.svg"} <= folder_content(Path("both"))
+    page = Path("r.html").read_text()
+    assert page.index("Error of all logs against time") < page.index("<h2>")
 
 
 REFUSED = {

@@ -333,10 +333,22 @@ def test_excite_stays_inside_and_starts_and_ends_at_the_bottom(dbo: Any) -> None
     assert table[-1, 1] == pytest.approx(-20.0, abs=0.1)
 
 
+def test_excite_is_chosen_by_its_seed(dbo: Any) -> None:
+    words = ["excite", "--v-max", "120", "--sample-rate", "200"]
+    first = dbo(*words).out
+    assert first.count("\n") == 3001
+    assert dbo(*words, "--seed", "1", "--duration", "15").out == first
+    assert dbo(*words, "--seed", "2").out != first
+    done = dbo(*words, "--seed", "x")
+    assert (done.code, done.err) == (2, "dbo: error: --seed: not a whole number: 'x'\n")
+
+
 def test_excite_refuses_too_few_cycles(dbo: Any) -> None:
     done = dbo("excite", "--v-max", "100", "--duration", "2", "-o", "x.csv")
     assert (done.code, done.out) == (2, "")
-    assert done.err == "dbo: error: --duration 2: 2 cycles of 1 Hz, at least 6 are needed (a --duration of 6)\n"
+    assert done.err == (
+        "dbo: error: --duration 2: 2 cycles of 1 Hz, at least 6 are needed (a --duration of 6)\n"
+    )
     assert folder_content(Path()) == set()
 
 

@@ -12,7 +12,7 @@ from dbo_cli.reports.figures import plots_of_log
 from dbo_cli.reports.page import to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock
-from dbo_cli.reports.thinned_curves import Traces
+from dbo_cli.reports.thinned_curves import FigureData
 
 PROGRAM = find_browser()
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium or Chrome is installed")
@@ -47,12 +47,12 @@ def page(tmp_path_factory) -> Path:
     ):
         time = np.arange(samples) / 100.0
         desired = 20.0 * np.sin(2.0 * np.pi * time / 20.0)
-        traces = Traces("V")
+        figure_data = FigureData("V")
         block = PairBlock(range(1, samples + 1), desired, 0.9 * desired - 12345.678, time, desired / 20.0)
-        logs.append(evaluate(name, [block], options, traces=traces))
-        plots.append(traces)
+        logs.append(evaluate(name, [block], options, figure_data=figure_data))
+        plots.append(figure_data)
     report = Report.of(logs, options, "um")
-    drawn = [plots_of_log(report, log, traces) for log, traces in zip(report.logs, plots, strict=True)]
+    drawn = [plots_of_log(report, log, data) for log, data in zip(report.logs, plots, strict=True)]
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(to_html(report, drawn, program="dbo"), encoding="utf-8")
     return path

@@ -30,21 +30,21 @@ from dbo_cli.reports.thinned_curves import (
     Band,
     Curve,
     Envelope,
+    FigureData,
     Pixels,
     Raster,
     Spectrum,
-    Traces,
 )
 
 
 def log_of(samples, chunk=65536, drive=True, spike=None, options=None, unit="um"):
-    """Return report and traces of a sine with a phase lag, noise and, at one sample, a spike."""
+    """Return report and figure_data of a sine with a phase lag, noise and, at one sample, a spike."""
     time = np.arange(samples) / 1000.0
     desired = 20.0 * np.sin(2.0 * np.pi * time)
     measured = 20.0 * np.sin(2.0 * np.pi * time - 0.1) + np.random.default_rng(1).normal(0.0, 0.1, samples)
     if spike is not None:
         measured[spike] += 50.0
-    traces = Traces("V")
+    figure_data = FigureData("V")
     parts = (slice(start, start + chunk) for start in range(0, samples, chunk))
     blocks = (
         PairBlock(
@@ -57,8 +57,8 @@ def log_of(samples, chunk=65536, drive=True, spike=None, options=None, unit="um"
         for part in parts
     )
     options = options or ReportOptions()
-    log = evaluate("run.csv", blocks, options, traces=traces)
-    return Report.of([log], options, unit), traces
+    log = evaluate("run.csv", blocks, options, figure_data=figure_data)
+    return Report.of([log], options, unit), figure_data
 
 
 def model(gears=5, points=3):
@@ -149,7 +149,7 @@ def test_spectrum_of_white_noise_and_of_a_tone():
 
 
 @pytest.mark.parametrize("samples", [500, WHOLE, WHOLE + 1, 200_000])
-def test_traces_do_not_depend_on_the_chunk_size(samples):
+def test_figure_data_do_not_depend_on_the_chunk_size(samples):
     _, whole = log_of(samples)
     _, cut = log_of(samples, chunk=997)
     for name in ("desired", "measured", "error", "drive"):
@@ -166,38 +166,38 @@ def test_traces_do_not_depend_on_the_chunk_size(samples):
 
 
 def test_one_spike_in_a_long_log_is_kept():
-    _, traces = log_of(300_000, spike=123_456)
-    band = traces.against_time("error")
+    _, figure_data = log_of(300_000, spike=123_456)
+    band = figure_data.against_time("error")
     assert isinstance(band, Band)
     assert band.high.max() > 45.0
     assert band.x[np.argmax(band.high)] == pytest.approx(123.456, abs=1.0)
 
 
 def test_figures_of_a_log():
-    report, traces = log_of(3000)
-    keys = [plot.key for plot in plots_of_log(report, report.logs[0], traces)]
+    report, figure_data = log_of(3000)
+    keys = [plot.key for plot in plots_of_log(report, report.logs[0], figure_data)]
     assert keys == ["tracking", "error", "output", "loop", "histogram", "spectrum", "drive"]
-    report, traces = log_of(3000, drive=False)
-    keys = [plot.key for plot in plots_of_log(report, report.logs[0], traces)]
+    report, figure_data = log_of(3000, drive=False)
+    keys = [plot.key for plot in plots_of_log(report, report.logs[0], figure_data)]
     assert keys == ["tracking", "error", "output", "histogram", "spectrum"]
-    report, traces = log_of(1)
-    assert len(plots_of_log(report, report.logs[0], traces)) == 6
+    report, figure_data = log_of(1)
+    assert len(plots_of_log(report, report.logs[0], figure_data)) == 6
 
 
 @pytest.mark.parametrize(("samples", "kind"), [(3000, "svg"), (20_000, "png"), (20_000, "inline")])
 def test_same_values_same_bytes(samples, kind):
     drawn = []
     for _ in range(2):
-        report, traces = log_of(samples)
-        drawn.append([draw(plot, kind) for plot in plots_of_log(report, report.logs[0], traces)])
+        report, figure_data = log_of(samples)
+        drawn.append([draw(plot, kind) for plot in plots_of_log(report, report.logs[0], figure_data)])
     assert drawn[0] == drawn[1]
 
 
 def test_axes_carry_quantity_and_unit():
-    report, traces = log_of(3000)
+    report, figure_data = log_of(3000)
     texts = {
         plot.key: re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
-        for plot in plots_of_log(report, report.logs[0], traces)
+        for plot in plots_of_log(report, report.logs[0], figure_data)
     }
     assert {"Time (s)", "Displacement (µm)", "desired", "measured"} <= set(texts["tracking"])
     assert {"Time (s)", "Error (µm)"} <= set(texts["error"])
@@ -208,17 +208,17 @@ def test_axes_carry_quantity_and_unit():
 
 
 def test_a_constant_log_can_be_drawn():
-    traces = Traces()
+    figure_data = FigureData()
     block = PairBlock(range(1, 101), np.full(100, 2.0), np.full(100, 2.0))
-    log = evaluate("flat.csv", [block], ReportOptions(), traces=traces)
+    log = evaluate("flat.csv", [block], ReportOptions(), figure_data=figure_data)
     report = Report.of([log], ReportOptions(), None)
-    for plot in plots_of_log(report, log, traces):
+    for plot in plots_of_log(report, log, figure_data):
         assert draw(plot, "svg").startswith(b"<?xml")
 
 
 def test_inline_figures_share_no_id_and_take_the_colours_of_the_page():
-    report, traces = log_of(3000)
-    plots = plots_of_log(report, report.logs[0], traces)
+    report, figure_data = log_of(3000)
+    plots = plots_of_log(report, report.logs[0], figure_data)
     page = to_html(
         Report.of([report.logs[0]] * 2, report.options, "um"),
         [plots, plots],
@@ -235,8 +235,8 @@ def test_inline_figures_share_no_id_and_take_the_colours_of_the_page():
 
 
 def test_page_is_self_contained_and_the_same_each_time():
-    report, traces = log_of(3000)
-    plots = plots_of_log(report, report.logs[0], traces)
+    report, figure_data = log_of(3000)
+    plots = plots_of_log(report, report.logs[0], figure_data)
     page = to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
     assert page == to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
     assert "<title>A &lt; B &amp; C</title>" in page
@@ -274,8 +274,8 @@ def test_loop_of_the_gears_is_what_the_operator_does():
 
 
 def test_saved_figures(tmp_path):
-    report, traces = log_of(2000)
-    plots = plots_of_log(report, report.logs[0], traces)
+    report, figure_data = log_of(2000)
+    plots = plots_of_log(report, report.logs[0], figure_data)
     folder = check_folder(str(tmp_path / "new" / "figures"))
     written = save(plots[:2], folder, "run", "run.csv")
     assert sorted(os.listdir(folder)) == [
@@ -329,18 +329,18 @@ HOSTILE = [
 
 def reports_of(names, unit="$\\um_1$"):
     options = ReportOptions()
-    logs, traces = [], []
+    logs, figure_data = [], []
     for number, name in enumerate(names):
         report, seen = log_of(2000 if number % 2 else 10_000, unit=unit)
         logs.append(replace(report.logs[0], name=cleaned(name)))
-        traces.append(seen)
-    return Report.of(logs, options, unit), traces
+        figure_data.append(seen)
+    return Report.of(logs, options, unit), figure_data
 
 
 @pytest.mark.parametrize("kind", ["png", "svg", "inline"])
 def test_names_and_units_are_drawn_as_they_are_written(kind):
-    report, traces = reports_of(HOSTILE[:6])
-    plots = plots_of_comparison(report, traces) + plots_of_log(report, report.logs[0], traces[0])
+    report, figure_data = reports_of(HOSTILE[:6])
+    plots = plots_of_comparison(report, figure_data) + plots_of_log(report, report.logs[0], figure_data[0])
     drawn = {plot.key: draw(plot, kind, note="$x_1$ 駆動 \x1b[0m") for plot in plots[:3]}
     if kind == "inline":
         shown = "".join(ElementTree.fromstring(drawn["errors"].decode()).itertext())
@@ -349,15 +349,23 @@ def test_names_and_units_are_drawn_as_they_are_written(kind):
         assert "Error ($\\um_1$)" in shown
 
 
+def test_a_long_name_is_cut_to_fit_the_figure():
+    report, figure_data = log_of(500)
+    plot = plots_of_log(report, report.logs[0], figure_data)[0]
+    texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline", note="a" * 200 + ".csv").decode())
+    assert [len(text) for text in texts if text.startswith("aaa")] == [40]
+    assert any(text.endswith("a.csv") for text in texts)
+
+
 def test_errors_of_all_logs_stand_in_one_figure():
-    report, traces = reports_of(["before.csv", "after.csv"], "um")
-    [plot] = plots_of_comparison(report, traces)
+    report, figure_data = reports_of(["before.csv", "after.csv"], "um")
+    [plot] = plots_of_comparison(report, figure_data)
     assert (plot.key, plot.title, plot.head) == ("errors", "Error of all logs against time", 0.0)
     texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
     assert {"before.csv", "after.csv", "Error (µm)", "Time (s)"} <= set(texts)
     assert plots_of_comparison(*reports_of(["alone.csv"])) == []
-    report, traces = reports_of([f"recording_number_{k}_of_many.csv" for k in range(8)], "um")
-    [plot] = plots_of_comparison(report, traces)
+    report, figure_data = reports_of([f"recording_number_{k}_of_many.csv" for k in range(8)], "um")
+    [plot] = plots_of_comparison(report, figure_data)
     assert plot.title == "Error of the first 6 of 8 logs against time"
     assert plot.head == pytest.approx(5 * 0.17)
     page = to_html(report, [[]] * 8, comparison_plots=[plot])
@@ -365,10 +373,10 @@ def test_errors_of_all_logs_stand_in_one_figure():
 
 
 def test_logs_that_begin_at_different_times_are_drawn_from_their_own_beginning():
-    report, traces = reports_of(["a.csv", "b.csv"], "um")
-    traces[1]._whole = (traces[1]._whole[0] + 1000.0, *traces[1]._whole[1:])
-    traces[1].start += 1000.0
-    [plot] = plots_of_comparison(report, traces)
+    report, figure_data = reports_of(["a.csv", "b.csv"], "um")
+    figure_data[1]._whole = (figure_data[1]._whole[0] + 1000.0, *figure_data[1]._whole[1:])
+    figure_data[1].start += 1000.0
+    [plot] = plots_of_comparison(report, figure_data)
     texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())
     assert "Time since each log began (s)" in texts
     assert not any(text.startswith("10") and len(text) >= 4 for text in texts)
@@ -392,8 +400,8 @@ sys.path.insert(0, {tests!r})
 from test_reports_figures import log_of
 from dbo_cli.reports.drawing import draw
 from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
-report, traces = log_of(500)
-data = draw(plots_of_log(report, report.logs[0], traces)[0], "png", note="駆動")
+report, figure_data = log_of(500)
+data = draw(plots_of_log(report, report.logs[0], figure_data)[0], "png", note="駆動")
 print(len(data))
 """
 
@@ -421,8 +429,8 @@ print(len(data))
         self.run(tmp_path, HOME=home, XDG_CONFIG_HOME="", XDG_CACHE_HOME="", MPLCONFIGDIR="")
 
     def test_the_users_own_settings_change_nothing(self, tmp_path, monkeypatch):
-        report, traces = log_of(500)
-        plot = plots_of_log(report, report.logs[0], traces)[0]
+        report, figure_data = log_of(500)
+        plot = plots_of_log(report, report.logs[0], figure_data)[0]
         before = draw(plot, "svg")
         import matplotlib
 

@@ -20,11 +20,9 @@ from dbo_cli.reports.report import (
     check_limits,
     common_unit,
     evaluate,
-    parse_lag,
-    parse_segment,
 )
 from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read
-from dbo_cli.reports.thinned_curves import Traces
+from dbo_cli.reports.thinned_curves import FigureData
 
 PAPER = Path(os.environ.get("DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"))
 
@@ -266,16 +264,6 @@ def test_one_report_speaks_one_unit():
     )
 
 
-def test_option_values():
-    assert [parse_lag(text) for text in ("3", "-2", "auto")] == [3, -2, "auto"]
-    assert [parse_segment(text) for text in (None, "cycles", "2.5")] == [None, "cycles", 2.5]
-    with pytest.raises(UsageError, match=r"^`lag` 1\.5: neither a whole number of samples nor 'auto'$"):
-        parse_lag("1.5")
-    for text in ("0", "-1", "nan", "inf", "x"):
-        with pytest.raises(UsageError, match=rf"^`segment` {text}: neither 'cycles' nor a number of seconds"):
-            parse_segment(text)
-
-
 def test_too_many_segments():
     desired = np.tile([0.0, 1.0], 10_010)
     with pytest.raises(
@@ -385,10 +373,10 @@ class TestConditioningSweep:
         assert log == self.log(100)
 
     def test_figures_show_the_trajectory_alone(self):
-        traces = Traces()
-        self.log(traces=traces)
-        assert traces.samples == 600
-        assert float(traces.against_time("error").x[0]) == 0.0
+        figure_data = FigureData()
+        self.log(figure_data=figure_data)
+        assert figure_data.samples == 600
+        assert float(figure_data.against_time("error").x[0]) == 0.0
 
     def test_it_counts_where_it_is_asked_for(self):
         assert self.log(count_sweep=True).figures.samples == 1000
@@ -448,3 +436,18 @@ def test_wide_letters_keep_their_columns():
     table = to_text(report).split("\n\n")[1].splitlines()
     wide = [len(line) + sum(unicodedata.east_asian_width(sign) in "WF" for sign in line) for line in table]
     assert len(set(wide)) == 1
+
+
+@pytest.mark.parametrize("step", [1e-300, 1e-3, 1e306])
+@pytest.mark.parametrize("scale", [1e-300, 1e-60, 1.0, 1e69])
+@pytest.mark.parametrize("gain", [1e-60, 0.9, 1e308])
+def test_no_scale_writes_what_is_no_number(scale, gain, step):
+    desired, measured = sine() * scale / 20.0, np.roll(sine(), 20) * min(scale * gain, 1e69) / 20.0
+    time = np.arange(1000) * step if step < 1.0 else np.linspace(-1.0, 1.0, 1000) * 1e308 / 2.0
+    logs = [
+        evaluate(name, blocks_of(desired, values, 1000, time), ReportOptions(lag=lag), count_sweep=True)
+        for name, values, lag in (("a", desired * (1.0 + 1e-9), 0), ("b", measured, 3))
+    ]
+    report = Report.of(logs, ReportOptions(), "um")
+    for text in (to_json(report), to_csv(report), to_text(report)):
+        assert "nan" not in text.lower() and "inf" not in text.lower()

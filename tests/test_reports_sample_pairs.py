@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.reports.sample_pairs import PairBlock, batched, check_alike, find_lag, lagged, rows_with_lag
+from dbo_cli.logs.sample_block import SampleBlock
+from dbo_cli.reports.sample_pairs import PairBlock, batched, find_lag, lagged, rows_to_read
 from dbo_cli.reports.segments import cycles, spans
 
 
@@ -73,37 +74,30 @@ def test_columns_of_different_length():
     )
 
 
-def test_units_and_rates_that_do_not_match():
-    labels = ("desired", "measured")
-    check_alike("run.h5", labels, ("um", None), (5, 5), (200.0, None))
-    check_alike("run.h5", labels, ("um", "um"), None, (200.0, 200.0))
-    with pytest.raises(InputError) as caught:
-        check_alike("run.h5", labels, ("um", "V"))
-    assert str(caught.value) == "run.h5: desired is in um, measured in V (give both in one unit)"
-    with pytest.raises(InputError) as caught:
-        check_alike("run.h5", labels, ("um", "um"), (5, 5), (200.0, 1000.0))
-    assert str(caught.value) == (
-        "run.h5: desired has 200 samples a second, measured 1000 (resample one of them first)"
-    )
-
-
 @pytest.mark.parametrize(
     ("rows", "lag", "read"),
     [
-        ("5052:6051", 1, "5052:6052"),
-        ("5052:6051", -3, "5049:6051"),
-        ("2:9", -5, "1:9"),
-        ("5:", 4, "5:"),
-        (":9", 4, ":13"),
-        (":9", -4, ":9"),
-        (None, 4, None),
-        ("5:9", 0, "5:9"),
-        ("a:b", 1, "a:b"),
-        ("7", 1, "7"),
+        ((5052, 6051), 1, (5052, 6052)),
+        ((5052, 6051), -3, (5049, 6051)),
+        ((2, 9), -5, (1, 9)),
+        ((5, None), 4, (5, None)),
+        ((1, 9), 4, (1, 13)),
+        ((1, 9), -4, (1, 9)),
+        ((5, 9), 0, (5, 9)),
     ],
 )
 def test_rows_count_desired_samples(rows, lag, read):
-    assert rows_with_lag(rows, lag) == read
+    assert rows_to_read(rows, lag) == read
+
+
+def test_a_pair_block_of_a_sample_block_copies_nothing():
+    values = {"desired": np.zeros(5), "measured": np.ones(5), "voltage": np.ones(5)}
+    block = SampleBlock(range(3, 8), None, np.arange(5.0), values)
+    pair = PairBlock.of(block)
+    assert pair.desired is values["desired"] and pair.measured is values["measured"]
+    assert pair.drive is values["voltage"] and pair.time is block.time and pair.rows is block.rows
+    predicted = np.full(5, 7.0)
+    assert PairBlock.of(block, predicted).desired is predicted
 
 
 @pytest.mark.parametrize("lag", [-17, -1, 0, 3, 40])

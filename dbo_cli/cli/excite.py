@@ -16,6 +16,8 @@ def excite(
     frequency: options.Frequency,
     max_slew: options.MaxSlew,
     seed: options.Seed,
+    sweep_to: options.SweepTo,
+    sweep_amplitude: options.SweepAmplitude,
     file_format: options.OutputFormat,
     output: options.Output,
 ) -> None:
@@ -24,13 +26,24 @@ def excite(
     A sweep over the whole range wipes out the past; then the drive turns at random levels, at speeds from a
     quarter to eight times the sweep's, with some holds, so that loop width, asymmetry, lag and creep come
     apart. It ends at rest where it began, so that drift shows, and it never leaves the limits. 15 s leave
-    about half the error of 8 s; at another --frequency, scale the duration with it.
+    about half the error of 8 s; at another --frequency, scale the duration with it. With --sweep-to, a small
+    sweep in the middle of the range follows, in which a resonance shows itself (4 s more).
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
     from dbo_cli.runs.files import write_excitation
 
     rows = write_excitation(
-        output, v_min, v_max, sample_rate, duration, frequency, max_slew, file_format, seed
+        output,
+        v_min,
+        v_max,
+        sample_rate,
+        duration,
+        frequency,
+        max_slew,
+        file_format,
+        seed,
+        sweep_to,
+        sweep_amplitude,
     )
-    voice.detail(f"{rows:,} rows, {duration:g} s, {v_min:g} to {v_max:g} V")
+    voice.detail(f"{rows:,} rows, {rows / sample_rate:g} s, {v_min:g} to {v_max:g} V")

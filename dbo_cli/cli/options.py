@@ -225,6 +225,16 @@ SensorLag = Annotated[
         parse=values.not_negative,
     ),
 ]
+Dynamics = Annotated[
+    int | None,
+    _option(
+        "--dynamics",
+        "auto|0|1|2",
+        "Resonances of the actuator, from a log with a small sweep or a fast log beside a slow one.",
+        default="auto",
+        parse=values.auto_or(values.whole(0)),
+    ),
+]
 Skip = Annotated[
     float,
     _option(
@@ -499,6 +509,19 @@ Frequency = Annotated[
 Seed = Annotated[
     int,
     _option("--seed", "N", "Another number, another drive.", default="1", parse=values.whole(0)),
+]
+SweepTo = Annotated[
+    float | None,
+    _option(
+        "--sweep-to",
+        "HZ",
+        "Append a small sweep up to this frequency, for the dynamics of the actuator.",
+        parse=values.positive,
+    ),
+]
+SweepAmplitude = Annotated[
+    float | None,
+    _option("--sweep-amplitude", "VOLT", "Of that sweep [default: 1 % of the range].", parse=values.positive),
 ]
 OutputFormat = Annotated[
     str | None,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.hysteresis.operators import (
     BacklashState,
@@ -38,7 +39,11 @@ class CascadePlan:
     inner_limits : DriveLimits, or None
         The same as the backlash stage meets them, before the stages behind it.
     covered : int
-        Gears that take part in a settled start; those beyond the model's voltages do not.
+        Gears that take part in a settled start: the first ones. Those beyond the model's voltages do not.
+    spare_bits : int
+        The bits of those others: they stay engaged while the drive is within the model's voltages.
+    start_drive : float
+        The drive at which none of the covered gears is engaged, as the backlash stage meets it.
     delay : float
         Seconds of the output's delay. A forward export delays its output; an inverse reads ahead.
     """
@@ -48,6 +53,8 @@ class CascadePlan:
     limits: DriveLimits | None
     inner_limits: DriveLimits | None
     covered: int
+    spare_bits: int
+    start_drive: float
     delay: float
 
     @property
@@ -101,11 +108,6 @@ class CascadePlan:
             return None
         return self.inner_limits.max_slew * self.time_step
 
-    @property
-    def drive_origin(self) -> float:
-        """The drive at B = 0, as the backlash stage meets it."""
-        return self.backlash.y0 if self.backlash.memory_on == "output" else self.backlash.x0
-
     def inner_drive(self, drive: float) -> float:
         """Return a drive (V) as the backlash stage meets it."""
         if self.direction == "forward":
@@ -113,12 +115,23 @@ class CascadePlan:
         return float(through(_undone(self.tail), np.array([drive]))[0])
 
     def empty_state(self) -> tuple[BacklashState, float]:
-        """Return B = 0 at rest where nothing is remembered, and the drive there."""
-        return BacklashState(0, (0.0,) * self.terms if self.terms else None), self.drive_origin
+        """Return the state before any covered gear is engaged, nothing remembered, and the drive there."""
+        return BacklashState(self.spare_bits, (0.0,) * self.terms if self.terms else None), self.start_drive
+
+    def spare_words(self, width: int) -> list[str]:
+        """Return the spare gears' bits as C constants of ``width`` bits; empty where there are none."""
+        if not self.spare_bits:
+            return []
+        count, mask = -(-self.backlash.n // width), (1 << width) - 1
+        form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
+        return [form.format(self.spare_bits >> width * k & mask) for k in range(count)]
 
 
 def _undone(stages: MemoryFree) -> MemoryFree:
     return tuple(stage.inverse() for stage in reversed(stages))
+
+
+_KINDS = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage
 
 
 def plan_cascade(
@@ -140,24 +153,23 @@ def plan_cascade(
         raise UsageError(f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0")
     turned = model if model.direction == direction else model.inverse()
     for place, stage in enumerate(turned.stages):
-        if not isinstance(stage, DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DelayStage):
-            raise ModelError(
-                f"stages[{place}]: a {type(stage).__name__} cannot be exported"
-                " (identify the model again without it)"
-            )
+        if not isinstance(stage, _KINDS):
+            raise ModelError(f"stages[{place}]: a {type(stage).__name__} cannot be exported")
     if direction == "forward" and limits is not None:
         raise UsageError("limits on the drive belong to `direction` inverse")
     timed = turned.needs_time or (limits is not None and limits.max_slew is not None)
     if timed and sample_rate is None:
         raise UsageError("the model depends on the time between samples: give `sample_rate` in Hz")
     backlash = turned.backlash
-    delay = turned.delay_seconds
+    delay, covered = turned.delay_seconds, turned._covered_gears
     plan = CascadePlan(
         turned,
         None if sample_rate is None else 1.0 / sample_rate,
         limits,
         None if limits is None else turned._inner_limits(limits),
-        turned._covered_gears.operator.n,
+        covered.operator.n,
+        covered.spare_bits,
+        covered.operator.x0,
         delay,
     )
     if backlash.relaxation is not None and np.any(plan.decay >= 1.0):

@@ -12,16 +12,23 @@ from dbo_cli.errors import ModelError
 from dbo_cli.export.c_frame import SourceParts, Vectors, delay_line
 from dbo_cli.export.c_text import array, hex_double, struct_rows
 from dbo_cli.export.cascade_plan import CascadePlan
+from dbo_cli.export.dynamics_code import dynamics_parts, inverter_of, undone_moves
 from dbo_cli.export.self_test_moves import self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import buffer_words
-from dbo_cli.hysteresis.model import NEGLIGIBLE, ModelState
+from dbo_cli.hysteresis.model import NEGLIGIBLE, ModelState, Quantity
 from dbo_cli.hysteresis.operators import BacklashState
 
 Floats = NDArray[np.float64]
 
 IGNORED_BEYOND = 1e6
 """An input so many ranges beyond the model's counts as no number: what it leads to would not be finite."""
+
+
+def ignored_beyond(source: Quantity) -> str:
+    """Return the C constant beyond which an input counts as no number: a power of two, in decimals."""
+    largest = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
+    return repr(2.0 ** min(math.ceil(math.log2(largest)), 126))
 
 
 MOST_LOOKUP_GEARS = 12
@@ -95,21 +102,22 @@ def _recursion(plan: CascadePlan, limits: str) -> _Gears:
     if plan.limits is not None or (plan.terms > 0 and gears.memory_on == "output"):
         more, extra = _fixed_step(plan, gears.equal_run)
         text, size = text + more, size + extra
-        step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, &counts);"
+        step = f"    x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, {limits}, 0);"
     else:
-        step = (
-            f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, &counts);"
-        )
-    words = buffer_words(gears.n)
+        step = f"    x = dbo_backlash_step(&op, &state->gears, x, {'decay' if plan.terms else '0'}, 0, 0);"
+    words, spare, engage = buffer_words(gears.n), plan.spare_words(64), ""
+    if spare:
+        text += array("uint64_t", "spare", spare)
+        engage = f"    for (size_t k = 0; k < {len(spare)}; k++) state->words[k] = spare[k];\n"
     memory = "state->memory" if plan.terms else "0"
     return _Gears(
         text, size, [f"uint64_t words[{words}];", "dbo_backlash_state gears;"],
         f"    state->gears.words = state->words;\n    state->gears.memory = {memory};\n",
-        f"    for (size_t k = 0; k < {words}; k++) state->words[k] = 0;\n"
+        f"    for (size_t k = 0; k < {words}; k++) state->words[k] = 0;\n" + engage +
         "    dbo_backlash_load(&op, &state->gears);\n"
-        f"    state->gears.last = {hex_double(plan.drive_origin)};",
-        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, x);",
-        step.replace("    x =", "    dbo_counts counts = {0, 0, 0, 0};\n    x =", 1),
+        f"    state->gears.last = {hex_double(plan.start_drive)};",
+        f"    dbo_backlash_settle(&op, &state->gears, {plan.covered}, {'spare' if spare else '0'}, x);",
+        step,
     )  # fmt: skip
 
 
@@ -140,8 +148,9 @@ def _lookup(plan: CascadePlan, limits: str) -> _Gears:
     return _Gears(
         text + more, size + extra + 17 * len(states), ["dbo_lookup_state gears;"],
         f"    state->gears.memory = {memory};\n",
-        f"    state->gears.state = 0U;\n    state->gears.last = {hex_double(plan.drive_origin)};",
-        f"    dbo_lookup_settle(&lookup, &state->gears, {plan.covered}U, x);",
+        f"    state->gears.state = {plan.spare_bits}U;\n"
+        f"    state->gears.last = {hex_double(plan.start_drive)};",
+        f"    dbo_lookup_settle(&lookup, &state->gears, {plan.covered}U, {plan.spare_bits}U, x);",
         f"    x = dbo_lookup_step(&lookup, &state->gears, x, {limits});",
     )  # fmt: skip
 
@@ -205,19 +214,16 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
     """Return the sources' parts in float64 and the bytes of the tables."""
     limit_text, limits = _limits(plan)
     gears = _lookup(plan, limits) if lookup else _recursion(plan, limits)
-    stages = _stages(plan)
-    members, clear = list(gears.members), ""
+    stages, dynamics = _stages(plan), dynamics_parts(plan)
+    members, clear = [*gears.members, *dynamics.members], dynamics.clear
     for name, count, kind in (("memory", plan.terms, "double"), ("segments", stages.segments, "size_t")):
         if count:
             members.append(f"{kind} {name}[{count}];")
             clear += f"    for (size_t k = 0; k < {count}; k++) state->{name}[k] = 0;\n"
-    initialise, step = clear + gears.attach + gears.initialise, gears.step
-    if step.startswith("    dbo_counts"):
-        counts, step = step.split("\n", 1)
-        step = f"{counts}\n{gears.attach}{stages.before}{step}"
-    else:
-        step = gears.attach + stages.before + step
-    step += "\n" + stages.behind.rstrip("\n") if stages.behind else ""
+    initialise = clear + gears.attach + gears.initialise
+    step = gears.attach + dynamics.before + stages.before + gears.step
+    behind = stages.behind + dynamics.behind
+    step += "\n" + behind.rstrip("\n") if behind else ""
     if plan.direction == "forward" and plan.delay > 0.0:
         whole, part = _delay_samples(plan)
         lagged = f"later + {hex_double(part)} * (earlier - later)" if part else "later"
@@ -225,23 +231,27 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         members += more
         initialise, step = initialise + "\n" + empty, step + "\n" + line
     source = plan.model.input
-    reach = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
+    reach = ignored_beyond(source)
     parts = SourceParts(
         number="double",
-        tables=gears.tables + limit_text + stages.tables,
+        tables=gears.tables + limit_text + stages.tables + dynamics.tables,
         members=members,
         initialise=initialise,
         start=stages.drive + gears.settle,
         step=step,
-        lowest=hex_double(-reach),
-        highest=hex_double(reach),
+        lowest=f"-{reach}",
+        highest=reach,
         first_output=hex_double(first_output(plan)),
         drive_is_output=plan.direction == "inverse",
         macros=common_macros(plan),
         vectors=_vectors(plan),
-        kernel_header="dbo_lookup.h" if lookup else "dbo_kernel.h",
+        kernel_headers=tuple(
+            name
+            for name, used in (("dbo_lookup.h", lookup), ("dbo_dynamics.h", bool(dynamics.members)))
+            if used
+        ),
     )
-    return parts, gears.size + stages.size
+    return parts, gears.size + stages.size + dynamics.size
 
 
 def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
@@ -249,14 +259,25 @@ def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
     macros = []
     if plan.time_step is not None:
         macros.append(("SAMPLE_RATE_HZ", repr(1.0 / plan.time_step), "call the step so often"))
-    if plan.direction == "inverse" and plan.delay > 0.0:
-        macros.append(("READ_AHEAD_S", repr(plan.delay), "give the input this much earlier"))
+    ahead = read_ahead(plan)
+    if ahead > 0.0:
+        macros.append(("READ_AHEAD_S", repr(ahead), "give the input this much earlier"))
     return macros
 
 
+def read_ahead(plan: CascadePlan) -> float:
+    """Return how many seconds earlier an inverse needs its input: for its delay, and its dynamics."""
+    if plan.direction == "forward":
+        return 0.0
+    inverter = inverter_of(plan)
+    return plan.delay + (0.0 if inverter is None else inverter.ahead * inverter.time_step)
+
+
 def first_output(plan: CascadePlan) -> float:
-    """Return the output at B = 0 after a rest at the lower end."""
-    y = float(through(plan.tail, np.array([plan.backlash.y0]))[0])
+    """Return the output after a rest at the lower end, no covered gear engaged."""
+    covered = plan.model._covered_gears.operator
+    at = covered.x0 if plan.direction == "inverse" else covered.y0
+    y = float(through(plan.tail, np.array([at]))[0])
     if plan.limits is not None:
         y = min(max(y, plan.limits.v_min), plan.limits.v_max)
     return y
@@ -287,7 +308,7 @@ def _vectors(plan: CascadePlan) -> list[Vectors]:
     found = []
     for seed, (label, reset, state) in enumerate(states, 1):
         moves = self_test_moves(quantity.minimum, quantity.maximum, seed)
-        y = model.simulate(moves, state, time_step=plan.time_step, limits=plan.limits).y
+        y = model.simulate(undone_moves(plan, moves), state, time_step=plan.time_step, limits=plan.limits).y
         found.append(
             Vectors(label, reset, [hex_double(v) for v in moves], [hex_double(v) for v in y.tolist()])
         )

@@ -311,6 +311,7 @@ $units  <DefaultExperiment startTime="0" stepSize="$time_step"/>
   </ModelVariables>
   <ModelStructure>
     <Outputs><Unknown index="2" dependencies="1"/></Outputs>
+    <InitialUnknowns><Unknown index="2" dependencies="3 4"/></InitialUnknowns>
   </ModelStructure>
 </fmiModelDescription>
 """)

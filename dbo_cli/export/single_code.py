@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from dbo_cli.errors import ModelError
 from dbo_cli.export.c_frame import SourceParts, Vectors, delay_line
 from dbo_cli.export.c_text import array, hex_float, integer, struct_rows
 from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.double_code import IGNORED_BEYOND, common_macros, first_output
+from dbo_cli.export.double_code import common_macros, first_output, ignored_beyond
 from dbo_cli.export.error_bounds import derive_bounds
 from dbo_cli.export.self_test_moves import self_test_moves
 from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
@@ -20,7 +21,17 @@ Text = Callable[[Any], str]
 
 
 def tables_and_bounds(plan: CascadePlan, q31: bool) -> tuple[SingleTables, dict[str, float]]:
-    """Return the constants of one arithmetic and the derived bounds by name."""
+    """Return the constants of one arithmetic and the derived bounds by name.
+
+    Raises
+    ------
+    ModelError
+        The model is beyond what the arithmetic holds.
+    """
+    if plan.model.dynamics is not None:
+        raise ModelError(
+            "dynamics are beyond float and q31 (`arithmetic` double, or identify with `dynamics` 0)"
+        )
     axes = axes_of(plan)
     if q31:
         check_memories(plan)
@@ -124,25 +135,34 @@ def single_parts(plan: CascadePlan, q31: bool) -> tuple[SourceParts, int, dict[s
         more, count = _segments(label, segments, text)
         tables, size = tables + more, size + (24 if q31 else 12) * count
         counts.append(count)
+    spare = plan.spare_words(32)
     members, attach, clear = _start(t)
+    if spare:
+        tables += array("uint32_t", "spare", spare)
+        clear += f"    for (uint32_t k = 0U; k < {len(spare)}U; k++) state->words[k] = spare[k];\n"
     step = _step(plan, t, counts, attach, text)
-    initialise = clear + attach + "    dbo_backlash_load(&op, &state->gears);\n    state->gears.last = 0;"
+    initialise = (
+        clear + attach + "    dbo_backlash_load(&op, &state->gears);\n    state->gears.last = state->gears.y;"
+    )
     if t.delay[0] >= 0:
         more_members, empty, line = delay_line(t.delay[0], number, _lagged(t, text))
         members, initialise, step = members + more_members, initialise + "\n" + empty, step + "\n" + line
     drive = _LOOKUP.format("drives", counts[2], t.drive.shift, 2, "x")
     source = plan.model.input
-    reach = IGNORED_BEYOND * max(source.span, abs(source.minimum), abs(source.maximum))
+    reach = ignored_beyond(source)
     at_start = first_output(plan)
     parts = SourceParts(
         number=number,
         tables=tables,
         members=members,
         initialise=initialise,
-        start=f"    dbo_backlash_settle(&op, &state->gears, {t.covered}U,\n                        {drive});",
+        start=(
+            f"    dbo_backlash_settle(&op, &state->gears, {t.covered}U, {'spare' if spare else '0'},\n"
+            f"                        {drive});"
+        ),
         step=step,
-        lowest=None if q31 else hex_float(-reach),
-        highest=None if q31 else hex_float(reach),
+        lowest=None if q31 else f"-{reach}F",
+        highest=None if q31 else f"{reach}F",
         first_output=integer(to_counts(plan, at_start, "output")) if q31 else hex_float(at_start),
         drive_is_output=plan.direction == "inverse",
         macros=common_macros(plan) + (_count_macros(plan) if q31 else []),

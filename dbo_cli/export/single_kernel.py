@@ -64,6 +64,7 @@ class SingleTables:
     most: int
     limits: tuple[int, int, int] | None
     covered: int
+    spare_bits: int
     before: Segments
     behind: Segments
     drive: Segments
@@ -86,7 +87,9 @@ class SingleKernel:
 
     def __init__(self, tables: SingleTables) -> None:
         self.t = tables
-        self.bits = self.x = self.y = self.last = 0
+        self.bits = tables.spare_bits
+        self.load()
+        self.last = self.y
         self.memory: list[Any] = [self._rest(0 if tables.q31 else F(0.0)) for _ in tables.terms]
         self.delayed: list[Number] = []
 
@@ -256,7 +259,8 @@ class SingleKernel:
         """Do what ``NAME_reset`` does."""
         self.init()
         axis = 1 if self.t.memory_on_output else 0
-        target = self.position_of(self.through(self.t.drive, drive), (self.t.x_shift, self.t.y_shift)[axis])
+        place = self.position_of(self.through(self.t.drive, drive), (self.t.x_shift, self.t.y_shift)[axis])
+        target = place - (self.x, self.y)[axis]
         low, high = 0, sum(self.t.rows[i // self.t.run][axis] for i in range(self.t.covered))
         slack = high // 1048576
         for i in reversed(range(self.t.covered if target > 0 else 0)):
@@ -266,14 +270,14 @@ class SingleKernel:
                 low += width
             else:
                 high -= width
-        self.memory = [self._rest(self.drive_of(target)) for _ in self.t.terms]
+        self.memory = [self._rest(self.drive_of(place)) for _ in self.t.terms]
         self.load()
         if self.t.memory_on_output:
-            self.follow_output(target, target >= self.y)
+            self.follow_output(place, place >= self.y)
         else:
-            rising = target >= self.x
-            self.pass_gears(target, FARTHEST if rising else -FARTHEST, rising)
-        self.last = target
+            rising = place >= self.x
+            self.pass_gears(place, FARTHEST if rising else -FARTHEST, rising)
+        self.last = place
 
     def step(self, x: Number) -> Number:
         """Do what ``NAME_step`` does."""

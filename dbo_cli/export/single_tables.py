@@ -243,6 +243,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         most=2 * span,
         limits=_limit_positions(plan, axes),
         covered=plan.covered,
+        spare_bits=plan.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
         drive=drive,

@@ -364,7 +364,7 @@ INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const
             int outside;
             slope = rising ? cross_up(op, &w, u, &up, &down, first, &outside)
                            : cross_down(op, &w, u, &up, &down, first, &outside);
-            if (outside) note(&counts->outside, &counts->first_outside, k);
+            if (outside && counts) note(&counts->outside, &counts->first_outside, k);
             quiet = 0;
         }
         if (remembers) {
@@ -520,8 +520,8 @@ INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, 
     } else {
         y = op->y0 + solve(op, w, u, kappa, -ENDLESS, ENDLESS, fixed, &outside);
     }
-    if (outside) note(&counts->outside, &counts->first_outside, k);
-    if (clipped) note(&counts->clipped, &counts->first_clipped, k);
+    if (outside && counts) note(&counts->outside, &counts->first_outside, k);
+    if (clipped && counts) note(&counts->clipped, &counts->first_clipped, k);
     drive = y - op->reference;
     for (size_t j = 0; j < op->terms; j++) state->memory[j] += (rest ? rest[j] : 1.0 - a[j]) * drive;
     state->last = y;
@@ -617,12 +617,16 @@ double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, doub
 
 /* The gears stop flipping from the highest to the lowest. With those up to k spanning [low, high], gear k
  * stays 1 where the drive is as far from low as from high or farther; a tolerance decides a tie. */
-void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, double drive) {
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered,
+                         const uint64_t *spare, double drive) {
     const int on_output = op->memory_on_output;
-    const double target = drive - (on_output ? op->y0 : op->x0);
-    double low = 0.0, high = 0.0, slack;
-    walk w = begin(op, state, op->grouped);
-    for (size_t k = 0; k < (op->n + 63) / 64; k++) state->words[k] = 0;
+    const double place = drive - (on_output ? op->y0 : op->x0);
+    double low = 0.0, high = 0.0, slack, target;
+    walk w;
+    for (size_t k = 0; k < (op->n + 63) / 64; k++) state->words[k] = spare ? spare[k] : 0;
+    dbo_backlash_load(op, state);
+    w = begin(op, state, op->grouped);
+    target = place - (on_output ? w.y : w.x);
     for (size_t i = 0; i < covered; i++) {
         const dbo_gear *gear = op->gears + row_of(&w, i);
         high += on_output ? gear->dy : gear->dx;
@@ -643,10 +647,10 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size
     dbo_backlash_load(op, state);
     w = begin(op, state, op->grouped);
     if (on_output) {
-        follow_output(&w, target, target >= w.y, 0);
+        follow_output(&w, place, place >= w.y, 0);
     } else {
-        const int rising = target >= w.x;
-        pass_gears(&w, target, 0.0, rising ? ENDLESS : -ENDLESS, rising, 0);
+        const int rising = place >= w.x;
+        pass_gears(&w, place, 0.0, rising ? ENDLESS : -ENDLESS, rising, 0);
     }
     finish(&w, state);
 }

@@ -103,13 +103,14 @@ size_t dbo_backlash_words(size_t n);
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
 
 /* The state of an actuator that has been switched on and trimmed to `drive` and rests there: after an
- * oscillation of the drive that decays to it from the whole range of gears 0 to `covered` - 1. The drive is
- * the input of a forward operator and the output of an inverse (memory_on_output). Fills all of the state;
- * `words` and `memory` must be in place. */
-void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, double drive);
+ * oscillation of the drive that decays to it from the whole range of gears 0 to `covered` - 1, while others
+ * stay as `spare` has them (words of bits; NULL: open). The drive is the input of a forward operator and the
+ * output of an inverse (memory_on_output). Fills all of the state; `words` and `memory` must be in place. */
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered,
+                         const uint64_t *spare, double drive);
 
 /* One input, one output. `decay` has one factor exp(-dt/tau_j) per term (all zero: at rest at this
- * sample); `limits` may be NULL. */
+ * sample); `limits` and `counts` may be NULL. */
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
                          const double *decay, const dbo_limits *limits, dbo_counts *counts);
 

@@ -8,6 +8,7 @@ import random
 import numpy as np
 
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.sweep import sweep
 from dbo_cli.hysteresis.swings import Floats, swing_samples, swings
 
 MOST_SAMPLES = 100_000_000
@@ -36,6 +37,8 @@ def excitation(
     frequency: float,
     max_slew: float | None = None,
     seed: int = 1,
+    sweep_to: float | None = None,
+    sweep_amplitude: float | None = None,
 ) -> tuple[Floats, Floats]:
     """Return time (s) and voltage of a drive from which a model can be identified well.
 
@@ -64,6 +67,11 @@ def excitation(
         Fastest change, V/s: swings that would be faster take longer.
     seed : int
         Chooses turns, speeds and holds; the same seed gives the same drive, byte for byte.
+    sweep_to : float, optional
+        Highest frequency, Hz, of a small sweep that follows in the middle of the range, for the dynamics; it
+        takes 4 s more (see ``sweep``).
+    sweep_amplitude : float, optional
+        Of the sweep, V.
 
     Raises
     ------
@@ -76,10 +84,14 @@ def excitation(
     count = round(duration * sample_rate)
     legs = _Planner(1.0 / sample_rate, frequency, slew, seed).legs(count - 1)
     part = swings([0.0, *(turn for turn, _ in legs)], [steps for _, steps in legs])
-    # A sweep for an actuator's dynamics, small and about one level, would follow here: at rest on v_min.
     voltage = np.clip(v_min + span * part, v_min, v_max)
     voltage[part == 1.0] = v_max
-    return np.arange(count) / sample_rate, voltage
+    if sweep_to is not None:
+        small = sweep(v_min, v_max, sample_rate, sweep_to, sweep_amplitude, max_slew)
+        voltage = np.concatenate([voltage, small])
+    elif sweep_amplitude is not None:
+        raise UsageError("`sweep_amplitude` is that of a sweep (`sweep_to` HZ)")
+    return np.arange(voltage.size) / sample_rate, voltage
 
 
 class _Planner:

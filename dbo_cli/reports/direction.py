@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,16 @@ class Directions:
     earlier: int | None
 
 
+class _Turn(NamedTuple):
+    """Where the way changed: what was settled before it, and the stretch in which it stands out."""
+
+    settled: int
+    begin: int
+    end: int
+    furthest: float
+    way: int
+
+
 class DirectionTracker:
     """Tell up from down by the last turn that stands out of the noise.
 
@@ -69,55 +80,80 @@ class DirectionTracker:
         self._noise = NoiseLevel()
         self._low, self._high = math.inf, -math.inf
         self._way = 0
-        self._furthest = -math.inf  # value times way, since the last turn
+        self._furthest = 0.0  # of the samples since the last turn
 
     def add(self, values: Floats) -> Directions:
         """Take one batch (finite, not empty)."""
         self._noise.add(values)
-        before = self._low, self._high
+        before = self._way, self._low, self._high
         self._low, self._high = min(self._low, float(values.min())), max(self._high, float(values.max()))
         least = min(TURN_IN_NOISE * self._noise.deviation, LARGEST_TURN * (self._high - self._low))
-        stops, ways = self._settled(values, least, *before)
-        lengths = np.diff([0, *stops, len(values)])
+        turns, settled = self._turns(values, least, *before[1:])
+        stops, ways = [], []
+        way = before[0]
+        for turn, first in zip(turns, _first_beyond(values, turns, least), strict=True):
+            stops += [turn.settled, first]
+            ways += [way, 0]
+            way = turn.way
+        lengths = np.diff([0, *stops, settled, len(values)])
+        told = turns[0].settled if turns else settled
         return Directions(
-            np.repeat(np.array([*ways, 0], dtype=np.int8), lengths),
-            stops[-1] if stops else 0,
-            ways[0] if ways else None,
+            np.repeat(np.array([*ways, way, 0], dtype=np.int8), lengths),
+            settled,
+            before[0] if told else 0 if turns else None,
         )
 
-    def _settled(self, values: Floats, least: float, low: float, high: float) -> tuple[list[int], list[int]]:
-        """Return runs of samples whose way is known now: where each ends, and its way."""
-        stops: list[int] = []
-        ways: list[int] = []
-        way, furthest = self._way, self._furthest
+    def _turns(self, values: Floats, least: float, low: float, high: float) -> tuple[list[_Turn], int]:
+        """Return the turns of a batch, and how many samples of it are settled. Every turning point is met."""
+        turns: list[_Turn] = []
+        way, furthest, settled = self._way, self._furthest, 0
         begin = 0  # of the monotone stretch that ends at ``place``
         places = monotone_ends(values)
         for place, value in zip(places.tolist(), values[places].tolist(), strict=True):
             turned = 0
-            if way == 0:
+            if way > 0:
+                if value > furthest:
+                    furthest, settled = value, place + 1
+                elif furthest - value > least:
+                    turned = -1
+            elif way < 0:
+                if value < furthest:
+                    furthest, settled = value, place + 1
+                elif value - furthest > least:
+                    turned = 1
+            else:
                 low, high = min(low, value), max(high, value)
                 turned = 1 if value - low > least else -1 if high - value > least else 0
-                back = low if turned == 1 else -high
-            elif way * value > furthest:
-                furthest = way * value
-                stops.append(place + 1)
-                ways.append(way)
-            elif furthest - way * value > least:
-                turned, back = -way, -furthest
+                furthest = low if turned > 0 else high
             if turned:
-                stretch = turned * values[begin : place + 1]
-                stops += [begin + int(np.argmax(stretch - back > least)), place + 1]
-                ways += [0, turned]
-                way, furthest = turned, turned * value
+                turns.append(_Turn(settled, begin, place, furthest, turned))
+                way, furthest, settled = turned, value, place + 1
             begin = place + 1
         self._way, self._furthest = way, furthest
-        return stops, ways
+        return turns, settled
+
+
+def _first_beyond(values: Floats, turns: list[_Turn], least: float) -> list[int]:
+    """Return for each turn the first sample of its stretch that is further back than ``least``.
+
+    The stretches are monotone: halved, all at once, until one sample is left.
+    """
+    begin = np.array([turn.begin for turn in turns], dtype=np.int64)
+    end = np.array([turn.end for turn in turns], dtype=np.int64)
+    way = np.array([turn.way for turn in turns], dtype=np.float64)
+    furthest = np.array([turn.furthest for turn in turns], dtype=np.float64)
+    while (begin < end).any():
+        middle = (begin + end) // 2
+        beyond = way * (values[middle] - furthest) > least
+        end = np.where(beyond, middle, end)
+        begin = np.where(beyond, begin, np.minimum(middle + 1, end))
+    return [int(place) for place in end]
 
 
 def monotone_ends(values: Floats) -> NDArray[np.int64]:
     """Return the places where the direction changes and the two ends; in between nothing can turn."""
+    if len(values) < 2:
+        return np.arange(len(values))
     step = np.sign(np.diff(values))
     inner = np.flatnonzero(step[1:] != step[:-1]) + 1
-    if not len(values):
-        return np.empty(0, np.int64)
-    return np.unique(np.concatenate([[0], inner, [len(values) - 1]]))
+    return np.concatenate([[0], inner, [len(values) - 1]])

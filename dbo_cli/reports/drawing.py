@@ -17,6 +17,7 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.reports import drawing_library as library
 from dbo_cli.reports import figure_style as style
+from dbo_cli.reports.renderers import short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +29,7 @@ FILES: tuple[Kind, ...] = ("png", "svg")
 # What a log's name ends with and a figure's need not; ``run.1.csv`` and ``run.2.csv`` keep their numbers.
 _ENDINGS = re.compile(r"\.(?:csv|tsv|txt|dat|lvm|asc|log|h5|hdf5?|nxs|mat|npy|npz|parquet|feather|xlsx?|tdms)"
                       r"(?:\.(?:gz|bz2|xz|zst))?$", re.IGNORECASE)  # fmt: skip
+_NOTE_WIDTH = 40  # letters; beside a legend of two names they fill the width of a figure
 _LONGEST_STEM = 100  # bytes: of the 255 of a file name, 60 are for the figure's key and a temporary ending
 
 
@@ -70,7 +72,8 @@ def _painted(plot: Plot, note: str, *, as_outlines: bool) -> Figure:
         headed = bool(note) or axes.get_legend() is not None
         axes.set_position(_frame(size, (0.32 if headed else 0.2) + plot.head))
         if note:
-            axes.set_title(note, loc="right", color=style.MUTED, fontsize=8.0, pad=5.0)
+            shown = short_name(cleaned(note), _NOTE_WIDTH)
+            axes.set_title(shown, loc="right", color=style.MUTED, fontsize=8.0, pad=5.0)
         library.show_plainly(figure, as_outlines=as_outlines)
         _fit_left(figure, axes)
     return figure

@@ -17,7 +17,7 @@ from dbo_cli.reports import figure_style as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.renderers import digits, short_name
 from dbo_cli.reports.report import LogReport, Report
-from dbo_cli.reports.thinned_curves import Band, Curve, Raster, Traces
+from dbo_cli.reports.thinned_curves import Band, Curve, FigureData, Raster
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -47,7 +47,7 @@ def decade(value: float, _: float = 0.0) -> str:
     return "10" + f"{math.log10(value):.0f}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def plots_of_comparison(report: Report, traces: Sequence[Traces]) -> list[Plot]:
+def plots_of_comparison(report: Report, figure_data: Sequence[FigureData]) -> list[Plot]:
     """Return what shows all logs of a report at once: their errors in one figure; nothing for a single log.
 
     Of more logs than there are colours, the first ones. Where the logs begin at different times, each counts
@@ -55,7 +55,7 @@ def plots_of_comparison(report: Report, traces: Sequence[Traces]) -> list[Plot]:
     """
     if len(report.logs) < 2:
         return []
-    view = _ComparisonView(report, traces)
+    view = _ComparisonView(report, figure_data)
     first, second = report.options.labels
     title = "Error of all logs against time"
     if view.left_out:
@@ -70,25 +70,25 @@ class _ComparisonView:
     LINE = 0.17  # inches, of the legend
     WIDEST = 64  # letters in a legend of one line; names that need more stand below each other
 
-    def __init__(self, report: Report, traces: Sequence[Traces]) -> None:
+    def __init__(self, report: Report, figure_data: Sequence[FigureData]) -> None:
         most = len(style.SEVERAL)
         self._report = report
         self.logs = report.logs[:most]
         self.left_out = len(report.logs) - len(self.logs)
-        self._traces = list(traces[:most])
+        self._figure_data = list(figure_data[:most])
         self._names = [short_name(log.name, self.WIDEST) for log in self.logs]
         longest = max(map(len, self._names))
         self._columns = max(1, min(3, len(self._names), self.WIDEST // (longest + 6)))
         self.head = self.LINE * (math.ceil(len(self._names) / self._columns) - 1)
 
     def errors(self, axes: Axes) -> None:
-        timed = all(traces.has_time for traces in self._traces)
-        apart = timed and len({traces.start for traces in self._traces}) > 1
+        timed = all(figure_data.has_time for figure_data in self._figure_data)
+        apart = timed and len({figure_data.start for figure_data in self._figure_data}) > 1
         handles = []
-        for log, traces, look in zip(self.logs, self._traces, style.SEVERAL, strict=False):
-            shape = traces.against_time("error")
+        for log, figure_data, look in zip(self.logs, self._figure_data, style.SEVERAL, strict=False):
+            shape = figure_data.against_time("error")
             if apart:
-                shape = replace(shape, x=shape.x - traces.start)
+                shape = replace(shape, x=shape.x - figure_data.start)
             _against_time(axes, shape, look, log.figures.offset)
             handles += axes.plot([], [], **(look | {"linewidth": 1.6}))
         axes.set(xlabel="Time since each log began (s)" if apart else "Time (s)" if timed else "Row")
@@ -98,9 +98,9 @@ class _ComparisonView:
             text.set_text(name)  # as a label, a name that begins with "_" would be left out
 
 
-def plots_of_log(report: Report, log: LogReport, traces: Traces) -> list[Plot]:
-    """Return the figures of one log, drawn from what ``traces`` gathered while it was evaluated."""
-    view = _LogView(report, log, traces)
+def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> list[Plot]:
+    """Return the figures of one log, drawn from what ``figure_data`` gathered while it was evaluated."""
+    view = _LogView(report, log, figure_data)
     first, second = report.options.labels
     wide, tall = style.WIDE, style.TALL
     both = f"{first.capitalize()} and {second} against time"
@@ -118,8 +118,8 @@ def plots_of_log(report: Report, log: LogReport, traces: Traces) -> list[Plot]:
         Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum),
         Plot("drive", "Drive against time", "Drive voltage against time.", wide, view.drive),
     ]
-    missing = set() if traces.has_drive else {"loop", "drive"}
-    if traces.spectrum.density(1.0) is None:
+    missing = set() if figure_data.has_drive else {"loop", "drive"}
+    if figure_data.spectrum.density(1.0) is None:
         missing.add("spectrum")
     return [plot for plot in plots if plot.key not in missing]
 
@@ -127,22 +127,22 @@ def plots_of_log(report: Report, log: LogReport, traces: Traces) -> list[Plot]:
 class _LogView:
     """Paint the figures of one log."""
 
-    def __init__(self, report: Report, log: LogReport, traces: Traces) -> None:
+    def __init__(self, report: Report, log: LogReport, figure_data: FigureData) -> None:
         self._report = report
         self._figures = log.figures
-        self._traces = traces
+        self._figure_data = figure_data
         self._offset = log.figures.offset
         known = report.unit is None or report.unit in LENGTH_UNITS
         self._quantity = "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
 
     def drive(self, axes: Axes) -> None:
-        _against_time(axes, self._traces.against_time("drive"), style.SOLID)
-        axes.set(xlabel=self._time(), ylabel=axis_label("Drive voltage", self._traces.drive_unit))
+        _against_time(axes, self._figure_data.against_time("drive"), style.SOLID)
+        axes.set(xlabel=self._time(), ylabel=axis_label("Drive voltage", self._figure_data.drive_unit))
 
     def tracking(self, axes: Axes) -> None:
         first, second = self._report.options.labels
-        _against_time(axes, self._traces.against_time("desired"), style.SOLID, label=first)
-        measured = self._traces.against_time("measured")
+        _against_time(axes, self._figure_data.against_time("desired"), style.SOLID, label=first)
+        measured = self._figure_data.against_time("measured")
         _against_time(axes, measured, style.DASHED, self._offset, label=second)
         axes.set(xlabel=self._time(), ylabel=self._length(self._quantity))
         mark_curves(axes)
@@ -151,7 +151,7 @@ class _LogView:
         rmse = self._figures.rmse
         said = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
         axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=said)
-        _against_time(axes, self._traces.against_time("error"), style.ALONE, self._offset)
+        _against_time(axes, self._figure_data.against_time("error"), style.ALONE, self._offset)
         axes.set(xlabel=self._time(), ylabel=self._length("Error"))
         mark_curves(axes)
 
@@ -174,12 +174,12 @@ class _LogView:
         self._curve(axes, "drive", "measured", look, second, self._offset)
         if modelled:
             self._curve(axes, "drive", "desired", style.SOLID | {"linewidth": 0.9}, first, 0.0)
-        axes.set(xlabel=axis_label("Drive voltage", self._traces.drive_unit))
+        axes.set(xlabel=axis_label("Drive voltage", self._figure_data.drive_unit))
         axes.set(ylabel=self._length(self._quantity))
         mark_curves(axes)
 
     def histogram(self, axes: Axes) -> None:
-        values, counts = self._traces.distribution.values()
+        values, counts = self._figure_data.distribution.values()
         bins = int(min(max(math.sqrt(self._figures.samples), 12), 60))
         low, high = float(values[0]) - self._offset, float(values[-1]) - self._offset
         margin = max(1e-9 * max(abs(low), abs(high)), 1e-290)
@@ -204,7 +204,7 @@ class _LogView:
 
     def spectrum(self, axes: Axes) -> None:
         period = self._figures.sample_period
-        curve = self._traces.spectrum.density(period or 1.0)
+        curve = self._figure_data.spectrum.density(period or 1.0)
         if curve is None:
             return
         floor = curve.y.max() * 1e-9 if curve.y.max() > 0.0 else 1e-30
@@ -217,7 +217,7 @@ class _LogView:
         axes.set_ylabel(f"Error density ({density})" if unit else "Error density")
 
     def _curve(self, axes: Axes, x: str, y: str, look: dict[str, Any], label: str, shift: float) -> None:
-        shape = self._traces.against(x, y)
+        shape = self._figure_data.against(x, y)
         if isinstance(shape, Curve):
             axes.plot(shape.x, shape.y - shift, label=label, **look)
         else:
@@ -225,7 +225,7 @@ class _LogView:
             axes.plot([], [], label=label, **(look | {"linestyle": "-"}))
 
     def _time(self) -> str:
-        return "Time (s)" if self._traces.has_time else "Row"
+        return "Time (s)" if self._figure_data.has_time else "Row"
 
     def _length(self, quantity: str) -> str:
         return axis_label(quantity, self._report.unit)

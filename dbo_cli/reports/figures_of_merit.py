@@ -19,7 +19,7 @@ from dbo_cli.reports.running_statistics import (
     CompensatedSum,
     ErrorDistribution,
     Floats,
-    usable,
+    comparable,
 )
 
 
@@ -51,6 +51,12 @@ class TrackingFigures:
     offset: float
     sample_period: float | None
     loop_noise: float | None = None
+
+
+def percent_of(value: float, whole: float) -> float | None:
+    """Return a value in percent of a range; None where there is none, or next to none."""
+    percent = 100.0 * value / whole if whole > 0.0 else math.inf
+    return percent if math.isfinite(percent) else None
 
 
 class TrackingMetrics:
@@ -123,14 +129,14 @@ class TrackingMetrics:
             desired_min=low,
             desired_max=high,
             rmse=rmse,
-            nrmse_percent=100.0 * rmse / span if span > 0.0 else None,
+            nrmse_percent=percent_of(rmse, span),
             mean=mean - offset,
             max_abs=abs(largest[0] - offset),
             max_abs_row=int(largest[1]),
             max_abs_time=None if math.isnan(largest[2]) else largest[2],
             p95_abs=self.distribution.quantile_abs(0.95, offset),
             loop_width=loop.width if loop else None,
-            loop_width_percent=100.0 * loop.width / span if loop and span > 0.0 else None,
+            loop_width_percent=percent_of(loop.width, span) if loop else None,
             lag_left=lag[0] * (self._hold or 1.0) if lag else None,
             phase_left=lag[1] if lag else None,
             offset=offset,
@@ -150,11 +156,11 @@ class TrackingMetrics:
             return
         first = self._times[0] if self._times else float(time[0])
         self._times = (first, float(time[-1]))
-        finite = usable(desired, measured)
+        finite = comparable(desired, measured)
         if not finite.all():
             self._not_finite += int(len(finite) - np.count_nonzero(finite))
             for which, column in enumerate((desired, measured)):
-                self.missing[which] += int(len(column) - np.count_nonzero(usable(column, column)))
+                self.missing[which] += int(len(column) - np.count_nonzero(comparable(column, column)))
             desired, measured, row, time = (array[finite] for array in (desired, measured, row, time))
         if len(desired) == 0:
             return

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.reports.direction import DirectionTracker, NoiseLevel
+from dbo_cli.reports.direction import Directions, DirectionTracker, NoiseLevel
 from dbo_cli.reports.running_statistics import SMALLEST_SPAN, Floats
 
 _FINE_BINS = 256  # kept; so many that doubling their width loses no more than a factor 2 in place
@@ -20,6 +20,7 @@ _LEAST_PART = 0.1  # ... and this part of what a bin has on average, lest the no
 # 0.2 and 4,000 samples, 64 bins read 0.62 (the largest of many noisy means), joined ones 0.52.
 _CLEAR = 0.1
 
+_PLACE_OF_WAY = np.array([1, 3, 0])  # among the sums: of down, of neither, of up
 _UP, _DOWN, _OPEN = slice(0, 2), slice(2, 4), slice(4, 6)  # rows of the sums: count and sum of the error
 
 
@@ -65,10 +66,7 @@ class LoopWidth:
             if told.earlier:
                 self._sums[_UP if told.earlier > 0 else _DOWN] += self._sums[_OPEN]
             self._sums[_OPEN] = 0.0
-        known = told.ways[: told.open_from]
-        self._count(_UP, index[: told.open_from][known > 0], error[: told.open_from][known > 0])
-        self._count(_DOWN, index[: told.open_from][known < 0], error[: told.open_from][known < 0])
-        self._count(_OPEN, index[told.open_from :], error[told.open_from :])
+        self._count(index, error, told)
 
     def loop(self) -> Loop | None:
         """Return width and noise floor, or None where no bin was passed in both directions."""
@@ -97,10 +95,15 @@ class LoopWidth:
         floor = self._noise.deviation * math.sqrt(2.0 * math.log(2.0 * len(widths)) * variance)
         return Loop(float(widths[np.argmax(np.abs(widths))]), floor)
 
-    def _count(self, rows: slice, index: NDArray[np.int64], error: Floats) -> None:
+    def _count(self, index: NDArray[np.int64], error: Floats, told: Directions) -> None:
+        """Add a batch to the sums, the ways side by side: up, down, open, neither."""
         bins = self._sums.shape[1]
-        self._sums[rows.start] += np.bincount(index, minlength=bins)
-        self._sums[rows.start + 1] += np.bincount(index, weights=error, minlength=bins)
+        place = _PLACE_OF_WAY[told.ways + 1] * bins + index
+        place[told.open_from :] = 2 * bins + index[told.open_from :]
+        counts = np.bincount(place, minlength=4 * bins).reshape(4, bins)
+        sums = np.bincount(place, weights=error, minlength=4 * bins).reshape(4, bins)
+        self._sums[0::2] += counts[:3]
+        self._sums[1::2] += sums[:3]
 
     def _index(self, desired: Floats) -> NDArray[np.int64]:
         low, high = float(desired.min()), float(desired.max())

@@ -3,13 +3,14 @@
 A stream of ``PairBlock`` is all it needs: logs larger than memory are fine, and so is a prediction that a
 model makes block by block (then ``labels`` is ``("model", "measured")``). To compare, for each log::
 
-    merit = evaluate(name, blocks, options, unit="um", sample_rate=None, traces=Traces() or None)
+    merit = evaluate(name, blocks, options, unit="um", sample_rate=None, figure_data=FigureData() or None)
     report = Report.of([merit, ...], options, unit="um")
     check_limits(report, max_rmse=0.5)
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -29,7 +30,7 @@ MOST_SEGMENTS = 10_000
 
 
 class Collector(Protocol):
-    """What looks at every block on its way, e.g. the traces that figures are drawn from."""
+    """What looks at every block on its way, e.g. the figure_data that figures are drawn from."""
 
     def begin(self, labels: tuple[str, str]) -> None:
         """Learn what is compared with what, and forget what came before."""
@@ -99,7 +100,7 @@ class LogReport:
             "name": self.name,
             **_record(figures),
             "lag_samples": self.lag,
-            "lag_s": None if period is None else self.lag * period,
+            "lag_s": None if period is None else _finite(self.lag * period),
             "offset_removed": figures.offset,
             "sample_period_s": period,
             "not_finite": figures.not_finite,
@@ -122,7 +123,8 @@ class Report:
         unit = None if unit is None else cleaned(unit)
         first = logs[0].figures.rmse if logs else 0.0
         rated = tuple(
-            replace(log, ratio_to_first=log.figures.rmse / first if first > 0.0 else None) for log in logs
+            replace(log, ratio_to_first=_finite(log.figures.rmse / first) if first > 0.0 else None)
+            for log in logs
         )
         return cls(unit, options, rated)
 
@@ -146,31 +148,6 @@ class Report:
         return pd.DataFrame(rows, columns=None if rows else keys).set_index(keys)
 
 
-def parse_lag(text: str) -> int | Literal["auto"]:
-    """Return the value of ``lag``: a whole number of samples, negative too, or ``auto`` (UsageError)."""
-    if text == "auto":
-        return "auto"
-    try:
-        return int(text)
-    except ValueError:
-        raise UsageError(f"`lag` {text}: neither a whole number of samples nor 'auto'") from None
-
-
-def parse_segment(text: str | None) -> float | Literal["cycles"] | None:
-    """Return the value of ``segment``: ``cycles`` or seconds above 0 (UsageError)."""
-    if text is None:
-        return None
-    if text == "cycles":
-        return "cycles"
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0.0 < seconds < float("inf"):
-        raise UsageError(f"`segment` {text}: neither 'cycles' nor a number of seconds above 0")
-    return seconds
-
-
 def common_unit(units: Sequence[tuple[str, str | None]]) -> str | None:
     """Return the one unit of several logs, given as (name, unit); InputError where they differ."""
     known = [(name, unit) for name, unit in units if unit is not None]
@@ -189,7 +166,7 @@ def evaluate(
     options: ReportOptions,
     *,
     sample_rate: float | None = None,
-    traces: Collector | None = None,
+    figure_data: Collector | None = None,
     score_rows: Rows | None = None,
     count_sweep: bool = False,
 ) -> LogReport:
@@ -205,8 +182,8 @@ def evaluate(
         prediction depends on all that came before: run the model from the first row and give ``score_rows``.
     sample_rate : float, optional
         Samples a second, where the blocks carry no time.
-    traces : Collector, optional
-        Sees every pair, lag taken out; see ``thinned_curves.Traces``.
+    figure_data : Collector, optional
+        Sees every pair, lag taken out; see ``thinned_curves.FigureData``.
     score_rows : (int, int or None), optional
         First and last desired row that count, of the rows that come; reading ends behind the last one.
     count_sweep : bool
@@ -220,7 +197,7 @@ def evaluate(
     UsageError
         ``segment`` in seconds where no time is known; more than 10,000 segments.
     """
-    comparison = _Comparison(cleaned(name), options, sample_rate, traces, score_rows)
+    comparison = _Comparison(cleaned(name), options, sample_rate, figure_data, score_rows)
     if score_rows is not None or count_sweep:
         return comparison.run(blocks)
     parts = BeforeZero(blocks)
@@ -281,15 +258,15 @@ class _Comparison:
     name: str
     options: ReportOptions
     sample_rate: float | None
-    traces: Collector | None
+    figure_data: Collector | None
     score_rows: Rows | None
 
     def run(self, blocks: Iterable[PairBlock]) -> LogReport:
         """Take all blocks and return the figures."""
-        name, options, traces = self.name, self.options, self.traces
+        name, options, figure_data = self.name, self.options, self.figure_data
         blocks, lag, notes = self._paired(blocks)
-        if traces is not None:
-            traces.begin(options.labels)
+        if figure_data is not None:
+            figure_data.begin(options.labels)
         whole = TrackingMetrics(remove_offset=options.remove_offset)
         segments = _SegmentFigures(name, options, self.sample_rate)
         for part in _segmented(batched(blocks), options.segment, self.sample_rate):
@@ -300,15 +277,15 @@ class _Comparison:
             whole.add(part.desired, part.measured, row=rows, time=part.time)
             if options.segment is not None:
                 segments.add(part, rows)
-            if traces is not None:
-                traces.add(part)
+            if figure_data is not None:
+                figure_data.add(part)
         figures = whole.result()
         if figures is None:
             raise InputError(_nothing(name, options.labels, whole.missing))
         segments.close()
         figures = _with_rate(figures, self.sample_rate)
-        if traces is not None:
-            traces.finish(figures, whole.distribution)
+        if figure_data is not None:
+            figure_data.finish(figures, whole.distribution)
         notes += _notes(name, options.labels, figures)
         return LogReport(name, figures, lag, segments=tuple(segments.done), notes=tuple(notes))
 
@@ -391,11 +368,16 @@ def _record(figures: TrackingFigures) -> dict[str, Any]:
         "loop_width": figures.loop_width,
         "loop_width_percent": figures.loop_width_percent,
         "lag_left_samples": lag,
-        "lag_left_s": None if lag is None or period is None else lag * period,
+        "lag_left_s": None if lag is None or period is None else _finite(lag * period),
         "phase_left_degrees": figures.phase_left,
         "desired_min": figures.desired_min,
         "desired_max": figures.desired_max,
     }
+
+
+def _finite(value: float) -> float | None:
+    """Return a number as it is, None for one that is none: a report holds nothing that JSON cannot."""
+    return value if math.isfinite(value) else None
 
 
 def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:

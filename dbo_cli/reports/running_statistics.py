@@ -28,7 +28,7 @@ LARGEST = 1e70
 SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a width
 
 
-def usable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
+def comparable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
     """Return where a pair can be compared: both are numbers, and so small that their squares are too."""
     return (np.abs(desired) < LARGEST) & (np.abs(measured) < LARGEST)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -11,7 +10,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
-from dbo_cli.reports.running_statistics import BATCH, Floats, usable
+from dbo_cli.reports.running_statistics import BATCH, Floats, comparable
 
 LAG_WINDOW = 1 << 18
 
@@ -67,54 +66,6 @@ class PairBlock:
             None if self.time is None else self.time[start:stop],
             None if self.drive is None else self.drive[start:stop],
         )
-
-
-def check_alike(
-    name: str,
-    labels: tuple[str, str],
-    units: tuple[str | None, str | None],
-    lengths: tuple[int, int] | None = None,
-    rates: tuple[float | None, float | None] = (None, None),
-) -> None:
-    """Refuse a pair whose units, lengths or sample rates differ (InputError).
-
-    None is *not known*, which differs from nothing. ``labels`` name the two signals,
-    e.g. ``("desired", "measured")``.
-    """
-    if None not in units and units[0] != units[1]:
-        raise InputError(
-            f"{name}: {labels[0]} is in {units[0]}, {labels[1]} in {units[1]} (give both in one unit)"
-        )
-    if lengths is not None and lengths[0] != lengths[1]:
-        raise InputError(
-            f"{name}: {labels[0]} has {lengths[0]} samples, {labels[1]} {lengths[1]}"
-            " (both must be recorded together, one for one)"
-        )
-    first, second = rates
-    if first is not None and second is not None and not math.isclose(first, second, rel_tol=1e-9):
-        raise InputError(
-            f"{name}: {labels[0]} has {first:g} samples a second, {labels[1]} {second:g}"
-            " (resample one of them first)"
-        )
-
-
-def rows_with_lag(rows: str | None, lag: int) -> str | None:
-    """Return the rows to read so that every desired row of ``A:B`` finds its measured row ``lag`` rows on.
-
-    ``rows`` counts desired rows; the log must be read ``lag`` rows further (or, for a negative lag,
-    from ``-lag`` rows earlier). Text that is not ``A:B`` is returned as it is: the reader says what is wrong.
-    """
-    if rows is None or lag == 0 or rows.count(":") != 1:
-        return rows
-    first, last = rows.split(":")
-    try:
-        if lag > 0 and last.strip():
-            last = str(int(last) + lag)
-        if lag < 0 and first.strip():
-            first = str(max(1, int(first) + lag))
-    except ValueError:
-        return rows
-    return f"{first}:{last}"
 
 
 def rows_to_read(rows: Rows, lag: int) -> Rows:
@@ -192,8 +143,10 @@ def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlo
     paired = total = 0
     for block in blocks:
         if len(block.desired) != len(block.measured):
-            lengths = (len(block.desired), len(block.measured))
-            check_alike(name, ("desired", "measured"), (None, None), lengths)
+            raise InputError(
+                f"{name}: desired has {len(block.desired)} samples, measured {len(block.measured)}"
+                " (both must be recorded together, one for one)"
+            )
         total += len(block)
         if lag == 0:
             ready, held = block, None
@@ -232,7 +185,7 @@ def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[Pair
         return 0, iter(window)
     desired = np.concatenate([block.desired for block in window])[:LAG_WINDOW]
     measured = np.concatenate([block.measured for block in window])[:LAG_WINDOW]
-    finite = usable(desired, measured)
+    finite = comparable(desired, measured)
     if not finite.any():
         raise InputError(f"{name}: no sample is a number, so no lag can be found")
     desired = np.where(finite, desired, 0.0) - np.where(finite, desired[finite].mean(), 0.0)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports.figures_of_merit import TrackingFigures
-from dbo_cli.reports.running_statistics import BATCH, Batches, ErrorDistribution, Floats, usable
+from dbo_cli.reports.running_statistics import BATCH, Batches, ErrorDistribution, Floats, comparable
 from dbo_cli.reports.sample_pairs import PairBlock
 
 WHOLE = 8192
@@ -238,7 +238,7 @@ class Spectrum:
         return Curve(frequency[:-1], np.sqrt(power[:-1]))
 
 
-class Traces:
+class FigureData:
     """Everything the figures of one log need.
 
     Parameters
@@ -283,7 +283,7 @@ class Traces:
         time = block.row_numbers() if block.time is None else block.time
         drive = np.zeros(len(block)) if block.drive is None else block.drive
         columns = (time, block.desired, block.measured, drive)
-        finite = usable(block.desired, block.measured) & usable(drive, drive)
+        finite = comparable(block.desired, block.measured) & comparable(drive, drive)
         if not finite.all():
             columns = (time[finite], block.desired[finite], block.measured[finite], drive[finite])
         for batch in self._batches.add(*columns):

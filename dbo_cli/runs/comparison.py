@@ -26,7 +26,7 @@ from dbo_cli.runs.source import Source, remarks_of
 if TYPE_CHECKING:
     import pandas
 
-    from dbo_cli.reports.thinned_curves import Traces
+    from dbo_cli.reports.thinned_curves import FigureData
 
 FORMS = ("text", "json", "csv", "html")
 Match = Literal["auto", "time", "rows"]
@@ -74,7 +74,7 @@ class Comparison:
     remarks: Remarks = field(default_factory=Remarks)
     _merits: list[LogReport] = field(default_factory=list)
     _units: list[tuple[str, str | None]] = field(default_factory=list)
-    _traces: list[Traces] = field(default_factory=list)
+    _figure_data: list[FigureData] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Refuse a model that predicts no displacement."""
@@ -112,7 +112,7 @@ class Comparison:
             How the two belong together: by ``time``, by ``rows``, or by time where both have one (``auto``).
         """
         self._bring_to_one_unit(source, trajectory or source)
-        traces = self._new_traces(source) if self.traced else None
+        figure_data = self._new_figure_data(source) if self.traced else None
         run = None if self.model is None else ModelRun(self.model, source)
         joined = None if trajectory is None else self._joined(source, trajectory, match, listener)
         log = evaluate(
@@ -120,7 +120,7 @@ class Comparison:
             self._pairs(source, run, listener) if joined is None else joined.pairs(),
             self.options,
             sample_rate=source.stated_rate,
-            traces=traces,
+            figure_data=figure_data,
             score_rows=score_rows,
             count_sweep=count_sweep,
         )
@@ -133,7 +133,7 @@ class Comparison:
     def result(self) -> ComparisonReport:
         """Return the report on all sources."""
         report = Report.of(self._merits, self.options, common_unit(self._units))
-        return ComparisonReport(report, tuple(self._traces), self.model, self.remarks)
+        return ComparisonReport(report, tuple(self._figure_data), self.model, self.remarks)
 
     def _bring_to_one_unit(self, source: Source, wanted: Source) -> None:
         """Compare in one unit: the model's, else that of the first log's measurement.
@@ -152,12 +152,12 @@ class Comparison:
             wanted.convert("desired", unit, "the comparison is")
         self._units.append((source.name, unit or source.columns["measured"].unit))
 
-    def _new_traces(self, source: Source) -> Traces:
-        from dbo_cli.reports.thinned_curves import Traces
+    def _new_figure_data(self, source: Source) -> FigureData:
+        from dbo_cli.reports.thinned_curves import FigureData
 
         drive = source.columns.get("voltage")
-        self._traces.append(Traces(None if drive is None else drive.unit))
-        return self._traces[-1]
+        self._figure_data.append(FigureData(None if drive is None else drive.unit))
+        return self._figure_data[-1]
 
     def _joined(
         self, source: Source, trajectory: Source, match: Match, listener: Listener
@@ -204,7 +204,7 @@ class ComparisonReport:
     """
 
     report: Report
-    traces: tuple[Traces, ...]
+    figure_data: tuple[FigureData, ...]
     model: ActuatorModel | None
     remarks: Remarks
 
@@ -243,8 +243,8 @@ class ComparisonReport:
 
         return to_html(
             self.report,
-            [plots_of_log(self.report, log, traces) for log, traces in self._drawn()],
-            comparison_plots=plots_of_comparison(self.report, self.traces),
+            [plots_of_log(self.report, log, figure_data) for log, figure_data in self._drawn()],
+            comparison_plots=plots_of_comparison(self.report, self.figure_data),
             model_plots=() if self.model is None else plots_of_model(self.model),
             program=program_version_string(),
         )
@@ -267,13 +267,13 @@ class ComparisonReport:
 
         target = check_folder(str(folder))
         stems = file_stems([log.name for log in self.report.logs])
-        for stem, (log, traces) in zip(stems, self._drawn(), strict=True):
-            save(plots_of_log(self.report, log, traces), target, stem, log.name)
-        save(plots_of_comparison(self.report, self.traces), target, "all-logs")
+        for stem, (log, figure_data) in zip(stems, self._drawn(), strict=True):
+            save(plots_of_log(self.report, log, figure_data), target, stem, log.name)
+        save(plots_of_comparison(self.report, self.figure_data), target, "all-logs")
         if self.model is not None:
             save(plots_of_model(self.model), target, "model")
 
-    def _drawn(self) -> list[tuple[LogReport, Traces]]:
-        if len(self.traces) != len(self.report.logs):
+    def _drawn(self) -> list[tuple[LogReport, FigureData]]:
+        if len(self.figure_data) != len(self.report.logs):
             raise UsageError("nothing was kept to draw from: compare with `traced`")
-        return list(zip(self.report.logs, self.traces, strict=True))
+        return list(zip(self.report.logs, self.figure_data, strict=True))

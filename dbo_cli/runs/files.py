@@ -24,11 +24,11 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
 from dbo_cli.runs.compensation import check_range, compensation
-from dbo_cli.runs.learning import Tracked, tracked_of
+from dbo_cli.runs.learning import Tracked, tracked_of, tracked_wishes
 from dbo_cli.runs.model import start_of
 from dbo_cli.runs.model_run import ModelRun, reads_ahead
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import bring_to, quantity_wish, recording_wishes
+from dbo_cli.runs.roles import bring_to, quantity_wish
 
 if TYPE_CHECKING:
     from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -146,11 +146,9 @@ def _recorded(
     listener: Listener,
 ) -> Tracked:
     """Read the recording of a pass; ``rows`` are the trajectory's."""
-    want = recording_wishes(voltage, measured)
+    want = tracked_wishes(model, voltage, measured)
     with _opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
-        bring_to(log, "voltage", model.input, "the model")
-        bring_to(log, "displacement", model.output, "the model")
-        return tracked_of(log)
+        return tracked_of(log, model)
 
 
 def invert_model(model_file: str, output: str) -> ActuatorModel:
@@ -170,9 +168,13 @@ def write_excitation(
     max_slew: float | None,
     form: str | None,
     seed: int = 1,
+    sweep_to: float | None = None,
+    sweep_amplitude: float | None = None,
 ) -> int:
     """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation(v_min, v_max, sample_rate, duration, frequency, max_slew, seed)
+    time, voltage = excitation(
+        v_min, v_max, sample_rate, duration, frequency, max_slew, seed, sweep_to, sweep_amplitude
+    )
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": sample_rate}

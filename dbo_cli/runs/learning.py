@@ -23,7 +23,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.clock import even_step
+from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.sample_block import FloatArray, joined
+from dbo_cli.runs.roles import bring_to, quantity_wish
 from dbo_cli.runs.source import Source, WholeSource
 
 RESONANCE_PART = 3.0
@@ -70,10 +72,22 @@ class Lesson(NamedTuple):
     notes: list[str]
 
 
-def tracked_of(source: Source) -> Tracked:
-    """Read a recording whole."""
+def tracked_wishes(
+    model: ActuatorModel, voltage: str | None = None, measured: str | None = None
+) -> dict[str, ColumnWish]:
+    """Return the columns of a recording of a pass."""
+    return {
+        "voltage": quantity_wish(model.input, voltage, option="voltage"),
+        "measured": quantity_wish(model.output, measured, option="measured"),
+    }
+
+
+def tracked_of(source: Source, model: ActuatorModel) -> Tracked:
+    """Read a recording whole, in the units of the model."""
+    bring_to(source, "voltage", model.input, "the model")
+    bring_to(source, "measured", model.output, "the model")
     block = joined(list(source.blocks()))
-    return Tracked(source.name, block.values["voltage"], block.values["displacement"], block.time)
+    return Tracked(source.name, block.values["voltage"], block.values["measured"], block.time)
 
 
 def lesson(

@@ -24,10 +24,10 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.runs.compensation import compensation
-from dbo_cli.runs.learning import Tracked, tracked_of
+from dbo_cli.runs.learning import Tracked, tracked_of, tracked_wishes
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import DboWarning, Remarks
-from dbo_cli.runs.roles import quantity_wish, recording_wishes
+from dbo_cli.runs.roles import quantity_wish
 from dbo_cli.runs.source import ArraySource, Source
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
@@ -278,7 +278,7 @@ class Model:
             start=self._start(state),
             condition=condition,
             bandwidth=bandwidth,
-            tracked=_tracked(tracked),
+            tracked=_tracked(tracked, self.actuator),
             periodic=periodic,
             passes=passes,
         )
@@ -381,23 +381,25 @@ def _source(data: Any, role: str, want: ColumnWish, time: Any, sample_rate: floa
     return source
 
 
-def _tracked(given: Any) -> list[Tracked]:
+def _tracked(given: Any, model: ActuatorModel) -> list[Tracked]:
     """Return recordings of a pass, whatever form they have."""
     pair = isinstance(given, tuple) and len(given) == 2 and not any(is_file(x) or is_table(x) for x in given)
     listed = [given] if pair or is_file(given) or is_table(given) else list(given)
-    return [_one_tracked(one, k) for k, one in enumerate(listed, start=1)]
+    return [_one_tracked(one, k, model) for k, one in enumerate(listed, start=1)]
 
 
-def _one_tracked(one: Any, number: int) -> Tracked:
-    want = recording_wishes(None, None)
+def _one_tracked(one: Any, number: int, model: ActuatorModel) -> Tracked:
+    want = tracked_wishes(model)
     if is_file(one):
         with open_log(os.fspath(one), want, ReadingOptions()) as log:
-            return tracked_of(log)
+            return tracked_of(log, model)
     if is_table(one):
-        return tracked_of(table_source(one, want))
+        return tracked_of(table_source(one, want), model)
     voltage, measured = one
     name = f"`tracked` {number}"
-    return tracked_of(ArraySource({"voltage": voltage, "displacement": measured}, name=name))
+    source = ArraySource({"voltage": voltage, "measured": measured}, name=name)
+    source.columns = {role: dataclasses.replace(one, unit=None) for role, one in source.columns.items()}
+    return tracked_of(source, model)
 
 
 def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:

@@ -188,15 +188,6 @@ class WholeSource:
         """Whether samples carry a time."""
         return self._source.has_time
 
-    def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Have another unit: what was read has the unit that it was read in, so it must be the same."""
-        if self.columns[role].unit != wanted:
-            raise InputError(f"{self.name}: `{role}` was read in {self.columns[role].unit}, not in {wanted}")
-
-    def reading_line(self) -> str | None:
-        """Say what was read."""
-        return self._source.reading_line()
-
     @property
     def even_rate(self) -> float | None:
         """Samples a second (Hz), or None where stamps tell the time."""
@@ -210,6 +201,21 @@ class WholeSource:
     def require_time(self, why: str) -> None:
         """Refuse a source without time (InputError)."""
         self._source.require_time(why)
+
+    def convert(self, role: str, wanted: str | None, taker: str) -> None:
+        """Hand a role's samples out in another unit from now on, and say so (or InputError)."""
+        column = self.columns[role]
+        if column.unit is None or wanted is None:
+            return
+        match = match_units(self.name, column, wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        changed = {role: match.factor.apply(self.block.values[role])}
+        self.block = dataclasses.replace(self.block, values=dict(self.block.values) | changed)
+        self.columns[role] = dataclasses.replace(column, unit=wanted)
+
+    def reading_line(self) -> str | None:
+        """Say what was read."""
+        return self._source.reading_line()
 
     def even_step(self, why: str) -> float:
         """Return the even time step (s), or refuse with the remedy (InputError)."""

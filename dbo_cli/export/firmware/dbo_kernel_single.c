@@ -159,28 +159,28 @@ static uint32_t run_end(const dbo_backlash *op, uint32_t from) {
 }
 
 /* How many gears of the run of the next one can be crossed. */
-static uint32_t open_gears(const dbo_backlash *op, const dbo_backlash_state *s, int rising) {
-    const uint32_t from = rising ? s->zero : s->set, end = run_end(op, from);
+static uint32_t open_gears(const dbo_backlash *op, const dbo_backlash_state *state, int rising) {
+    const uint32_t from = rising ? state->zero : state->set, end = run_end(op, from);
     uint32_t count = 0U;
     for (uint32_t k = from >> 5; 32U * k < end; k++)
-        count += count_ones(open_bits(s->words[k], k, from, end, rising));
+        count += count_ones(open_bits(state->words[k], k, from, end, rising));
     return count;
 }
 
 /* Cross the next `count` gears, all of one run, (6)-(9); 1 <= count <= open_gears. */
-static void cross(const dbo_backlash *op, dbo_backlash_state *s, uint32_t count, int rising) {
-    const uint32_t from = rising ? s->zero : s->set, end = run_end(op, from);
+static void cross(const dbo_backlash *op, dbo_backlash_state *state, uint32_t count, int rising) {
+    const uint32_t from = rising ? state->zero : state->set, end = run_end(op, from);
     const dbo_gear *gear = gear_at(op, from);
     uint32_t k = from >> 5;
     if (rising) {
-        s->x += times(count, gear->width);
-        s->y += times(count, gear->height);
+        state->x += times(count, gear->width);
+        state->y += times(count, gear->height);
     } else {
-        s->x -= times(count, gear->width);
-        s->y -= times(count, gear->height);
+        state->x -= times(count, gear->width);
+        state->y -= times(count, gear->height);
     }
     for (;; k++) {
-        uint32_t open = open_bits(s->words[k], k, from, end, rising);
+        uint32_t open = open_bits(state->words[k], k, from, end, rising);
         const uint32_t here = count_ones(open);
         if (here > count) {
             uint32_t left = open;
@@ -190,39 +190,39 @@ static void cross(const dbo_backlash *op, dbo_backlash_state *s, uint32_t count,
         } else {
             count -= here;
         }
-        s->words[k] ^= open;
+        state->words[k] ^= open;
         if (count == 0U) break;
     }
-    s->set = rising ? 0U : lowest(s->words, op->n, k, 0U);
-    s->zero = rising ? lowest(s->words, op->n, k, ALL_ONES) : 0U;
+    state->set = rising ? 0U : lowest(state->words, op->n, k, 0U);
+    state->zero = rising ? lowest(state->words, op->n, k, ALL_ONES) : 0U;
 }
 
-void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *s) {
-    s->x = 0;
-    s->y = 0;
+void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
+    state->x = 0;
+    state->y = 0;
     for (uint32_t i = 0U; i < op->n; i++)
-        if ((s->words[i >> 5] >> (i & 31U) & 1U) != 0U) {
-            s->x += gear_at(op, i)->width;
-            s->y += gear_at(op, i)->height;
+        if ((state->words[i >> 5] >> (i & 31U) & 1U) != 0U) {
+            state->x += gear_at(op, i)->width;
+            state->y += gear_at(op, i)->height;
         }
-    s->set = lowest(s->words, op->n, 0U, 0U);
-    s->zero = lowest(s->words, op->n, 0U, ALL_ONES);
+    state->set = lowest(state->words, op->n, 0U, 0U);
+    state->zero = lowest(state->words, op->n, 0U, ALL_ONES);
 }
 
 /* ---- the procedure, steps 1 to 4 --------------------------------------------------------------------- */
 
 /* How many gears of its run the next one, known to be crossed, takes along. What is left to travel, and of
  * room on the output, falls with every gear crossed, so halving finds what going one by one would. */
-static uint32_t gears_crossed(const dbo_backlash *op, const dbo_backlash_state *s, dbo_position u,
+static uint32_t gears_crossed(const dbo_backlash *op, const dbo_backlash_state *state, dbo_position u,
                               dbo_position bound, int rising) {
-    const dbo_gear *gear = gear_at(op, rising ? s->zero : s->set);
+    const dbo_gear *gear = gear_at(op, rising ? state->zero : state->set);
     const dbo_position reach = crossed_at(gear->width, op->tolerance);
     const dbo_position rise = crossed_at(gear->height, op->tolerance);
-    uint32_t sure = 1U, most = open_gears(op, s, rising), trial = most;
+    uint32_t sure = 1U, most = open_gears(op, state, rising), trial = most;
     while (sure < most) {
         const dbo_position on = times(trial - 1U, gear->width), up = times(trial - 1U, gear->height);
-        const dbo_position travelled = rising ? u - (s->x + on) : (s->x - on) - u;
-        const dbo_position room = rising ? bound - (s->y + up) : (s->y - up) - bound;
+        const dbo_position travelled = rising ? u - (state->x + on) : (state->x - on) - u;
+        const dbo_position room = rising ? bound - (state->y + up) : (state->y - up) - bound;
         if (travelled >= reach && room >= rise)
             sure = trial;
         else
@@ -234,102 +234,103 @@ static uint32_t gears_crossed(const dbo_backlash *op, const dbo_backlash_state *
 
 /* Cross gears one way while the input `u` is far enough and the output has room up to `bound`; returns the
  * one crossed last, n where there was none. */
-static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *s, dbo_position u,
+static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                            dbo_position bound, int rising) {
-    uint32_t last = op->n, next = rising ? s->zero : s->set;
+    uint32_t last = op->n, next = rising ? state->zero : state->set;
     while (next < op->n) {
         const dbo_gear *gear = gear_at(op, next);
-        const dbo_position travelled = rising ? u - s->x : s->x - u;
-        const dbo_position room = rising ? bound - s->y : s->y - bound;
+        const dbo_position travelled = rising ? u - state->x : state->x - u;
+        const dbo_position room = rising ? bound - state->y : state->y - bound;
         if (travelled < crossed_at(gear->width, op->tolerance)) break;
         if (room < crossed_at(gear->height, op->tolerance)) break;
         last = next;
         if (op->run >= LEAP && travelled >= LEAP * (dbo_position)gear->width)
-            cross(op, s, gears_crossed(op, s, u, bound, rising), rising);
+            cross(op, state, gears_crossed(op, state, u, bound, rising), rising);
         else
-            cross(op, s, 1U, rising);
-        next = rising ? s->zero : s->set;
+            cross(op, state, 1U, rising);
+        next = rising ? state->zero : state->set;
     }
     return last;
 }
 
 /* Drive the operator with exchanged axes one way, to the output `y`. */
-static void follow_output(const dbo_backlash *op, dbo_backlash_state *s, dbo_position y, int rising) {
-    (void)pass_gears(op, s, rising ? FARTHEST : -FARTHEST, y, rising);
+static void follow_output(const dbo_backlash *op, dbo_backlash_state *state, dbo_position y, int rising) {
+    (void)pass_gears(op, state, rising ? FARTHEST : -FARTHEST, y, rising);
 }
 
 /* The output for the input `u`, never crossing a gear that would leave low ... high. */
-static dbo_position solve(const dbo_backlash *op, dbo_backlash_state *s, dbo_position u, dbo_position low,
+static dbo_position solve(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u, dbo_position low,
                           dbo_position high) {
-    const int rising = u >= s->x;
-    const uint32_t last = pass_gears(op, s, u, rising ? high : low, rising);
-    uint32_t next = rising ? s->zero : s->set;
-    const dbo_position d = u - s->x;
+    const int rising = u >= state->x;
+    const uint32_t last = pass_gears(op, state, u, rising ? high : low, rising);
+    uint32_t next = rising ? state->zero : state->set;
+    const dbo_position d = u - state->x;
     if (last < op->n && (rising ? d < 0 : d > 0)) next = last; /* crossed by the tolerance */
-    return s->y + along_gear(op, gear_at(op, next < op->n ? next : op->n - 1U)->slope, d);
+    return state->y + along_gear(op, gear_at(op, next < op->n ? next : op->n - 1U)->slope, d);
 }
 
 /* The output within low ... high, the state that of the exchanged operator driven by it. */
-static dbo_position solve_within(const dbo_backlash *op, dbo_backlash_state *s, dbo_position u,
+static dbo_position solve_within(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                                  dbo_position low, dbo_position high) {
-    const int rising = u >= s->x;
+    const int rising = u >= state->x;
     dbo_position y;
-    if (rising ? high < s->y : low > s->y) { /* the limits lie on the other side */
-        follow_output(op, s, rising ? high : low, !rising);
+    if (rising ? high < state->y : low > state->y) { /* the limits lie on the other side */
+        follow_output(op, state, rising ? high : low, !rising);
         return rising ? high : low;
     }
-    y = solve(op, s, u, low, high);
+    y = solve(op, state, u, low, high);
     if (y > high) {
-        if (!rising) follow_output(op, s, high, 0);
+        if (!rising) follow_output(op, state, high, 0);
         return high;
     }
     if (y < low) {
-        if (rising) follow_output(op, s, low, 1);
+        if (rising) follow_output(op, state, low, 1);
         return low;
     }
     return y;
 }
 
-dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *s, dbo_signal u,
+dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, dbo_signal u,
                                const dbo_limits *limits) {
     dbo_signal remembered = 0;
-    dbo_position x, y, low, high;
+    dbo_position x, y;
     remembered_drive drive;
     if (!op->memory_on_output) {
         drive = drive_of(op, position_of(u, op->x_shift));
         for (uint32_t j = 0U; j < op->term_count; j++) {
-            remember(op->terms + j, s->memory + j, drive);
-            remembered += recalled(op->terms + j, s->memory + j);
+            remember(op->terms + j, state->memory + j, drive);
+            remembered += recalled(op->terms + j, state->memory + j);
         }
     } else {
-        for (uint32_t j = 0U; j < op->term_count; j++) remembered += recalled(op->terms + j, s->memory + j);
+        for (uint32_t j = 0U; j < op->term_count; j++) remembered += recalled(op->terms + j, state->memory + j);
         u -= remembered;
     }
     x = within(position_of(u, op->x_shift), op->least, op->most);
     if (limits == NULL) {
-        y = solve(op, s, x, -FARTHEST, FARTHEST);
+        y = solve(op, state, x, -FARTHEST, FARTHEST);
     } else {
-        low = limits->low;
-        high = limits->high;
+        dbo_position low = limits->low, high = limits->high;
         if (limits->step >= 0) { /* the range wins over the slew limit */
-            const dbo_position least = s->last - limits->step, most = s->last + limits->step;
+            const dbo_position least = state->last - limits->step, most = state->last + limits->step;
             low = least < low ? low : least > high ? high : least;
             high = most > high ? high : most < limits->low ? limits->low : most;
         }
-        y = solve_within(op, s, x, low, high);
+        y = solve_within(op, state, x, low, high);
     }
-    s->last = y;
+    state->last = y;
     if (!op->memory_on_output) return y + position_of(remembered, op->y_shift);
     drive = drive_of(op, y);
-    for (uint32_t j = 0U; j < op->term_count; j++) remember(op->terms + j, s->memory + j, drive);
+    for (uint32_t j = 0U; j < op->term_count; j++) remember(op->terms + j, state->memory + j, drive);
     return y;
 }
 
-void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *s, uint32_t covered,
-                         dbo_signal drive) {
-    const dbo_position target = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
-    dbo_position low = 0, high = 0, slack;
-    for (uint32_t k = 0U; 32U * k < op->n; k++) s->words[k] = 0U;
+void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
+                         const uint32_t *spare, dbo_signal drive) {
+    const dbo_position place = position_of(drive, op->memory_on_output ? op->y_shift : op->x_shift);
+    dbo_position low = 0, high = 0, slack, target;
+    for (uint32_t k = 0U; 32U * k < op->n; k++) state->words[k] = spare == NULL ? 0U : spare[k];
+    dbo_backlash_load(op, state);
+    target = place - (op->memory_on_output ? state->y : state->x);
     for (uint32_t i = 0U; i < covered; i++)
         high += op->memory_on_output ? gear_at(op, i)->height : gear_at(op, i)->width;
     slack = high / 1048576; /* a tie, as with even gears halfway, stays 1 */
@@ -337,19 +338,19 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *s, uint32_t
         const dbo_gear *gear = gear_at(op, i - 1U);
         const dbo_position width = op->memory_on_output ? gear->height : gear->width;
         if (target - low >= (high - target) - slack) {
-            s->words[(i - 1U) >> 5] |= (uint32_t)1 << ((i - 1U) & 31U);
+            state->words[(i - 1U) >> 5] |= (uint32_t)1 << ((i - 1U) & 31U);
             low += width;
         } else {
             high -= width;
         }
     }
-    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(s->memory + j, drive_of(op, target));
-    dbo_backlash_load(op, s);
+    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(state->memory + j, drive_of(op, place));
+    dbo_backlash_load(op, state);
     if (op->memory_on_output)
-        follow_output(op, s, target, target >= s->y);
+        follow_output(op, state, place, place >= state->y);
     else
-        (void)pass_gears(op, s, target, target >= s->x ? FARTHEST : -FARTHEST, target >= s->x);
-    s->last = target;
+        (void)pass_gears(op, state, place, place >= state->x ? FARTHEST : -FARTHEST, place >= state->x);
+    state->last = place;
 }
 
 /* ---- points and scales, folded into one piecewise linear function ------------------------------------ */

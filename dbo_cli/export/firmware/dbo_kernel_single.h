@@ -95,9 +95,9 @@ typedef struct {
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
 
 /* The state of an actuator that was switched on and trimmed to `drive` and rests there;
- * `covered` gears take part. */
+ * `covered` gears take part, others stay as `spare` has them (NULL: open). */
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
-                         dbo_signal drive);
+                         const uint32_t *spare, dbo_signal drive);
 
 /* One sample; limits may be NULL, and must be where memory follows the input. */
 dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, dbo_signal u,

@@ -101,14 +101,16 @@ double dbo_lookup_step(const dbo_lookup *t, dbo_lookup_state *s, double x, const
     return y;
 }
 
-void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covered, double drive) {
+void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covered, uint32_t spare,
+                       double drive) {
     const dbo_backlash *op = t->op;
     const int on_output = op->memory_on_output;
-    const double target = drive - (on_output ? op->y0 : op->x0);
-    const dbo_corner *full = t->corners + (((uint32_t)1 << covered) - 1U);
+    const double place = drive - (on_output ? op->y0 : op->x0);
+    const dbo_corner *full = t->corners + (((uint32_t)1 << covered) - 1U), *base = t->corners + spare;
+    const double target = place - (on_output ? base->y : base->x);
     double low = 0.0, high = on_output ? full->y : full->x;
     const double slack = 1e-9 * high;
-    s->state = 0U;
+    s->state = spare;
     for (uint32_t i = covered; i-- > 0U && target > 0.0;) {
         const double width = on_output ? op->gears[i].dy : op->gears[i].dx;
         if (target - low >= (high - target) - slack) {
@@ -121,9 +123,9 @@ void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covere
     for (size_t j = 0; j < op->terms; j++) s->memory[j] = drive - op->reference;
     s->last = drive;
     if (on_output) {
-        follow_output(t, s, target, target >= t->corners[s->state].y);
+        follow_output(t, s, place, place >= t->corners[s->state].y);
     } else {
-        const int rising = target >= t->corners[s->state].x;
-        (void)pass_gears(t, s, target, 0.0, rising ? ENDLESS : -ENDLESS, rising);
+        const int rising = place >= t->corners[s->state].x;
+        (void)pass_gears(t, s, place, 0.0, rising ? ENDLESS : -ENDLESS, rising);
     }
 }

@@ -25,9 +25,10 @@ typedef struct {
     double last;
 } dbo_lookup_state;
 
-double dbo_lookup_step(const dbo_lookup *table, dbo_lookup_state *state, double x, const dbo_limits *limits);
+double dbo_lookup_step(const dbo_lookup *t, dbo_lookup_state *s, double x, const dbo_limits *limits);
 
 /* As dbo_backlash_settle. */
-void dbo_lookup_settle(const dbo_lookup *table, dbo_lookup_state *state, uint32_t covered, double drive);
+void dbo_lookup_settle(const dbo_lookup *t, dbo_lookup_state *s, uint32_t covered, uint32_t spare,
+                       double drive);
 
 #endif

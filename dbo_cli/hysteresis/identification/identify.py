@@ -12,6 +12,7 @@ from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification import diagnostics
 from dbo_cli.hysteresis.identification.assembly import model_of
 from dbo_cli.hysteresis.identification.cleaning import cleaned
+from dbo_cli.hysteresis.identification.dynamics import with_dynamics
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     loop_width_percent,
@@ -76,6 +77,10 @@ def identify(
         raise UsageError(
             "`delay` and `relaxation` need a clock: name the time column (`time`) or give `sample_rate`"
         )
+    if clocked and options.dynamics != 0:
+        moving = with_dynamics(recordings, options, validation, identify)
+        if moving is not None:
+            return Identification(*moving)
     cycle = median_cycle_seconds(recordings) if clocked else None
     options.sensor.check(cycle)
     recordings, said = without_voltage_glitches([options.sensor.taken_off(log) for log in recordings])

@@ -13,8 +13,16 @@ from dbo_cli.hysteresis.identification.sensor import Sensor
 METHODS = ("least-squares", "paper")
 SLOPES = ("growing", "falling", "free")
 ZEROS = ("none", "mean", "first")
-NOT_FOR_PAPER = ("relaxation", "delay", "slopes", "skip_seconds", "rated", "sensor_delay", "sensor_lag")
-
+NOT_FOR_PAPER = (
+    "relaxation",
+    "delay",
+    "slopes",
+    "skip_seconds",
+    "rated",
+    "sensor_delay",
+    "sensor_lag",
+    "dynamics",
+)
 
 MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
 
@@ -43,6 +51,8 @@ class IdentificationOptions:
         The drive's full range, for a warning where the logs cover less.
     force : bool
         Keep a model that would be refused.
+    dynamics : int, optional
+        Number of resonances: 0, 1 or 2.
     sensor_delay, sensor_lag : float
         What the sensor adds, in seconds: taken off the logs, kept in the model's ``fit``, not compensated.
 
@@ -64,13 +74,17 @@ class IdentificationOptions:
     force: bool = False
     sensor_delay: float = 0.0
     sensor_lag: float = 0.0
+    dynamics: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is not of its kind or contradicts the rest."""
         self._check_count("gears", self.gears, 1)
-        self._check_count("points", self.points, 0)
         if self.gears is not None and self.gears > MOST_GEARS:
             raise UsageError(f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart")
+        self._check_count("points", self.points, 0)
+        self._check_count("dynamics", self.dynamics, 0)
+        if self.dynamics is not None and self.dynamics > 2:
+            raise UsageError(f"`dynamics` {self.dynamics}: at most two resonances are looked for")
         _seconds("skip", self.skip_seconds)
         _seconds("sensor_delay", self.sensor_delay)
         _seconds("sensor_lag", self.sensor_lag)
@@ -122,7 +136,7 @@ class IdentificationOptions:
         usual = {one.name: one.default for one in fields(self)}
         for name in NOT_FOR_PAPER:
             value = getattr(self, name)
-            nothing = name in ("relaxation", "delay") and not value
+            nothing = name in ("relaxation", "delay", "dynamics") and not value
             if value != usual[name] and not nothing:
                 shown = {"skip_seconds": "skip"}.get(name, name)
                 raise UsageError(

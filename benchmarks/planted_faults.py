@@ -1,0 +1,247 @@
+"""Faults in the mathematics for ``mutants.py``: where, the text there, the faulty text, what it breaks.
+
+The text must stand exactly once in its file (tests/test_planted_faults.py holds that). Take faults that a
+person could make: a wrong end, a lost sign, a tolerance left out, a special case forgotten.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# The quick tests of each part: a fault that only a whole identification finds is a unit test that is missing.
+KERNEL = ("hysteresis_operators", "hysteresis_kernel")
+MODEL = ("hysteresis_model", "hysteresis_operators", "runs_states", "runs_controller")
+CONTROLLER = ("runs_controller",)
+IDENTIFICATION = ("hysteresis_identification_parts", "hysteresis_identification_rules")
+REPORTS = ("reports_figures_of_merit", "reports_loop_and_lag", "reports_sample_pairs", "reports_report")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One planted fault; ``tests`` are the files that must find it, ``tests/test_NAME.py``."""
+
+    file: str
+    text: str
+    faulty: str
+    breaks: str
+    tests: tuple[str, ...]
+
+
+def _faults(file: str, tests: tuple[str, ...], *table: tuple[str, str, str]) -> list[Fault]:
+    return [Fault(f"dbo_cli/{file}", text, faulty, breaks, tests) for text, faulty, breaks in table]
+
+
+FAULTS: list[Fault] = [
+    *_faults(
+        "hysteresis/dbo_kernel.c",
+        KERNEL,
+        ("*low = least < limits->low ? limits->low : least > limits->high ? limits->high : least;",
+         "*low = least < limits->low ? limits->low : least;",
+         "the range wins over the slew limit, from below"),
+        ("*high = most > limits->high ? limits->high : most < limits->low ? limits->low : most;",
+         "*high = most > limits->high ? limits->high : most;",
+         "the range wins over the slew limit, from above"),
+        ("if ((z & 63) == 0) w->some[k >> 6] |= (uint64_t)1 << (k & 63);", "",
+         "the index of words that hold a one, for more than 64 gears"),
+        ("if ((s & 63) == 0) w->full[k >> 6] &= ~((uint64_t)1 << (k & 63));", "",
+         "the index of full words, for more than 64 gears"),
+        ("return d >= 0.0 ? up->slope : slope;", "return up->slope;",
+         "a gear crossed by the tolerance serves its sample, upward"),
+        ("return d <= 0.0 ? down->slope : slope;", "return down->slope;",
+         "a gear crossed by the tolerance serves its sample, downward"),
+        ("*outside = d >= up->reach;", "*outside = 0;", "samples above the range are counted"),
+        ("*outside = -d >= down->reach;", "*outside = 0;", "samples below the range are counted"),
+        ("if ((bits_of(d) ^ turned) >= reach) break;", "if ((bits_of(d) ^ turned) > reach) break;",
+         "a gear travelled exactly to the tolerance counts as crossed"),
+        ("sum += op->gain[j] * memory[j];", "sum += op->gain[j] * drive;", "lag and creep are remembered"),
+        ("while (c + 1 < m && u >= segments[c + 1].x) c++;",
+         "while (c + 1 < m && u > segments[c + 1].x) c++;",
+         "a breakpoint of the points begins the upper segment"),
+        ("*clipped = y - high > slack;", "*clipped = 1;", "clipping by less than the slack does not count"),
+        ("return d >= 0.0 ? high : low;", "return d >= 0.0 ? low : high;",
+         "an output on the wrong side of the limits goes to the nearer one"),
+        ("if (last < op->n && (rising ? d < 0.0 : d > 0.0)) gear = last;", "",
+         "the identification sees the gear that was crossed by the tolerance"),
+    ),
+    *_faults(
+        "hysteresis/kernel.py",
+        KERNEL,
+        ("return min(max(last - step, low), high), max(min(last + step, high), low)",
+         "return max(last - step, low), min(last + step, high)",
+         "the range wins over the slew limit, in Python"),
+        ('c = np.searchsorted(segments[1:, 0], u, side="right")',
+         'c = np.searchsorted(segments[1:, 0], u, side="left")',
+         "a breakpoint of the points begins the upper segment, in Python"),
+        ("outside = (d if rising else -d) >= width * (1.0 - fraction)", "outside = d >= width * (1.0 - fraction)",
+         "samples below the range are counted, in Python"),
+    ),
+    *_faults(
+        "hysteresis/gear_table.py",
+        KERNEL,
+        ("CROSSING_TOLERANCE = 1e-9", "CROSSING_TOLERANCE = 0.0", "a turn on a breakpoint, forward and inverse"),
+        ("rounded: Floats = np.rint(widths / grid) * grid", "rounded: Floats = widths + 0.0",
+         "no drift after many transitions"),
+        ("_ROUNDING_STEPS = 64.0 *", "_ROUNDING_STEPS = 0.0 *", "narrow gears beside large numbers"),
+    ),
+    *_faults(
+        "hysteresis/operators.py",
+        KERNEL,
+        ("(self.dy, self.dx, self.y0, self.x0, self.relaxation, other)",
+         "(self.dy, self.dx, self.x0, self.y0, self.relaxation, other)",
+         "the inverse exchanges the origins (18)"),
+        ("if target - low >= high - target - CROSSING_TOLERANCE * span:", "if target - low >= high - target:",
+         "a tie of the settled state is decided by a tolerance"),
+        ("first_outside=self.first_outside + samples if self.outside else 0,", "first_outside=self.first_outside,",
+         "the first sample outside is named by its place in the block"),
+        ("rest = np.zeros((1, terms))", "rest = np.ones((1, terms))", "relaxation is at rest at the first sample"),
+    ),
+    *_faults(
+        "hysteresis/delay.py",
+        MODEL,
+        ("part = max(samples - whole, 0.0)", "part = 0.0", "a delay of parts of a sample"),
+        ("part = np.where(part < _WHOLE, 0.0, np.where(part > 1.0 - _WHOLE, 1.0, part))", "",
+         "shifting by whole samples on a stamped clock is exact"),
+        ("past_values = history.values if history else (float(x[0]),)",
+         "past_values = history.values if history else (0.0,)",
+         "before the first sample the first value holds"),
+        ("whole = math.floor(samples + _WHOLE)", "whole = math.floor(samples)",
+         "a delay of a whole number of samples shifts exactly"),
+    ),
+    *_faults(
+        "hysteresis/relaxation.py",
+        MODEL,
+        ("np.exp(-steps / np.array(self.tau))", "1.0 / (1.0 + steps / np.array(self.tau))",
+         "a_j = exp(-dt/tau_j)"),
+        ("rows[0] = held[:] = drive[0] - self.reference", "rows[0] = held[:] = 0.0",
+         "memories are at rest at the first sample, in the fit"),
+    ),
+    *_faults(
+        "hysteresis/initial_states.py",
+        MODEL,
+        ("voltage <= operator.x0):", "voltage < operator.x0):", "auto at the lower end is empty"),
+        ("return min(ends, key=", "return max(ends, key=", "the nearer side of a step is taken"),
+        ("off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])", "off = 0.0",
+         "a start beside a step survives rounding"),
+    ),
+    *_faults(
+        "hysteresis/model.py",
+        MODEL,
+        ("slew *= least_slope(stage)", "slew *= 1.0", "the slew limit holds through points behind the gears"),
+        ("y = np.clip(y, limits.v_min, limits.v_max)", "pass", "the range holds to the last bit behind points"),
+        ("0 if state == \"empty\" else 1", "1 if state == \"empty\" else 0",
+         "the slew limit holds from the first sample on"),
+        ("clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)",
+         "clipped = False", "a first sample beyond the limits counts as clipped"),
+        ("miss * self._input_per_stage_input()", "miss", "what the start misses is told in the user's unit"),
+        ("            steps[0] = 0.0\n", "            pass\n", "the step before the very first sample does not matter"),
+    ),
+    *_faults(
+        "hysteresis/cascade.py",
+        MODEL,
+        ("return min(ends), max(ends)", "return ends[1], ends[0]", "a negative gain exchanges the ends of the range"),
+        ('parts.append([f"{stage.gain:.9e}", f"{stage.offset:.9e}"])', "parts.append([stage.gain, stage.offset])",
+         "a state serves model and inverse"),
+    ),
+    *_faults(
+        "hysteresis/stepper.py",
+        CONTROLLER,
+        ("self._planned_words[:] = self._words", "pass", "a plan that is not committed leaves no trace"),
+    ),
+    *_faults(
+        "hysteresis/identification/search.py",
+        IDENTIFICATION,
+        ("middle = round((interval[0] + interval[1]) / 2.0 / period * 4.0) / 4.0 * period", "middle = interval[0]",
+         "the middle of the delays that explain the logs"),
+        ("return min(held), max(held)", "return held[0], held[0]", "the interval of delays"),
+    ),
+    *_faults(
+        "hysteresis/identification/evaluation.py",
+        IDENTIFICATION,
+        ("left - left.mean()", "left", "validation takes the sensor's offset off"),
+        ("keep[:wiped] = False", "pass", "validation leaves the unknown history out"),
+    ),
+    *_faults(
+        "hysteresis/identification/assembly.py",
+        IDENTIFICATION,
+        ("MARGIN = 0.125", "MARGIN = 0.0", "gears beyond the range of the logs"),
+        ("(fitted.gains[acting] / basis.span)", "(fitted.gains[acting])", "the unit of the memories' gains"),
+        ("prepared.scale * level - shift", "prepared.scale * level + shift", "what displacement counts as zero"),
+    ),
+    *_faults(
+        "hysteresis/identification/normal_equations.py",
+        IDENTIFICATION,
+        ("fixed[:gears] = SLOPE_FLOOR / gears", "fixed[:gears] = 0.0", "no gear is flat"),
+        ('if slopes == "growing":', 'if slopes != "free":', "slopes that fall"),
+        ("structure.smoothness * weight * gears**3", "structure.smoothness * weight * gears**2",
+         "one smoothness means the same for any number of gears"),
+    ),
+    *_faults(
+        "hysteresis/identification/regressors.py",
+        IDENTIFICATION,
+        ("np.clip(share, 0.0, 1.0)", "np.zeros(samples)", "delays of parts of a sample, in the fit"),
+    ),
+    *_faults(
+        "hysteresis/identification/selection.py",
+        IDENTIFICATION,
+        ("/ np.sqrt(max(len(excess) - 1, 1))", "", "the standard error of the mean, not of one fold"),
+    ),
+    *_faults(
+        "hysteresis/identification/statistics.py",
+        IDENTIFICATION,
+        ("slice(begin if alone else end - log.stretches, end)", "slice(begin, end)",
+         "a fold left out has its log's offset in common with the others"),
+    ),
+    *_faults(
+        "hysteresis/identification/preparation.py",
+        IDENTIFICATION,
+        ("return -1.0 if together < 0.0 else 1.0", "return 1.0", "the sign of the gain"),
+        ("return cut if np.ptp(cut) > 0.0 else values", "return values", "one spike turns neither sign nor scale"),
+    ),
+    *_faults(
+        "hysteresis/identification/refinement.py",
+        IDENTIFICATION,
+        ("+ slope * from_drive - hats @ moved", "+ slope * from_drive", "the linearised output error"),
+    ),
+    *_faults(
+        "hysteresis/identification/paper_method.py",
+        IDENTIFICATION,
+        ("np.repeat([False, True], len(cycle))", "np.repeat([True, True], len(cycle))",
+         "the first of two cycles only sets the state"),
+    ),
+    *_faults(
+        "reports/figures_of_merit.py",
+        REPORTS,
+        ("rmse = math.sqrt(variance + (mean - offset) ** 2)", "rmse = math.sqrt(variance)",
+         "a constant error is an error"),
+        ("key=lambda extreme: abs(extreme[0] - offset))", "key=lambda extreme: abs(extreme[0]))",
+         "the largest error once the offset is off"),
+    ),
+    *_faults(
+        "reports/running_statistics.py",
+        REPORTS,
+        ("math.ceil(fraction * self.count)", "math.floor(fraction * self.count) + 1", "95 % of the samples, no more"),
+        ("return self._sum + self._lost", "return self._sum", "long sums keep their digits"),
+    ),
+    *_faults(
+        "reports/loop_width.py",
+        REPORTS,
+        ("widths = down_sum / down_count - up_sum / up_count", "widths = up_sum / up_count - down_sum / down_count",
+         "the sign of the loop that is left"),
+        ("lead = self._first % 2", "lead = 0", "bins that are doubled keep their places"),
+    ),
+    *_faults(
+        "reports/phase_lag.py",
+        REPORTS,
+        ("math.atan2(-across * math.sin(step), along)", "math.atan2(across * math.sin(step), along)",
+         "the sign of the lag that is left"),
+        ("return phase / step * self._spacing, math.degrees(phase)", "return phase / step, math.degrees(phase)",
+         "the lag of a held or noisy signal, in samples"),
+    ),
+    *_faults(
+        "reports/sample_pairs.py",
+        REPORTS,
+        ("early = max(-lag, 0)", "early = 0", "a lag below 0"),
+        ("return int(lags[best[np.argmin(np.abs(lags[best]))]])", "return int(lags[best[0]])",
+         "of equal lags the smallest"),
+    ),
+]  # fmt: skip
