@@ -40,7 +40,6 @@ _REMARKS = frozenset(
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
 
-
 @dataclass(frozen=True)
 class ColumnWish:
     """A column that a command wants.
