@@ -213,7 +213,8 @@ def test_dynamics_that_are_none_do_not_fit(tmp_path: Path, sections: object) -> 
 
 def test_dynamics_stand_once(tmp_path: Path) -> None:
     values = with_dynamics([LAG])
-    values["stages"].insert(3, values["stages"][3])
+    at = [stage["type"] for stage in values["stages"]].index("dynamics")
+    values["stages"].insert(at, values["stages"][at])
     assert not CHECK.is_valid(values)
     with pytest.raises(DboError, match="and once"):
         read_model(write(tmp_path, values))

@@ -8,8 +8,8 @@ any time between them. In p, the output of 1/(1 + 2ζs/ω + s²/ω²), and q, it
 p by p_by_q q + S (u - p) + R (u' - u), where u and u' are the input before and now, S the step response after
 one time step and R the response to a ramp. A rest, u = p and q = 0, stays a rest to the last bit. A
 first-order hold of a lag has its zero near -1, whose inverse rings for ever. With δ = 1 - 1/z the lag is
-taken as (1 - βδ)/(1 + (τ/Δt - β)δ): late by τ at any rate, its zero at -β/(1 - β), -2/3 here, and its
-error in amplitude, (1/2 - β) τΔtω², a fifth of the backward difference's (β = 0).
+taken as (1 - βδ)/(1 + (τ/Δt - β)δ): late by τ at any rate, its zero at -β/(1 - β), -2/3 here, its error in
+amplitude, (1/2 - β) τΔtω², a fifth of the backward difference's (β = 0).
 
 The inverse. With the output given, u - p and q follow a recursion of two eigenvalues, the zeros of the
 discretised section. For a resonance one lies near -0.268 and is run forward; the other near -3.73 and is
