@@ -128,7 +128,7 @@ def speed() -> None:
     rng = np.random.default_rng(0)
     operator = random_operator(rng, 128)
     low, high = operator.x_range
-    x = low + (high - low) * (0.5 + 0.5 * np.sin(np.arange(1_000_000) * 2e-3))
+    x = low + (high - low) * (0.5 + 0.5 * np.sin(np.arange(1_000_000) * 0.05))  # some gears a sample
     gears = clock(lambda: operator.run(x, operator.empty()))
     inverse, y = operator.inverse(), operator.run(x, operator.empty())[0]
     back = clock(lambda: inverse.run(y, operator.empty()))

@@ -2,12 +2,12 @@
 
     python benchmarks/fast_moves.py [--sets NAME ...] [--rate HZ] [--figure FILE]
 
-For every parameter set of sample_data/virtual_positioner.py: a drive of ``excite`` with a small sweep is
-played, a model identified from its noisy recording, and sines and triangles with rounded turns are compensated
-and played, at f_r/1000 to f_r/5. Columns, RMS error in % of the move, without the sensor's noise: a straight
-line from displacement to voltage; the model without dynamics, from the slow rows; the model as identified; the same
-with the stage's true resonances and lag in place of those found. Exits 1 where the third exceeds 0.05 % up to
-f_r/30, 0.1 % at f_r/10 or 0.5 % at f_r/5.
+For every parameter set of sample_data/virtual_positioner.py: a drive of ``excite`` and a small sweep are
+played, a model is identified from the two noisy recordings, and sines and triangles with rounded turns are
+compensated and played, at f_r/1000 to f_r/5. Columns, RMS error in % of the move, without the sensor's noise:
+a straight line from displacement to voltage; the model without dynamics, from the slow rows; the model as
+identified; the same with the stage's true resonance and lag in place of those found. Exits 1 where the third
+exceeds 0.05 % up to f_r/30, 0.1 % at f_r/10 or 0.5 % at f_r/5.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 import dbo_cli as dbo
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
+from dbo_cli.hysteresis.sweep import sweep
 from dbo_cli.runs.model import Model
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
@@ -34,6 +36,7 @@ Floats = NDArray[np.float64]
 PARTS = (1000, 100, 30, 10, 5)
 BOUNDS = {1000: 0.05, 100: 0.05, 30: 0.05, 10: 0.1, 5: 0.5}
 NAMES = ("line", "without", "dynamics", "oracle")
+SLOW_RATE = 2_000.0  # Hz, of the slow log
 SHAPES = ("sine", "triangle")
 
 
@@ -47,7 +50,7 @@ def wave(shape: str, frequency: float, rate: float) -> tuple[Floats, slice]:
         body = 0.5 + 0.3 * np.sin(2.0 * np.pi * phase)
     else:
         corners = 0.5 + 0.3 * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * phase))
-        body = ZeroPhaseLowPass(5.0 * frequency, 1.0 / rate).whole(corners) if frequency > 5.0 else corners
+        body = ZeroPhaseLowPass(max(5.0 * frequency, rate / 2_000.0), 1.0 / rate).whole(corners)
     up = 0.25 - 0.25 * np.cos(np.pi * np.arange(rise) / rise)
     fade = np.clip(np.minimum(phase, phase[::-1]), 0.0, 1.0)
     fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
@@ -70,14 +73,24 @@ def true_dynamics(p: PositionerParameters, model: Model) -> Model:
 
 def models_of(p: PositionerParameters, rate: float) -> tuple[dict[str, Model], list[str]]:
     """Return the models to compare, and what identification said."""
-    highest = 1.25 * max(mode[0] for mode in p.modes)
-    _, drive = excitation(p.v_min, p.v_max, rate, 8.0, 2.0, None, 1, min(highest, rate / 10.0))
-    measured = VirtualPositioner(p).play(drive, rate, seed=1)
-    slow = int(8.0 * rate)
+    highest = min(1.25 * max(mode[0] for mode in p.modes), rate / 10.0)
+    stage = VirtualPositioner(p)
+    _, slow = excitation(p.v_min, p.v_max, SLOW_RATE, 15.0, 1.0)
+    fast = sweep(p.v_min, p.v_max, rate, highest)
+    logs = [
+        pd.DataFrame(
+            {
+                "time_s": np.arange(drive.size) / hz,
+                "voltage_V": drive,
+                "displacement_um": stage.play(drive, hz, seed),
+            }
+        )
+        for seed, (drive, hz) in enumerate([(slow, SLOW_RATE), (fast, rate)])
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = dbo.identify(drive, measured, sample_rate=rate)
-        without = dbo.identify(drive[:slow], measured[:slow], sample_rate=rate, dynamics=0)
+        found = dbo.identify(logs)
+        without = dbo.identify(logs[:1], dynamics=0)
     told = [line for line in found.summary if "dynamics" in line or "trust" in line]
     return {"without": without, "dynamics": found, "oracle": true_dynamics(p, found)}, told
 
@@ -97,7 +110,9 @@ def errors_of(
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     drives.append(
-                        models[name].compensate(wanted, sample_rate=rate, v_min=p.v_min, v_max=p.v_max)
+                        models[name].compensate(
+                            wanted, sample_rate=rate, v_min=p.v_min, v_max=p.v_max, state="empty"
+                        )
                     )
             away = [(stage.displacement(drive, rate) - wanted)[judged] for drive in drives]
             move = float(np.ptp(wanted[judged]))

@@ -170,3 +170,75 @@ def test_a_state_of_version_1_has_no_time(tmp_path: Path) -> None:
     assert not CHECK.is_valid(values)
     with pytest.raises(DboError, match="time: is not a known key"):
         read_state(write(tmp_path, values), model)
+
+
+LAG, RESONANCE = {"lag": 0.0002}, {"frequency": 800.0, "damping": 0.02}
+STATES_OF_ONE = [[0.1, 0.0, 0.1]]
+
+
+def with_dynamics(sections: object) -> dict[str, Any]:
+    """Return the example with these sections before its delay."""
+    values = copy.deepcopy(EXAMPLE)
+    values["stages"].insert(3, {"type": "dynamics", "sections": sections})
+    return values
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [[LAG], [RESONANCE], [LAG, RESONANCE, RESONANCE],
+     [RESONANCE | {"antiresonance": {"frequency": 950, "damping": 0.5}}]],
+)  # fmt: skip
+def test_dynamics_that_are_read_fit_in_both_directions(tmp_path: Path, sections: object) -> None:
+    model = read_model(write(tmp_path, with_dynamics(sections)))
+    CHECK.validate(with_dynamics(sections))
+    for one in (model, model.inverse()):
+        CHECK.validate(json.loads(model_to_bytes(one)))
+        x = one.simulate([0.5, 0.6, 0.4], one.start(0.5), time_step=0.005) if one is model else None
+        if x is not None:
+            CHECK.validate(json.loads(state_to_bytes(x.state, one)))
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [[], {}, [{}], [{"lag": 0}], [{"lag": "1"}], [LAG | RESONANCE], [{"frequency": 800.0}],
+     [RESONANCE | {"damping": 1.0}], [RESONANCE | {"damping": 0}], [RESONANCE | {"frequency": -1}],
+     [RESONANCE | {"antiresonance": None}], [RESONANCE | {"antiresonance": {"frequency": 900.0}}],
+     [RESONANCE | {"zeta": 0.1}]],
+)  # fmt: skip
+def test_dynamics_that_are_none_do_not_fit(tmp_path: Path, sections: object) -> None:
+    assert not CHECK.is_valid(with_dynamics(sections))
+    with pytest.raises(DboError):
+        read_model(write(tmp_path, with_dynamics(sections)))
+
+
+def test_dynamics_stand_once(tmp_path: Path) -> None:
+    values = with_dynamics([LAG])
+    at = [stage["type"] for stage in values["stages"]].index("dynamics")
+    values["stages"].insert(at, values["stages"][at])
+    assert not CHECK.is_valid(values)
+    with pytest.raises(DboError, match="and once"):
+        read_model(write(tmp_path, values))
+
+
+@pytest.mark.parametrize(
+    ("held", "good"),
+    [({"sections": STATES_OF_ONE, "inverse": None}, True),
+     ({"sections": None, "inverse": {"time_step": 0.001, "sections": STATES_OF_ONE}}, True),
+     ({"sections": STATES_OF_ONE}, False), ({"sections": [[0.1, 0.0]], "inverse": None}, False),
+     ({"sections": [0.1, 0.0, 0.1], "inverse": None}, False),
+     ({"sections": None, "inverse": {"sections": STATES_OF_ONE}}, False), (None, False),
+     ({"sections": None, "inverse": None, "rest": 1}, False)],
+)  # fmt: skip
+def test_states_of_dynamics(tmp_path: Path, held: object, good: bool) -> None:
+    model = read_model(write(tmp_path, with_dynamics([LAG])))
+    values = json.loads(state_to_bytes(ModelState(BacklashState(1)), model)) | {"dynamics": held}
+    assert CHECK.is_valid(values) == good
+    path = write(tmp_path, values, "state.json")
+    if good:
+        read_state(path, model)
+    else:
+        with pytest.raises(DboError):
+            read_state(path, model)
+    values["version"] = 1
+    del values["time"]
+    assert not CHECK.is_valid(values)

@@ -275,6 +275,13 @@ def test_the_commands_give_the_bits_of_the_library(dbo: Any) -> None:
     assert once.code == 0 and once.out.count("\n") == 201 and "settles in 2 passes" in once.err
 
 
+def test_show_tells_the_dynamics(dbo: Any) -> None:
+    Model(actuator()).save("model.json")
+    assert "dynamics: a lag of 0.2 ms; a resonance at 800 Hz, damping 0.02\n" in dbo("show", "model.json").out
+    told = json.loads(dbo("show", "model.json", "--format", "json").out)
+    assert told["dynamics"] == [{"lag": 2e-4}, {"frequency": 800.0, "damping": 0.02}]
+
+
 def test_a_controller_refuses_dynamics() -> None:
     from dbo_cli.errors import ModelError
 

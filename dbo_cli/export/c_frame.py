@@ -60,7 +60,7 @@ class SourceParts:
     drive_is_output: bool
     macros: list[tuple[str, str, str]]
     vectors: list[Vectors] = field(default_factory=list)
-    kernel_header: str = "dbo_kernel.h"
+    kernel_headers: tuple[str, ...] = ()
     declarations: str = ""
 
 
@@ -71,8 +71,8 @@ _HEADER = Template("""\
 #ifndef ${guard}_H
 #define ${guard}_H
 
-#include "$kernel_header"
-
+#include "dbo_kernel.h"
+$kernel_headers
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -194,7 +194,7 @@ def header(name: str, title: str, origin: str, parts: SourceParts, what: str) ->
     return _HEADER.substitute(
         title=title, origin=origin, name=name, guard=name.upper(), macros=macros + parts.declarations,
         members="\n".join(f"    {member}" for member in parts.members), number=parts.number, what=what,
-        kernel_header=parts.kernel_header,
+        kernel_headers="".join(f'#include "{name}"\n' for name in parts.kernel_headers),
         ignored="Every input is a number." if parts.lowest is None else (
             "An input that is not a number is ignored:\n * the last output comes again."
         ),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.hysteresis.operators import (
     BacklashState,
@@ -130,6 +131,9 @@ def _undone(stages: MemoryFree) -> MemoryFree:
     return tuple(stage.inverse() for stage in reversed(stages))
 
 
+_KINDS = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage
+
+
 def plan_cascade(
     model: ActuatorModel,
     direction: Direction,
@@ -149,11 +153,8 @@ def plan_cascade(
         raise UsageError(f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0")
     turned = model if model.direction == direction else model.inverse()
     for place, stage in enumerate(turned.stages):
-        if not isinstance(stage, DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DelayStage):
-            raise ModelError(
-                f"stages[{place}]: a {type(stage).__name__} cannot be exported"
-                " (identify the model again without it)"
-            )
+        if not isinstance(stage, _KINDS):
+            raise ModelError(f"stages[{place}]: a {type(stage).__name__} cannot be exported")
     if direction == "forward" and limits is not None:
         raise UsageError("limits on the drive belong to `direction` inverse")
     timed = turned.needs_time or (limits is not None and limits.max_slew is not None)

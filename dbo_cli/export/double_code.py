@@ -12,6 +12,7 @@ from dbo_cli.errors import ModelError
 from dbo_cli.export.c_frame import SourceParts, Vectors, delay_line
 from dbo_cli.export.c_text import array, hex_double, struct_rows
 from dbo_cli.export.cascade_plan import CascadePlan
+from dbo_cli.export.dynamics_code import dynamics_parts, inverter_of, undone_moves
 from dbo_cli.export.self_test_moves import self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import buffer_words
@@ -213,15 +214,16 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
     """Return the sources' parts in float64 and the bytes of the tables."""
     limit_text, limits = _limits(plan)
     gears = _lookup(plan, limits) if lookup else _recursion(plan, limits)
-    stages = _stages(plan)
-    members, clear = list(gears.members), ""
+    stages, dynamics = _stages(plan), dynamics_parts(plan)
+    members, clear = [*gears.members, *dynamics.members], dynamics.clear
     for name, count, kind in (("memory", plan.terms, "double"), ("segments", stages.segments, "size_t")):
         if count:
             members.append(f"{kind} {name}[{count}];")
             clear += f"    for (size_t k = 0; k < {count}; k++) state->{name}[k] = 0;\n"
     initialise = clear + gears.attach + gears.initialise
-    step = gears.attach + stages.before + gears.step
-    step += "\n" + stages.behind.rstrip("\n") if stages.behind else ""
+    step = gears.attach + dynamics.before + stages.before + gears.step
+    behind = stages.behind + dynamics.behind
+    step += "\n" + behind.rstrip("\n") if behind else ""
     if plan.direction == "forward" and plan.delay > 0.0:
         whole, part = _delay_samples(plan)
         lagged = f"later + {hex_double(part)} * (earlier - later)" if part else "later"
@@ -232,7 +234,7 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
     reach = ignored_beyond(source)
     parts = SourceParts(
         number="double",
-        tables=gears.tables + limit_text + stages.tables,
+        tables=gears.tables + limit_text + stages.tables + dynamics.tables,
         members=members,
         initialise=initialise,
         start=stages.drive + gears.settle,
@@ -243,9 +245,13 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         drive_is_output=plan.direction == "inverse",
         macros=common_macros(plan),
         vectors=_vectors(plan),
-        kernel_header="dbo_lookup.h" if lookup else "dbo_kernel.h",
+        kernel_headers=tuple(
+            name
+            for name, used in (("dbo_lookup.h", lookup), ("dbo_dynamics.h", bool(dynamics.members)))
+            if used
+        ),
     )
-    return parts, gears.size + stages.size
+    return parts, gears.size + stages.size + dynamics.size
 
 
 def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
@@ -253,9 +259,18 @@ def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
     macros = []
     if plan.time_step is not None:
         macros.append(("SAMPLE_RATE_HZ", repr(1.0 / plan.time_step), "call the step so often"))
-    if plan.direction == "inverse" and plan.delay > 0.0:
-        macros.append(("READ_AHEAD_S", repr(plan.delay), "give the input this much earlier"))
+    ahead = read_ahead(plan)
+    if ahead > 0.0:
+        macros.append(("READ_AHEAD_S", repr(ahead), "give the input this much earlier"))
     return macros
+
+
+def read_ahead(plan: CascadePlan) -> float:
+    """Return how many seconds earlier an inverse needs its input: for its delay, and its dynamics."""
+    if plan.direction == "forward":
+        return 0.0
+    inverter = inverter_of(plan)
+    return plan.delay + (0.0 if inverter is None else inverter.ahead * inverter.time_step)
 
 
 def first_output(plan: CascadePlan) -> float:
@@ -293,7 +308,7 @@ def _vectors(plan: CascadePlan) -> list[Vectors]:
     found = []
     for seed, (label, reset, state) in enumerate(states, 1):
         moves = self_test_moves(quantity.minimum, quantity.maximum, seed)
-        y = model.simulate(moves, state, time_step=plan.time_step, limits=plan.limits).y
+        y = model.simulate(undone_moves(plan, moves), state, time_step=plan.time_step, limits=plan.limits).y
         found.append(
             Vectors(label, reset, [hex_double(v) for v in moves], [hex_double(v) for v in y.tolist()])
         )

@@ -13,7 +13,7 @@ from dbo_cli.export import project_files
 from dbo_cli.export.c_frame import SourceParts, header, self_test, source
 from dbo_cli.export.c_text import check_name
 from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade
-from dbo_cli.export.double_code import double_parts
+from dbo_cli.export.double_code import double_parts, read_ahead
 from dbo_cli.export.export_folder import FORMAT, MANIFEST, check_folder, write_folder
 from dbo_cli.export.fewer_gears import with_fewer_gears
 from dbo_cli.export.fmu import fmu_bytes
@@ -167,6 +167,7 @@ def _state_bytes(parts: SourceParts) -> int:
     sizes = {
         "uint64_t": (8, 8), "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4),
         "size_t": (4, 4), "int": (4, 4), "dbo_backlash_state": (40, 8), "dbo_lookup_state": (16, 8),
+        "dbo_section_state": (24, 8), "dbo_inverse_state": (24, 8),
         "dbo_memory": (8, 4 if parts.number == "float" else 8),
     }  # fmt: skip
     total = 0
@@ -186,10 +187,11 @@ def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
             f"Call the step at a fixed {1.0 / plan.time_step!r} Hz: lag, creep and slew are in the tables for"
             " that step; another rate is another export."
         )
-    if plan.direction == "inverse" and plan.delay > 0.0:
-        samples = "" if plan.time_step is None else f" ({plan.delay / plan.time_step:.6g} samples)"
+    ahead = read_ahead(plan)
+    if ahead > 0.0:
+        samples = "" if plan.time_step is None else f" ({ahead / plan.time_step:.6g} samples)"
         notes.append(
-            f"Read {plan.delay!r} s{samples} ahead: give the displacement that is wanted so much later. Where"
+            f"Read {ahead!r} s{samples} ahead: give the displacement that is wanted so much later. Where"
             " the trajectory is not known in advance, the actuator lags by that time."
         )
     if plan.limits is not None:
@@ -216,12 +218,14 @@ def _firmware(file: str) -> str:
     return (resources.files("dbo_cli.hysteresis") / file).read_text(encoding="utf-8")
 
 
-def _kernel_files(arithmetic: str, lookup: bool) -> dict[str, str]:
+def _kernel_files(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources under the names they have in every export."""
     folder = resources.files("dbo_cli.export") / "firmware"
     if arithmetic == "double":
         files = {file: _firmware(file) for file in ("dbo_kernel.c", "dbo_kernel.h")}
-        if lookup:
+        if "dbo_dynamics.h" in headers:
+            files |= {file: _firmware(file) for file in ("dbo_dynamics.c", "dbo_dynamics.h")}
+        if "dbo_lookup.h" in headers:
             files |= {f: (folder / f).read_text(encoding="utf-8") for f in ("dbo_lookup.c", "dbo_lookup.h")}
         return files
     chosen = "#define DBO_Q31\n" if arithmetic == "q31" else "#define DBO_FLOAT\n"
@@ -244,7 +248,7 @@ def _files(
     code = {
         f"{name}.h": header(name, title, origin, parts, what),
         f"{name}.c": source(name, title, origin, parts),
-        **_kernel_files(summary.arithmetic, parts.kernel_header == "dbo_lookup.h"),
+        **_kernel_files(summary.arithmetic, parts.kernel_headers),
     }
     test = self_test(name, title, parts)
     sources = " ".join([f"{name}.c", *sorted(f for f in code if f.startswith("dbo_") and f.endswith(".c"))])
@@ -279,7 +283,7 @@ def _host_files(
     found: dict[str, str | bytes] = {}
     if shared:
         rate = 0.0 if plan.time_step is None else 1.0 / plan.time_step
-        flat = library_sources(name, title, rate, plan.delay if plan.direction == "inverse" else 0.0)
+        flat = library_sources(name, title, rate, read_ahead(plan))
         found |= flat
         found[f"lib{name}{library_suffix()}"] = compile_library({**code, **flat})
     if fmu:

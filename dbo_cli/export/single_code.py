@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dbo_cli.errors import ModelError
 from dbo_cli.export.c_frame import SourceParts, Vectors, delay_line
 from dbo_cli.export.c_text import array, hex_float, integer, struct_rows
 from dbo_cli.export.cascade_plan import CascadePlan
@@ -20,7 +21,17 @@ Text = Callable[[Any], str]
 
 
 def tables_and_bounds(plan: CascadePlan, q31: bool) -> tuple[SingleTables, dict[str, float]]:
-    """Return the constants of one arithmetic and the derived bounds by name."""
+    """Return the constants of one arithmetic and the derived bounds by name.
+
+    Raises
+    ------
+    ModelError
+        The model is beyond what the arithmetic holds.
+    """
+    if plan.model.dynamics is not None:
+        raise ModelError(
+            "dynamics are beyond float and q31 (`arithmetic` double, or identify with `dynamics` 0)"
+        )
     axes = axes_of(plan)
     if q31:
         check_memories(plan)

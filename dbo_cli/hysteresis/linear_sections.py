@@ -7,8 +7,9 @@ A resonance is discretised with a first-order hold: exact for an input that is s
 any time between them. In p, the output of 1/(1 + 2ζs/ω + s²/ω²), and q, its rate over ω, one sample changes
 p by p_by_q q + S (u - p) + R (u' - u), where u and u' are the input before and now, S the step response after
 one time step and R the response to a ramp. A rest, u = p and q = 0, stays a rest to the last bit. A
-first-order hold of a lag has its zero at -1, whose inverse rings for ever; the backward difference has it at
-0, and the same mean delay at any rate: p changes by (u' - p) Δt/(τ + Δt).
+first-order hold of a lag has its zero near -1, whose inverse rings for ever. With δ = 1 - 1/z the lag is
+taken as (1 - βδ)/(1 + (τ/Δt - β)δ): late by τ at any rate, its zero at -β/(1 - β), -2/3 here, its error in
+amplitude, (1/2 - β) τΔtω², a fifth of the backward difference's (β = 0).
 
 The inverse. With the output given, u - p and q follow a recursion of two eigenvalues, the zeros of the
 discretised section. For a resonance one lies near -0.268 and is run forward; the other near -3.73 and is
@@ -37,6 +38,9 @@ half the sampling rate, at -1, where no sum over the future converges.
 """
 LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does to it
 LONGEST_AHEAD = 2000  # samples; beyond, the zero is so near the unit circle that the inverse rings
+LAG_ZERO = 0.4
+"""β of a lag. Measured on a lag of 0.2 ms and a resonance of 800 Hz at 20 kHz, sine at 160 Hz, error in % of
+the move: 0.17 for β = 0, 0.028 for 0.4; at 0.5 its inverse rings for ever."""
 _SERIES = 1.0  # radians of the resonance a step, below which responses are summed as series: no cancellation
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
 
@@ -168,9 +172,12 @@ class Lag:
 
     def step(self, time_step: Floats) -> Floats:
         """Return the kernel's six numbers for each time step (s)."""
-        part = time_step / (self.seconds + time_step)
-        none = np.zeros_like(part)
-        return np.column_stack([none, part, part, none, none, none])
+        none = np.zeros_like(time_step)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            late = np.where(time_step > 0.0, self.seconds / time_step, np.inf)
+            beta = np.minimum(LAG_ZERO, late)
+            part = 1.0 / (1.0 + (late - beta))
+        return np.column_stack([none, part, part * (1.0 - beta), none, none, none])
 
     def response(self, frequency: Floats) -> Complexes:
         """Return G(2πif) for frequencies in Hz."""
@@ -225,8 +232,8 @@ def section_inverse(section: Section, time_step: float) -> SectionInverse:
     drive = np.array([(1.0 - p_change) / own, q_change / own])
     out = np.array([1.0 - by_lead, -by_q])
     if isinstance(section, Lag):
-        numbers = np.array([0.0, 0.0, 0.0, 0.0, drive[0], 0.0, 1.0, 0.0])
-        return SectionInverse(numbers, np.zeros(0), np.zeros((2, 2)))
+        numbers = np.array([matrix[0, 0], 0.0, 0.0, 0.0, drive[0], 0.0, 1.0, 0.0])
+        return SectionInverse(numbers, np.zeros(0), np.array([[1.0, 0.0], [0.0, 0.0]]))
     half, det = 0.5 * (matrix[0, 0] + matrix[1, 1]), float(np.linalg.det(matrix))
     root = half * half - det
     if root <= 0.0:

@@ -326,15 +326,14 @@ class ActuatorModel:
         if self.direction == "forward":
             if signal.size:
                 after = dataclasses.replace(after, drive=float(signal[-1]))
-            y, after = self._lagging(y, after, steps, state)
+            if steps is not None and (self._delay or self.dynamics):
+                y, after = self._lagging(y, after, steps, state)
         return Simulated(y, after, *counts, missed)
 
     def _lagging(
-        self, y: Floats, after: ModelState, steps: float | Floats | None, before: ModelState
+        self, y: Floats, after: ModelState, steps: float | Floats, before: ModelState
     ) -> tuple[Floats, ModelState]:
         """Pass a block through the dynamics and the delay of a forward model."""
-        if steps is None:
-            return y, after
         if self.dynamics:
             y, sections = self.dynamics.run(y, steps, before.dynamics)
             after = dataclasses.replace(after, dynamics=sections)

@@ -351,7 +351,7 @@ def _stage_values(stage: Stage) -> Json:
     if isinstance(stage, DelayStage):
         return {"type": "delay", "seconds": stage.seconds}
     if isinstance(stage, DynamicsStage):
-        return {"type": "dynamics", "sections": [_section_values(section) for section in stage.sections]}
+        return {"type": "dynamics", "sections": [section_values(section) for section in stage.sections]}
     values: Json = {
         "type": "backlash" if isinstance(stage, BacklashStage) else "point",
         "x0": stage.x0,
@@ -370,7 +370,8 @@ def _stage_values(stage: Stage) -> Json:
     return values
 
 
-def _section_values(section: Section) -> Json:
+def section_values(section: Section) -> Json:
+    """Return a section of the dynamics as plain values."""
     if isinstance(section, Lag):
         return {"lag": section.seconds}
     values: Json = {"frequency": section.frequency, "damping": section.damping}

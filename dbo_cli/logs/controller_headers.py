@@ -30,7 +30,8 @@ def read_pi_array(place: str, lines: list[str]) -> HeaderReading | None:
     InputError
         The rows have another number of columns than the header states.
     """
-    end = next((n for n, line in enumerate(lines) if re.match(r"\s*#\s*END_HEADER", line)), None)
+    marked = (n for n, line in enumerate(lines) if "END_HEADER" in line)
+    end = next((n for n in marked if re.match(r"\s*#\s*END_HEADER", lines[n])), None)
     if end is None or end + 1 >= len(lines):
         return None
     settings: dict[str, str] = {}

@@ -106,7 +106,7 @@ def _stated(lines: list[str]) -> Iterator[Statement]:
         if mark is None:
             continue
         key = line[: mark.start()].strip().lstrip("#%;!/*").strip()
-        if not is_clock_name(key):
+        if not key[:1].isalpha() or not is_clock_name(key):  # a row of data is the usual case
             continue
         value = _first_value(line[mark.end() :].strip(" ,;\t"), mark[0])
         thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)

@@ -34,7 +34,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, Rows
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock
 from dbo_cli.logs.text_dialect import Dialect, is_comment
 
-_LETTERS_AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB
+_AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
 
 
@@ -86,9 +86,8 @@ class BlockParser:
         text = self._regular(block)
         if text is None:
             return None
-        letters = np.frombuffer(text, dtype=np.uint8)  # counts five times faster than bytes.count
-        lines = int(np.count_nonzero(letters == 10)) + (not text.endswith(b"\n"))
-        marks = int(np.count_nonzero(letters == ord(self.dialect.delimiter)))
+        ends, marks = _counts(text, 10, ord(self.dialect.delimiter))
+        lines = ends + (not text.endswith(b"\n"))
         numbers: Places = range(self.next_line, self.next_line + lines)
         if b"\n\n" in text or text.startswith(b"\n"):
             text, filled = _without_empty_lines(text)
@@ -290,11 +289,22 @@ def _is_rectangular(block: bytes, lines: int, dialect: Dialect) -> bool:
     return bool(ends[:, -1].all()) and np.count_nonzero(ends) == lines
 
 
+def _counts(block: bytes, *letters: int) -> list[int]:
+    """Count bytes; numpy counts what is frequent five times faster than bytes.count."""
+    text = np.frombuffer(block, dtype=np.uint8)
+    counts = [0] * len(letters)
+    for start in range(0, len(text), _AT_ONCE):
+        part = text[start : start + _AT_ONCE]
+        for number, letter in enumerate(letters):
+            counts[number] += int(np.count_nonzero(part == letter))
+    return counts
+
+
 def _has_letters(block: bytes, delimiter: str) -> bool:
     """Tell whether a block holds a character that no number has: at ``@`` or above, but no exponent's e."""
     text = np.frombuffer(block, dtype=np.uint8)
-    for start in range(0, len(text), _LETTERS_AT_ONCE):
-        part = text[start : start + _LETTERS_AT_ONCE]
+    for start in range(0, len(text), _AT_ONCE):
+        part = text[start : start + _AT_ONCE]
         found = np.count_nonzero(part >= 64)
         if not found:
             continue

@@ -92,7 +92,12 @@ class Inputs:
             The low-pass cannot be had at this rate.
         """
         what, last = self.what, self.what.last_row
-        blocks: Iterable[SampleBlock] = _split(self.source.blocks(), last)
+        blocks: Iterable[SampleBlock] = self.source.blocks()
+        if what == Transforms(what.role):
+            for block in blocks:
+                yield block, block.values[what.role]
+            return
+        blocks = _split(blocks, last)
         step = 0.0
         if what.dynamics is not None or what.bandwidth is not None:
             why = EVEN_FOR_BANDWIDTH if what.dynamics is None else EVEN_FOR_DYNAMICS

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, PointStage
-from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.hysteresis.model_file import read_model, section_values
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.whole_output import write_whole
 
@@ -46,6 +46,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
         "relaxation_seconds": relaxation,
         "delay_seconds": delay,
+        "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
         "fit": {key: fit[key] for key in fit if key not in ("warnings", "logs", "validation")},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
@@ -65,6 +66,7 @@ def as_text(content: Mapping[str, Any]) -> str:
         + "".join(f", {count} segments of asymmetry" for count in content["segments"])
         + _lag(content),
     ]
+    lines += _moving(content)
     lines += _goodness(content, made["unit"])
     if content["inputs"]:
         names = ", ".join(f"{one.get('name')} ({one.get('rows'):,} rows)" for one in content["inputs"])
@@ -73,6 +75,21 @@ def as_text(content: Mapping[str, Any]) -> str:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
     lines += [f"warning: {text}" for text in content["warnings"]]
     return "\n".join(_wrapped(line) for line in lines)
+
+
+def _moving(content: Mapping[str, Any]) -> list[str]:
+    """Return the dynamics, and how fast the model can be trusted."""
+    parts = []
+    for one in content["dynamics"]:
+        if "lag" in one:
+            parts.append(f"a lag of {1e3 * one['lag']:.3g} ms")
+            continue
+        parts.append(f"a resonance at {one['frequency']:.5g} Hz, damping {one['damping']:.3g}")
+        if "antiresonance" in one:
+            parts[-1] += f", with an antiresonance at {one['antiresonance']['frequency']:.5g} Hz"
+    lines = [f"dynamics: {'; '.join(parts)}"] if parts else []
+    trusted = content["fit"].get("trusted_hz")
+    return lines + ([f"trust it to {trusted:.3g} Hz"] if trusted is not None else [])
 
 
 def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:

@@ -1,8 +1,8 @@
 """Identification of dynamics: resonances and a lag, from small sweeps and fast logs.
 
 The gears, the points and creep come from the slow rows; what they predict for the fast ones is the input of
-the dynamics, and what was measured their output. Frequencies and dampings start from the ratio of the two spectra
-and are refined on the output error. None, one or two resonances: by the error on blocks of rows left out.
+the dynamics, and what was measured their output. Frequencies and dampings start from the ratio of the two
+spectra and are refined on the output error. None, one or two resonances: by the error on rows left out.
 """
 
 from __future__ import annotations

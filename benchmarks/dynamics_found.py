@@ -1,0 +1,91 @@
+"""Resonances found and not found, and moves learned, on seeded simulated actuators.
+
+    python benchmarks/dynamics_found.py [--actuators N] [--learn]
+
+Actuators of 80 gears with a random resonance (15 to 130 Hz at 2 kHz, damping 0.003 to 0.4) and lag are driven
+by ``excite`` with a small sweep and identified; the same without a resonance. Prints the errors of frequency
+and damping; exits 1 where a frequency is off by more than 0.5 %, a damping by more than 20 %, or a resonance
+is found where there is none. ``--learn`` prints instead the error by pass of repeated moves, slow and fast, with
+models whose loop is 20 % or whose resonance is 5 % wrong, or that know no resonance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from dbo_cli.hysteresis.dynamics import Lag, Resonance
+from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.identification import IdentificationOptions, identify
+from dbo_cli.runs.model import Model
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+import test_runs_repeated as repeated
+from test_hysteresis_identification_dynamics import RATE, plant, recorded
+
+FEW = IdentificationOptions(gears=24, points=0, relaxation=(), delay=0.0)
+
+
+def found(actuators: int) -> int:
+    drive = excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0)[1]
+    bad = wrong = 0
+    for seed in range(actuators):
+        rng = np.random.default_rng(seed)
+        frequency = float(np.exp(rng.uniform(np.log(15.0), np.log(130.0))))
+        damping = float(np.exp(rng.uniform(np.log(0.003), np.log(0.4))))
+        lag = float(np.exp(rng.uniform(np.log(1e-4), np.log(3e-3))))
+        model = plant(Lag(lag), Resonance(frequency, damping))
+        dynamics = identify([recorded(model, drive, seed)], FEW).model.dynamics
+        resonances = dynamics.resonances if dynamics else ()
+        off = [100.0 * (resonances[0].frequency / frequency - 1.0) if resonances else np.nan]
+        off.append(100.0 * (resonances[0].damping / damping - 1.0) if resonances else np.nan)
+        fine = len(resonances) == 1 and abs(off[0]) <= 0.5 and abs(off[1]) <= 20.0
+        bad += not fine
+        none = identify([recorded(plant(Lag(lag)), drive, seed)], FEW).model.dynamics
+        wrong += none is not None
+        told = f"found {len(resonances)}, off {off[0]:+.3f} % and {off[1]:+.1f} %{'' if fine else '  BAD'}"
+        other = f"without a resonance {'FOUND' if none else 'none'}"
+        print(f"{seed:3} {frequency:7.2f} Hz, damping {damping:.4f}: {told}; {other}", flush=True)
+    print(f"{bad} of {actuators} missed the bounds; a resonance where there is none: {wrong} of {actuators}")
+    return int(bad + wrong > 0)
+
+
+def learned() -> int:
+    worse = 0
+    plants = [repeated.actuator(0.30 + 0.05 * k, 650.0 + 60.0 * k) for k in range(5)]
+    for k, stage in enumerate(plants):
+        loop, frequency = 0.30 + 0.05 * k, 650.0 + 60.0 * k
+        for name, model in (
+            ("loop 20 % wrong", repeated.actuator(0.8 * loop, frequency)),
+            ("resonance 5 % wrong", repeated.actuator(loop, 0.95 * frequency)),
+            ("no resonance", repeated.actuator(loop, None)),
+        ):
+            for fast in (100.0, 10.0):
+                wanted, tracked, errors = repeated.move(frequency / fast), (), []
+                for number in range(5):
+                    done = Model(model).compensate(wanted, tracked=tracked, **repeated.WIDE)
+                    y, measured = repeated.played(stage, done.values, seed=number)
+                    errors.append(100.0 * repeated.rms(y - wanted) / float(np.ptp(wanted)))
+                    tracked = (done.values, measured)
+                worse += errors[4] > errors[0] and errors[4] > 0.025
+                passes = " ".join(f"{error:8.4f}" for error in errors)
+                print(
+                    f"stage {k}, {name:20} f_r/{fast:<4.0f}{passes}  % of the move; sensor 0.025", flush=True
+                )
+    print(f"cases in which the fifth pass is worse than the first and than the sensor: {worse}")
+    return int(worse > 0)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--actuators", type=int, default=50)
+    parser.add_argument("--learn", action="store_true")
+    options = parser.parse_args()
+    return learned() if options.learn else found(options.actuators)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""Identification of dynamics: found where a sweep shows them, not elsewhere, slow logs untouched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from trials import Floats
+
+from dbo_cli.errors import FitError, UsageError
+from dbo_cli.hysteresis.cascade import slow_output_range
+from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
+from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
+from dbo_cli.hysteresis.identification.fast_parts import split
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage, Stage
+from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.hysteresis.sweep import sweep
+
+RATE = 2_000.0
+FEW = IdentificationOptions(gears=24, points=0, relaxation=(), delay=0.0)
+
+
+def plant(*sections: Section) -> ActuatorModel:
+    """Return an actuator of 80 gears with dynamics."""
+    slopes = np.linspace(0.6, 1.4, 80)
+    widths = np.full(80, 100.0 / 80.0)
+    stages: list[Stage] = [BacklashStage(widths, 0.1 * widths * slopes), ScaleStage(1.0, 0.5)]
+    low, high = slow_output_range(stages, 0.0, 100.0)
+    if sections:
+        stages.append(DynamicsStage(sections))
+    return ActuatorModel(
+        "forward", Quantity("voltage", "V", 0.0, 100.0), Quantity("x", "um", low, high), tuple(stages)
+    )
+
+
+def recorded(model: ActuatorModel, drive: Floats, seed: int = 1, noise: float = 0.002) -> Recording:
+    x = model.simulate(drive, model.start(float(drive[0]), "empty"), time_step=1.0 / RATE).y
+    noisy = x + np.random.default_rng(seed).normal(0.0, noise, x.size)
+    return Recording("log.csv", drive, noisy, sample_period=1.0 / RATE)
+
+
+def swept(seconds: float = 6.0) -> Floats:
+    return excitation(0.0, 100.0, RATE, seconds, 1.0, sweep_to=200.0)[1]
+
+
+@pytest.mark.parametrize(
+    ("frequency", "damping", "lag"), [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-4)]
+)
+def test_a_resonance_is_found(frequency: float, damping: float, lag: float) -> None:
+    log = recorded(plant(Lag(lag), Resonance(frequency, damping)), swept())
+    found = identify([log], FEW)
+    (resonance,) = found.model.dynamics.resonances if found.model.dynamics else ()
+    assert resonance.frequency == pytest.approx(frequency, rel=0.005)
+    assert resonance.damping == pytest.approx(damping, rel=0.2)
+    told = found.fit["dynamics"]
+    assert isinstance(told, dict)
+    low, high = told["resonances"][0]["frequency_interval"]
+    assert low < resonance.frequency < high
+    assert any(line.startswith("dynamics: resonance at") for line in found.summary)
+    assert any(line.startswith("trust the model to") for line in found.summary)
+
+
+def test_two_resonances_are_found() -> None:
+    log = recorded(plant(Resonance(50.0, 0.02), Resonance(130.0, 0.02)), swept())
+    found = identify([log], FEW)
+    assert found.model.dynamics is not None
+    first, second = found.model.dynamics.resonances
+    assert (first.frequency, second.frequency) == pytest.approx((50.0, 130.0), rel=0.005)
+
+
+def test_a_slow_and_a_fast_log_together_show_a_resonance() -> None:
+    model = plant(Resonance(60.0, 0.03))
+    slow = recorded(model, excitation(0.0, 100.0, RATE, 6.0, 1.0)[1])
+    fast = recorded(model, sweep(0.0, 100.0, RATE, 200.0), seed=2)
+    found = identify([slow, fast], FEW)
+    assert found.model.dynamics is not None
+    assert found.model.dynamics.resonances[0].frequency == pytest.approx(60.0, rel=0.005)
+
+
+def test_without_a_resonance_none_is_found_and_nothing_changes() -> None:
+    log = recorded(plant(), swept())
+    auto, none = (identify([log], options) for options in (FEW, IdentificationOptions(
+        gears=24, points=0, relaxation=(), delay=0.0, dynamics=0)))  # fmt: skip
+    assert auto.model.dynamics is None
+    assert model_to_bytes(auto.model) == model_to_bytes(none.model)
+
+
+def test_a_slow_log_has_no_fast_part() -> None:
+    for seed in range(12):
+        drive = excitation(0.0, 100.0, RATE, 8.0, 1.0, seed=seed)[1]
+        assert split([Recording("slow", drive, drive, sample_period=1.0 / RATE)])[1] == []
+
+
+def test_dynamics_asked_for_without_a_sweep_are_refused() -> None:
+    log = recorded(plant(Resonance(60.0, 0.03)), excitation(0.0, 100.0, RATE, 6.0, 1.0)[1])
+    with pytest.raises(FitError, match=r"`dynamics` 1: no log has a small sweep, nor is one ten times"):
+        identify([log], IdentificationOptions(dynamics=1))
+    with pytest.raises(UsageError, match=r"`dynamics` 3: at most two resonances are looked for"):
+        IdentificationOptions(dynamics=3)
+
+
+def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> None:
+    drive = excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0, sweep_amplitude=2.0)[1]
+    plain = excitation(0.0, 100.0, RATE, 6.0, 1.0)[1]
+    assert np.array_equal(drive[: plain.size], plain)
+    middle = drive[plain.size :]
+    assert middle.max() == pytest.approx(51.86, abs=0.05) and drive[-1] == 0.0
+    for more, text in (
+        ({"sweep_to": 300.0}, r"`sweep_to` 300: 2000 rows a second do not resolve it \(`sample_rate` 3000"),
+        (
+            {"sweep_to": 200.0, "sweep_amplitude": 60.0},
+            "`sweep_amplitude` 60: give volts above 0, at most 50",
+        ),
+        ({"sweep_amplitude": 1.0}, "`sweep_amplitude` is that of a sweep"),
+        ({"sweep_to": 200.0, "max_slew": 320.0}, "`sweep_amplitude` 1: at 200 Hz it needs 314"),
+    ):
+        if "max_slew" in more:
+            more["max_slew"] = 315.0
+            more["sweep_amplitude"] = 2.0
+            text = r"`sweep_amplitude` 2: at 200 Hz it needs 628.319 V/s, `max_slew` allows 315"
+        with pytest.raises(UsageError, match=text):
+            excitation(0.0, 100.0, RATE, 6.0, 1.0, **more)
+
+
+def test_an_antiresonance_is_a_section_of_the_model_file() -> None:
+    notched = Resonance(60.0, 0.02, Antiresonance(80.0, 0.02))
+    assert b'"antiresonance": {"frequency": 80.0, "damping": 0.02}' in model_to_bytes(plant(notched))
