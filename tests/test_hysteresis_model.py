@@ -165,6 +165,18 @@ def test_the_step_before_the_very_first_sample_does_not_matter() -> None:
     assert outputs[1:] == outputs[:1] * 2
 
 
+def test_a_whole_number_of_even_samples_shifts_exactly_though_the_quotient_is_rounded() -> None:
+    assert 0.3 / 0.1 < 3.0
+    x = 5.0 + np.random.default_rng(7).normal(size=50)
+    for steps in (0.1, np.full(50, 0.1)):
+        y, history = DelayStage(0.3).lag(x, steps, None)
+        assert y[3:].tobytes() == x[:-3].tobytes()
+        assert y[:3].tolist() == [x[0]] * 3  # before the first sample the first value holds
+        assert history is not None
+        rest, _ = DelayStage(0.3).lag(x, steps, history)
+        assert rest[:3].tobytes() == x[-3:].tobytes()
+
+
 def test_a_stamped_clock_shifts_whole_samples_exactly_there_and_back() -> None:
     x = np.random.default_rng(6).normal(size=200)
     time = 0.1 + np.arange(200) * 0.1
