@@ -121,7 +121,6 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/initial_states.py",
         MODEL,
-        ("voltage <= operator.x0):", "voltage < operator.x0):", "auto at the lower end is empty"),
         ("return min(ends, key=", "return max(ends, key=", "the nearer side of a step is taken"),
         ("off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])", "off = 0.0",
          "a start beside a step survives rounding"),

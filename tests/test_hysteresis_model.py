@@ -158,11 +158,45 @@ def test_the_step_before_the_very_first_sample_does_not_matter() -> None:
     model = build(4, relaxation=True, delay=0.02)
     x = np.linspace(*model.backlash.x_range, 40)
     outputs = []
-    for first in (0.0, 0.005, 123.0):
+    for first in (0.0, 0.005, 123.0, -7.0):
         steps = np.full(40, 0.005)
         steps[0] = first
         outputs.append(model.simulate(x, model.start(x[0]), time_step=steps).y.tobytes())
-    assert outputs[1:] == outputs[:1] * 2
+    assert outputs[1:] == outputs[:1] * 3
+
+
+@pytest.mark.parametrize("start", ["empty", "full"])
+def test_a_slew_limit_holds_from_the_end_where_the_actuator_stands(start: Any) -> None:
+    model = build(2)
+    low, high = model.input.minimum, model.input.maximum
+    limits = DriveLimits(low, high, 0.05 * (high - low))
+    middle = model.output.minimum + 0.5 * model.output.span
+    begin = model.start_compensation(middle, start, limits)
+    drive = model.compensate([middle, middle], begin, limits=limits, time_step=1.0).y
+    way = drive - low if start == "empty" else high - drive
+    assert way == pytest.approx([0.05 * (high - low), 0.1 * (high - low)])
+
+
+def test_a_state_serves_model_and_inverse_though_a_gain_inverted_twice_is_rounded() -> None:
+    rounded = 0
+    for gain in np.random.default_rng(8).uniform(1.0, 20.0, 50):
+        model = ActuatorModel("forward", VOLTAGE, OUTPUT, (GEARS, ScaleStage(float(gain), 0.7)))
+        again = model.inverse().inverse()
+        rounded += again.stages[1] != model.stages[1]
+        assert again.digest == model.inverse().digest == model.digest
+    assert rounded > 3
+
+
+def test_a_whole_number_of_even_samples_shifts_exactly_though_the_quotient_is_rounded() -> None:
+    assert 0.3 / 0.1 < 3.0
+    x = 5.0 + np.random.default_rng(7).normal(size=50)
+    for steps in (0.1, np.full(50, 0.1)):
+        y, history = DelayStage(0.3).lag(x, steps, None)
+        assert y[3:].tobytes() == x[:-3].tobytes()
+        assert y[:3].tolist() == [x[0]] * 3  # before the first sample the first value holds
+        assert history is not None
+        rest, _ = DelayStage(0.3).lag(x, steps, history)
+        assert rest[:3].tobytes() == x[-3:].tobytes()
 
 
 def test_a_stamped_clock_shifts_whole_samples_exactly_there_and_back() -> None:
