@@ -62,10 +62,10 @@ int main(void) {
 """
 
 
-def identified() -> list[tuple[str, ActuatorModel, float]]:
-    """Return name, model and sample rate of each recording."""
+def identified(count: int) -> list[tuple[str, ActuatorModel, float]]:
+    """Return name, model and sample rate of the first recordings."""
     found = []
-    for name, (rate, voltage, displacement) in recordings().items():
+    for name, (rate, voltage, displacement) in list(recordings().items())[:count]:
         log = Recording(name, voltage, displacement, None, 1.0 / rate)
         found.append((name, identify([log], IdentificationOptions()).model, rate))
     return found
@@ -109,7 +109,7 @@ def compare(model: ActuatorModel, rate: float, direction: Any, arithmetic: Any, 
             error = np.abs(values - exact)
             always = np.logical_and.accumulate(gears == others)
             differing += float(np.count_nonzero(gears != others))
-            same, every = max(same, float(error[always].max())), max(every, float(error.max()))
+            same, every = max(same, float(error[always].max(initial=0.0))), max(every, float(error.max()))
     bounds = summary.bounds
     verdict = "ok" if same <= bounds["same_gears"] and every <= bounds["after_close_turn"] else "BEYOND"
     percent = [
@@ -163,7 +163,7 @@ def main() -> None:
     parser.add_argument("--models", type=int, default=10)
     parser.add_argument("--flood", type=int, default=0)
     options = parser.parse_args()
-    models = identified()[: options.models]
+    models = identified(options.models)
     print("errors and bounds in % of the output's range; gears differ: % of samples")
     print("model                   gears direction        same     bound       any     bound   differ")
     beyond = False

@@ -56,7 +56,7 @@ class Plays:
 
     def run(self, u: Floats) -> Floats:
         """Return the output for a drive of 0 to 1 that began at 0."""
-        radii = (np.arange(160) + 0.5) / 320.0
+        radii = np.asarray((np.arange(160) + 0.5) / 320.0, dtype=np.float64)
         density = radii**self.power * np.exp(-radii / self.reach)
         weights = density / float(density @ (1.0 - 2.0 * radii))
         summed = plays(u, radii, radii) @ weights - float(radii @ weights)
@@ -124,7 +124,8 @@ class Friction:
         radii = np.array(self.radii)
         moved = plays(u, radii, radii)
         weights = np.array(self.weights)
-        return (1.0 - weights.sum()) * u + (moved - radii) @ weights
+        out: Floats = (1.0 - weights.sum()) * u + (moved - radii) @ weights
+        return out
 
 
 Hysteresis = Plays | Relays | BoucWen | Friction

@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.identification import Identification, IdentificationOpti
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
-from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
+from dbo_cli.logs.reading_options import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.whole_output import write_whole
@@ -39,8 +39,8 @@ from dbo_cli.reports.thinned_curves import FigureData
 
 RATE = 200.0
 CYCLE = (3152, 3351)
-UNCOMPENSATED = "5052:6051"
-COMPENSATED = "11152:12151"
+UNCOMPENSATED = (5052, 6051)
+COMPENSATED = (11152, 12151)
 LAG = 1
 COLUMNS = {"voltage": "1", "measured": "5", "desired": "9"}
 
@@ -67,11 +67,10 @@ class Line:
         return f"{self.what:<48}{f'{self.published:g} {self.unit}':>11}{found:>14}{mark}".rstrip()
 
 
-def read(path: Path, roles: tuple[str, ...], rows: str, lag: int = 0) -> SampleBlock:
+def read(path: Path, roles: tuple[str, ...], rows: Rows) -> SampleBlock:
     """Return the wanted columns of the wanted rows."""
     wish = {role: ColumnWish(COLUMNS[role]) for role in roles}
-    options = ReadingOptions(sample_rate=RATE, rows=rows_to_read(parse_rows(rows), lag))
-    with open_log(str(path), wish, options) as log:
+    with open_log(str(path), wish, ReadingOptions(sample_rate=RATE, rows=rows)) as log:
         return log.read()
 
 
@@ -87,7 +86,7 @@ def existing(folder: Path, *names: str) -> Path:
 
 def identified(path: Path) -> Identification:
     """Identify as the paper does: 25 gears, one cycle, the mean of the sensor as zero."""
-    block = read(path, ("voltage", "measured"), f"{CYCLE[0]}:{CYCLE[1]}")
+    block = read(path, ("voltage", "measured"), CYCLE)
     recording = Recording(
         path.name, block.values["voltage"], block.values["measured"], None, 1.0 / RATE, "V", "um"
     )
@@ -98,7 +97,7 @@ def identified(path: Path) -> Identification:
 def modelled(path: Path, model: ActuatorModel) -> Iterator[PairBlock]:
     """Yield one cycle of the identification log beside the model, which has seen the cycle before."""
     first = CYCLE[0] - 200
-    block = read(path, ("voltage", "measured"), f"{first}:{CYCLE[1]}")
+    block = read(path, ("voltage", "measured"), (first, CYCLE[1]))
     voltage = block.values["voltage"]
     state = model.start(float(voltage[0]), "auto")
     output = model.simulate(voltage, state, time_step=1.0 / RATE).y
@@ -106,11 +105,9 @@ def modelled(path: Path, model: ActuatorModel) -> Iterator[PairBlock]:
     yield whole.part(200, len(whole))
 
 
-def tracked(path: Path, rows: str) -> Iterator[PairBlock]:
+def tracked(path: Path, rows: Rows) -> Iterator[PairBlock]:
     """Yield desired and measured displacement of the test log."""
-    block = read(path, ("desired", "measured", "voltage"), rows, LAG)
-    values = block.values
-    yield PairBlock(block.rows, values["desired"], values["measured"], block.time, values["voltage"])
+    yield PairBlock.of(read(path, ("desired", "measured", "voltage"), rows_to_read(rows, LAG)))
 
 
 def has_rows(path: Path, last: int) -> bool:
@@ -154,7 +151,7 @@ def reproduce(folder: Path, out: Path) -> int:
     second = existing(folder, "uncompensated.dat", "Test_Vi_Do_Di.dat")
     model = identified(first).model
     scale = model.stages[-1]
-    drive = read(first, ("voltage",), f"{CYCLE[0]}:{CYCLE[1] + 600}").values["voltage"]
+    drive = read(first, ("voltage",), (CYCLE[0], CYCLE[1] + 600)).values["voltage"]
     modelling = ReportOptions(remove_offset=True, labels=("model", "measured"))
     fit, fit_traces = evaluated("identification", modelled(first, model), modelling)
     tracking = ReportOptions(lag=LAG, remove_offset=True)

@@ -193,3 +193,26 @@ def test_latin_1_units_in_hdf5(dbo: Any, tmp_path: Path, model_file: Path) -> No
     outcome = dbo("compensate", "model.json", "log.h5")
     assert outcome.code == 0, outcome.err
     assert outcome.out.splitlines()[0] == "desired_um,voltage_V"
+
+
+def test_nothing_but_numbers_is_written(dbo: Any, model_file: Path, tmp_path: Path) -> None:
+    model = json.loads(model_file.read_text())
+    model["stages"][1]["gain"] = 1e308
+    model_file.write_text(json.dumps(model))
+    (tmp_path / "log.csv").write_text(LOG)
+    for words in ((), ("-o", "out.csv"), ("-o", "out.h5")):
+        with np.errstate(over="ignore"):
+            outcome = dbo("simulate", "model.json", "log.csv", *words)
+        assert outcome.code == 1
+        assert "column 'displacement_um' would hold a number that is not finite" in outcome.err
+        assert folder_content(tmp_path) == {"model.json", "log.csv"}
+
+
+def test_a_delay_of_too_many_samples_is_refused(dbo: Any, model_file: Path, tmp_path: Path) -> None:
+    model = json.loads(model_file.read_text())
+    model["stages"].append({"type": "delay", "seconds": 1.0})
+    model_file.write_text(json.dumps(model))
+    (tmp_path / "log.csv").write_text(LOG)
+    outcome = dbo("simulate", "model.json", "log.csv", "--sample-rate", "1e12")
+    assert outcome.code == 1
+    assert "1e-12 s is 1,000,000,000,000 times in the delay of 1 s" in outcome.err

@@ -46,7 +46,7 @@ def test_model_with_its_origin(dbo: Any, small_log: Path) -> None:
     assert (model["input"]["quantity"], model["input"]["unit"]) == ("voltage", "V")
     assert (model["output"]["quantity"], model["output"]["unit"]) == ("displacement", "um")
     assert model["fit"]["rmse"] < 0.1
-    assert model["provenance"]["program"] == "dbo 0.1.0"
+    assert model["provenance"]["program"] == "dbo 0.2.0"
     assert model["provenance"]["arguments"] == ["identify", "log.csv", *QUICK]
     [origin] = model["provenance"]["inputs"]
     assert (origin["name"], origin["rows"], len(origin["sha256"])) == ("log.csv", 480, 64)

@@ -264,6 +264,20 @@ def test_crossing_by_the_tolerance_keeps_the_gears_own_slope(chosen: Any) -> Non
     assert back[0] == pytest.approx(short, abs=1e-15)
 
 
+def test_a_gear_travelled_exactly_to_the_tolerance_counts_as_crossed(chosen: Any) -> None:
+    """Also where the samples before it stayed in the gear, which the compiled kernel hurries through."""
+    operator = DiscreteBacklashOperator([1.0, 2.0, 4.0], [1.0, 3.0, 5.0])
+    reach = 1.0 - 1e-9
+    quiet = [0.25, 0.5, 0.5, 0.75, 0.5, 0.25, 0.5]
+    below = np.nextafter(reach, 0.0)
+    assert operator.run([*quiet, below], operator.empty())[1].bits == 0
+    assert operator.run([*quiet, reach], operator.empty())[1].bits == 1
+    begun = BacklashState(1)
+    down = [1.0 - value for value in (*quiet, reach)]
+    assert operator.run(down, begun)[1].bits == 0
+    assert operator.run([*down[:-1], 1.0 - below], begun)[1].bits == 1
+
+
 def test_odd_values_end(chosen: Any) -> None:
     """The commands refuse NaN and inf; the kernel must survive them all the same."""
     operator = DiscreteBacklashOperator([1.0, 2.0], [1.0, 3.0])

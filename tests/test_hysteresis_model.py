@@ -9,6 +9,8 @@ import pytest
 from trials import Floats
 
 from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis.delay import read_ahead
+from dbo_cli.hysteresis.initial_states import start_drive, start_state
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -98,6 +100,78 @@ def test_first_value_that_the_settled_curve_steps_over_is_taken_nearest() -> Non
     assert drive.first_missed == pytest.approx(target - back.y[0], abs=1e-12)
     assert back.y[1] == pytest.approx(target, abs=1e-12)
     assert drive.clipped_count == 0
+
+
+def test_what_the_start_misses_is_told_in_the_unit_of_what_was_wanted() -> None:
+    gears = BacklashStage([1.0] * 4, [1.0, 2.0, 3.0, 4.0])
+    plain = ActuatorModel("forward", Quantity("v", "V", 0.0, 4.0), Quantity("y", "um", 0.0, 10.0), (gears,))
+    scaled = ActuatorModel(
+        "forward", plain.input, Quantity("y", "nm", 0.0, 1e4), (gears, ScaleStage(1e3, 0.0))
+    )
+    limits = DriveLimits(0.0, 4.0)
+    reached = np.array([plain.simulate([v], plain.start(v)).y[0] for v in np.linspace(0.0, 4.0, 401)])
+    jump = int(np.argmax(np.diff(reached)))
+    target = float(0.3 * reached[jump] + 0.7 * reached[jump + 1])
+    missed = []
+    for model, factor in ((plain, 1.0), (scaled, 1e3)):
+        begin = model.start_compensation(factor * target, "auto", limits)
+        missed.append(model.compensate([factor * target], begin, limits=limits).first_missed / factor)
+    assert abs(missed[0]) > 0.01
+    assert missed[1] == pytest.approx(missed[0], rel=1e-9)
+
+
+def test_a_start_beside_a_step_survives_rounding() -> None:
+    """The voltage of a start is written, read and scaled: a few last digits must not begin another state."""
+    rng = np.random.default_rng(5)
+    beside = 0
+    for _ in range(60):
+        gears = BacklashStage([0.144] * 25, 0.144 * np.sort(rng.uniform(0.3, 1.7, 25)), 0.3)
+        low, high = gears.y_range
+        for target in rng.uniform(low, high, 8):
+            found = start_drive(gears, float(target))
+            beside += abs(found.reached - target) > 1e-6
+            for nudged in (found.voltage * (1.0 + 4e-16), found.voltage * (1.0 - 4e-16)):
+                assert start_state(gears, nudged, "auto") == found.state
+    assert beside > 5  # the settled curve has steps, and some values lie in them
+
+
+def test_the_range_holds_to_the_last_bit_behind_points() -> None:
+    worst = 0.0
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        points = PointStage(rng.uniform(0.5, 1.5, 5), rng.uniform(0.5, 1.5, 5), rng.normal(), rng.normal())
+        low, high = points.y_range
+        gears = BacklashStage(np.full(9, (high - low) / 9), rng.uniform(0.3, 1.7, 9), low)
+        model = ActuatorModel(
+            "forward", Quantity("v", "V", *points.x_range), Quantity("y", None, 0.0, 9.0), (points, gears)
+        )
+        ends = np.sort(rng.uniform(*points.x_range, 2))
+        limits = DriveLimits(float(ends[0]), float(ends[1]))
+        desired = rng.uniform(-3.0, 12.0, 60)
+        begin = model.start_compensation(float(desired[0]), "auto", limits)
+        drive = model.compensate(desired, begin, limits=limits).y
+        worst = max(worst, float((drive - limits.v_max).max()), float((limits.v_min - drive).max()))
+    assert worst <= 0.0
+
+
+def test_the_step_before_the_very_first_sample_does_not_matter() -> None:
+    model = build(4, relaxation=True, delay=0.02)
+    x = np.linspace(*model.backlash.x_range, 40)
+    outputs = []
+    for first in (0.0, 0.005, 123.0):
+        steps = np.full(40, 0.005)
+        steps[0] = first
+        outputs.append(model.simulate(x, model.start(x[0]), time_step=steps).y.tobytes())
+    assert outputs[1:] == outputs[:1] * 2
+
+
+def test_a_stamped_clock_shifts_whole_samples_exactly_there_and_back() -> None:
+    x = np.random.default_rng(6).normal(size=200)
+    time = 0.1 + np.arange(200) * 0.1
+    shifted, _ = DelayStage(0.3).lag(x, np.diff(time, prepend=0.0), None)
+    assert shifted[3:].tobytes() == x[:-3].tobytes()
+    [(_, ahead)] = read_ahead([(None, time, shifted)], 0.3)
+    assert ahead[:-3].tobytes() == x[:-3].tobytes()
 
 
 @pytest.mark.parametrize("slew", [None, 40.0])

@@ -179,6 +179,28 @@ def test_settled_at_the_ends_and_halfway() -> None:
     assert even.inverse().settled(4.0) == even.settled(4.0)
 
 
+def test_a_tie_of_the_settled_state_is_decided_the_same_whatever_rounding_does() -> None:
+    for x0 in (0.0, 0.1, 0.3, -0.7, 1e3 + 0.1):
+        operator = DiscreteBacklashOperator([0.1] * 10, [0.1] * 10, x0)
+        low, high = operator.x_range
+        halfway = low + 0.5 * (high - low)
+        bits = [
+            operator.settled(voltage).bits
+            for voltage in (halfway, x0 + 0.5, np.nextafter(halfway, 1e4), np.nextafter(halfway, -1e4))
+        ]
+        assert bits == [bits[0]] * 4
+        assert bits[0] >> 9 == 1
+
+
+def test_the_first_sample_outside_is_named_behind_one_at_rest() -> None:
+    """With relaxation a sample at rest is a run of its own."""
+    terms = Relaxation(0.0, (0.1,), (0.05,))
+    operator = DiscreteBacklashOperator([1.0, 2.0], [1.0, 2.0], relaxation=terms)
+    x = [1.0, 2.0, 2.5, 4.0, 5.0]
+    _, _, counts = operator.run(x, operator.empty(), decay=terms.decay(0.01))
+    assert (counts.outside, counts.first_outside) == (2, 3)
+
+
 @pytest.mark.parametrize("group_size", [1, 4, 7])
 def test_engagement_makes_heights_linear_unknowns(group_size: int) -> None:
     rng = np.random.default_rng(12)

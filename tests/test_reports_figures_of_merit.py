@@ -55,6 +55,16 @@ def test_offset_removed():
     assert figures.rmse == pytest.approx(np.std(0.5 * np.sign(desired)), abs=1e-12)
 
 
+def test_the_largest_error_is_that_once_the_offset_is_off():
+    desired = np.arange(9.0)
+    error = np.array([10.0, 10.0, 12.0, 10.0, 10.0, 4.0, 10.0, 10.0, 10.0])
+    figures = figures_of(desired, desired + error, remove_offset=True)
+    assert figures.offset == pytest.approx(86.0 / 9.0)
+    assert (figures.max_abs, figures.max_abs_row) == (pytest.approx(86.0 / 9.0 - 4.0), 6)
+    kept = figures_of(desired, desired + error)
+    assert (kept.max_abs, kept.max_abs_row) == (12.0, 3)
+
+
 def test_perfect_tracking_is_exactly_zero():
     desired = sine(5000, 300) + 1e6
     figures = figures_of(desired, desired)

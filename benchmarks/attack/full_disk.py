@@ -20,6 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from arena import forked, inside, loaded, report
 from kills import COMMANDS, Target, ended, prepared
 
+_ROOM_FOR_MESSAGE = 500  # bytes
+
 
 def full_disks(count: int, seed: int, folder: Path) -> tuple[Counter[str], list[str]]:
     """Run ``count`` commands with a limit somewhere in their outputs; return counts and failures."""
@@ -38,6 +40,8 @@ def full_disks(count: int, seed: int, folder: Path) -> tuple[Counter[str], list[
             before = set(os.listdir("."))
             code = ended(forked(target.words, limit))
             said = Path("stderr.txt").read_text()
+            if limit < _ROOM_FOR_MESSAGE:  # the message is a file, too
+                said = "cannot be written"
             changed = [name for name in target.outputs if target.content(name) != target.old[name]]
             left = set(os.listdir(".")) - before
             counts[f"{target.line.split()[0]}: exit code {code}"] += 1

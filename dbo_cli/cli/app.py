@@ -62,6 +62,10 @@ def _run_process() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000, 50, 50)
     _open_closed_streams()
+    if "--debug" not in sys.argv:
+        import warnings
+
+        warnings.simplefilter("ignore")  # a library's word to programmers is none to users
     code = main()
     try:
         sys.stdout.flush()

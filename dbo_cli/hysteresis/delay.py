@@ -16,6 +16,7 @@ from dbo_cli.errors import InputError, ModelError
 Floats = NDArray[np.float64]
 Payload = TypeVar("Payload")
 
+MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
 _WHOLE = 1e-9  # a delay, or a time in samples, this close to a whole number of samples is that number
 
 
@@ -30,8 +31,9 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     gap = times[second] - times[first]
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(gap > 0.0, (wanted - times[first]) / gap, 0.0)
-    part = np.where(part < _WHOLE, 0.0, np.where(part > 1.0 - _WHOLE, 1.0, part))
-    return values[first] + part * (values[second] - values[first]), int(first[-1])
+    part = np.where(part < _WHOLE, 0.0, part)
+    between = values[first] + part * (values[second] - values[first])
+    return np.where(part > 1.0 - _WHOLE, values[second], between), int(first[-1])
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,11 @@ class DelayStage:
         samples = self.seconds / step
         whole = math.floor(samples + _WHOLE)
         part = max(samples - whole, 0.0)
+        if whole > MOST_DELAYED:
+            raise InputError(
+                f"time step: {step:g} s is {whole:,} times in the delay of {self.seconds:g} s, and more than "
+                f"{MOST_DELAYED:,} samples are not held back (a lower sample rate, or a shorter delay)"
+            )
         missing = whole + 1 - (values.size - count)
         if missing > 0:
             values = np.concatenate([np.full(missing, values[0]), values])

@@ -40,7 +40,6 @@ _REMARKS = frozenset(
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
 
-
 @dataclass(frozen=True)
 class ColumnWish:
     """A column that a command wants.
@@ -79,7 +78,9 @@ def split_header(header: str) -> tuple[str, str | None]:
         return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
     for pattern in (_SLASHED, _SUFFIXED):
         found = pattern.match(text)
-        if found and is_known_unit(found["unit"]) and found["quantity"].lower() not in _LETTERED:
+        if found is None or found["unit"].strip("[](){}<>") != found["unit"]:  # half a bracket is no unit
+            continue
+        if is_known_unit(found["unit"]) and found["quantity"].lower() not in _LETTERED:
             return found["quantity"].strip(), normalise_unit(found["unit"])
     return text, None
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.logs.clock import JITTER
 from dbo_cli.logs.hdf5_store import MARK
-from dbo_cli.logs.out_column import OutColumn, unique_headers
+from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
 
@@ -66,6 +66,7 @@ class Hdf5Writer:
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column."""
         parts = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
+        require_finite(self._names, parts)
         for kept, part in zip(self._kept, parts, strict=True):
             kept.append(part)
         if self._clock is not None:

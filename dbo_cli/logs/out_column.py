@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dbo_cli.errors import OutputError
 from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.units import is_known_unit
@@ -38,6 +42,22 @@ def unique_headers(columns: Sequence[OutColumn]) -> list[str]:
             header, number = f"{column.header}_{number}", number + 1
         headers.append(header)
     return headers
+
+
+def require_finite(headers: Sequence[str], arrays: Sequence[ArrayLike]) -> None:
+    """Refuse to write NaN or infinity: the model or the signal is beyond the range of the arithmetic.
+
+    Raises
+    ------
+    OutputError
+        An array holds one; its header is named.
+    """
+    for header, array in zip(headers, arrays, strict=True):
+        if not np.isfinite(array).all():
+            raise OutputError(
+                f"column '{header}' would hold a number that is not finite: the model or the signal is "
+                "beyond the range of the arithmetic"
+            )
 
 
 def header_cell(text: str, delimiter: str) -> str:

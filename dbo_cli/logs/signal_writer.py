@@ -14,7 +14,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import Address, parse_output
 from dbo_cli.logs.background_io import OneBehind
 from dbo_cli.logs.number_text import rows_as_text
-from dbo_cli.logs.out_column import OutColumn, header_cell, unique_headers
+from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, unique_headers
 from dbo_cli.logs.output_files import descriptor_of
 from dbo_cli.logs.whole_output import check_output, opened, replacing
 
@@ -45,7 +45,8 @@ class TextWriter:
         self._flush = flush
         self._may_lag = behind
         self._behind: OneBehind | None = None
-        cells = [header_cell(header, delimiter) for header in unique_headers(columns)]
+        self._headers = unique_headers(columns)
+        cells = [header_cell(header, delimiter) for header in self._headers]
         stream.write((delimiter.join(cells) + "\n").encode())
         if flush:
             stream.flush()
@@ -80,6 +81,7 @@ class TextWriter:
 
     def _append(self, arrays: Sequence[ArrayLike]) -> None:
         if np.size(arrays[0]):
+            require_finite(self._headers, arrays)
             self._stream.write(rows_as_text(arrays, self._delimiter))
 
 

@@ -102,10 +102,13 @@ class UnitFactor:
 ONE = UnitFactor()
 
 
+_MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
+
+
 def normalise_unit(text: str) -> str | None:
     """Spell a unit plainly: ``µm`` and ``microns`` are ``um``, ``Volts`` is ``V``; None for an empty one."""
-    plain = text.strip().strip("[](){}<>").strip().replace("µ", "u").replace("μ", "u").replace("°C", "degC")
-    plain = plain.replace("Ω", "ohm")
+    plain = text.strip().strip("[](){}<>").strip().replace("°C", "degC").replace("Ω", "ohm")
+    plain = _MICRO.sub("u", plain)
     return _SPELLED.get(plain.lower(), plain) or None
 
 

@@ -328,6 +328,10 @@ def _telling(path: str) -> Iterator[None]:
         raise
     except OSError as problem:
         raise OutputError(f"{path}: {reason_of(problem)}") from None
+    except RuntimeError as problem:  # HDF5 tells a full disk in this way when it closes a file
+        if _HDF5_ERRNO.search(str(problem)) is None:
+            raise
+        raise OutputError(f"{path}: {reason_of(OSError(str(problem)))}") from None
 
 
 def reason_of(problem: OSError) -> str:

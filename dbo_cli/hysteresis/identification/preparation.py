@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import spiked_rows
 from dbo_cli.hysteresis.identification.drift import drift_order, level_moves, with_drift_needed
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
 from dbo_cli.hysteresis.identification.recordings import (
@@ -359,6 +360,7 @@ def _leave_out_spikes(
         centre = float(np.median(values))
         sigma = 1.4826 * float(np.median(np.abs(values - centre)))
         far = used & (np.abs(residual - centre) > OUTLIER_SIGMAS * max(sigma, 1e-12))
+        far &= spiked_rows(np.where(used, residual, centre))
         if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
             found[place] = int(far.sum())
             notes.append(

@@ -209,7 +209,11 @@ def first_wiped_row(voltage: Floats) -> int:
 
 
 def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
-    """Median duration of a cycle in seconds over all logs, None where no log has a clock and a cycle."""
+    """Duration in seconds of the cycle in which the logs' middle second lies, None without clock or cycle.
+
+    Cycles count by their duration: of a drive with many small quick turns, the full sweeps say how late an
+    actuator may be.
+    """
     durations: list[Floats] = []
     for log in recordings:
         seconds = log.seconds()
@@ -218,4 +222,8 @@ def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
             durations.append(2.0 * np.diff(seconds[turns]))
         elif seconds is not None and len(turns) == 1:
             durations.append(np.array([seconds[-1]]))
-    return float(np.median(np.concatenate(durations))) if durations else None
+    if not durations:
+        return None
+    ordered = np.sort(np.maximum(np.concatenate(durations), 0.0))
+    past = np.cumsum(ordered)
+    return float(ordered[np.searchsorted(past, past[-1] / 2.0)])

@@ -48,6 +48,9 @@ BEND_TRIALS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
 BEND_GAIN = 0.1  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
 TIME_CONSTANT_RATIO = 3.0
 LONGEST_DELAY = 0.125  # of a cycle
+EVIDENT_DELAY_TRIALS = (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample periods
+EVIDENT_DELAY_GAIN = 0.7  # of the RMSE without one
+FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # sample periods
 CREEP_EVIDENCE = (
     0.02  # of the drive's range: how much a slow memory must move for creep to be told from drift
@@ -149,6 +152,8 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
     coarse = Basis(slopes_wanted, prepared.low, prepared.high, split, grid, orders.delay or 0.0)
     fine = max(FINE_SEGMENTS if orders.segments is None else orders.segments, 1)
     everything = tuple(range(len(grid)))
+    if orders.delay is None and period is not None and cycle is not None:
+        coarse = replace(coarse, delay=_evident_delay(logs, coarse, fine, period, cycle))
     first = gather(logs, coarse, fine)
     slopes, clockwise = _slopes(first, orders, everything, fine, prepared.one_amplitude)
     trial = Structure(slopes, everything, fine, START_SMOOTHNESS)
@@ -161,6 +166,28 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
         trial, fine = _finer_asymmetry(logs, basis, trial, prepared.one_amplitude)
     basis, trial, score = _gears(logs, basis, trial, orders, fine, prepared.one_amplitude)
     return Choice(basis, trial, score, interval, clockwise)
+
+
+def _evident_delay(
+    logs: Sequence[PreparedLog], coarse: Basis, segments: int, period: float, cycle: float
+) -> float:
+    """Delay in seconds that is seen at first sight, else 0: with it in the way, all else is chosen wrong.
+
+    (25 ms at 200 samples a second: 2 segments of asymmetry instead of 16, and 0.20 % of error for 0.03.)
+    """
+    structure = Structure("growing", tuple(range(len(coarse.time_constants))), segments, START_SMOOTHNESS)
+    errors: dict[float, float] = {}
+    for step in EVIDENT_DELAY_TRIALS:
+        if step * period > LONGEST_DELAY * cycle:
+            break
+        statistics = gather(logs, replace(coarse, delay=step * period), segments)
+        gram, rows = statistics.total()
+        vector = solve(gram, statistics.columns, structure, rows).vector
+        errors[step] = float(np.sqrt(squared_error(gram, vector)))
+        if errors[step] > min(errors.values()):
+            break
+    best = min(errors, key=lambda step: errors[step])
+    return best * period if errors[best] < EVIDENT_DELAY_GAIN * errors[0.0] else 0.0
 
 
 def _finer_asymmetry(
@@ -251,6 +278,8 @@ def _lag(
         middle = round((interval[0] + interval[1]) / 2.0 / period * 4.0) / 4.0 * period
         moved = replace(coarse, delay=middle)
     lagging = gather(logs, moved, first.columns.segments) if moved != coarse else first
+    if orders.delay is None and coarse.delay > 0.0:
+        return moved, trial, interval  # without any delay the fit was far worse
     scores = [cross_validate(first, plain), cross_validate(lagging, trial)]
     return (coarse, plain, interval) if simplest_of(scores) == 0 else (moved, trial, interval)
 
@@ -281,12 +310,16 @@ def _delays(
         tried[step] = error(step * period)
         if len(tried) > 4 and tried[step] > 1.5 * min(tried.values()):
             break
-    best = min(tried, key=lambda step: tried[step])
-    for width in (0.5, 0.25):
-        for step in (best - width, best + width):
-            if step > 0.0 and step not in tried and step * period <= LONGEST_DELAY * cycle:
-                tried[step] = error(step * period)
+    while True:  # halve the gaps beside the best until they are a quarter of a sample
         best = min(tried, key=lambda step: tried[step])
+        beside = [step for step in tried if step != best]
+        below = max((step for step in beside if step < best), default=best)
+        above = min((step for step in beside if step > best), default=best)
+        between = [(best + step) / 2.0 for step in (below, above) if abs(step - best) > FINEST_DELAY_STEP]
+        if not between:
+            break
+        for step in between:
+            tried[step] = error(step * period)
     return scanned
 
 

@@ -1,0 +1,193 @@
+"""Rules of the identification, each alone: units, ends, signs and special cases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_hysteresis_identification_parts import prepared as prepared_log
+from test_hysteresis_identification_parts import sine
+
+from dbo_cli.hysteresis.identification.assembly import MARGIN, stages_of
+from dbo_cli.hysteresis.identification.evaluation import predict, validation_of
+from dbo_cli.hysteresis.identification.normal_equations import (
+    SLOPE_FLOOR,
+    Columns,
+    Structure,
+    penalties,
+    solve,
+)
+from dbo_cli.hysteresis.identification.paper_method import SHRUNK, _few_heights
+from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
+from dbo_cli.hysteresis.identification.recordings import Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.refinement import Fitted, _rows_about, asymmetry
+from dbo_cli.hysteresis.identification.regressors import Basis
+from dbo_cli.hysteresis.identification.search import Orders, choose
+from dbo_cli.hysteresis.identification.selection import Score, no_worse
+from dbo_cli.hysteresis.identification.statistics import gather
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
+
+
+def small_model() -> ActuatorModel:
+    """Return a model of 0 to 10 V and 0 to 4 um."""
+    gears = BacklashStage([2.0, 3.0, 5.0], [0.1, 0.3, 0.6])
+    return ActuatorModel(
+        "forward",
+        Quantity("voltage", "V", 0.0, 10.0),
+        Quantity("displacement", "um", 0.0, 4.0),
+        (gears, ScaleStage(4.0, 0.0)),
+    )
+
+
+def fitted_with(basis: Basis, gains: list[float] | None = None) -> tuple[Fitted, Prepared]:
+    heights = np.linspace(0.5, 1.5, basis.gears) / basis.gears
+    knots, drift = np.array([0.0, 0.4, 1.0]), np.array([0.25])
+    ready = Prepared((), (), basis.low, basis.high, 3.0, 7.0, (), (), ())
+    return Fitted(basis, heights, np.array(gains or []), 0.05, knots, drift), ready
+
+
+# --- from numbers to stages ---
+
+
+def test_gears_go_on_beyond_the_range_of_the_logs_at_either_end() -> None:
+    basis = Basis(8, 10.0, 50.0, 4)
+    fitted, ready = fitted_with(basis)
+    backlash = next(s for s in stages_of(fitted, ready, 0.0) if isinstance(s, BacklashStage))
+    assert MARGIN >= 0.1
+    assert backlash.x_range == pytest.approx((10.0 - MARGIN * 40.0, 50.0 + MARGIN * 40.0))
+    assert np.all(backlash.dx == backlash.dx[0])
+
+
+def test_the_gains_of_memories_are_output_per_volt_and_zero_is_where_it_was_asked_for() -> None:
+    basis = Basis(8, 10.0, 50.0, 4, (0.01, 0.1, 1.0))
+    fitted, ready = fitted_with(basis, [0.02, 0.0, 0.04])
+    plain, shifted = (stages_of(fitted, ready, shift) for shift in (0.0, 2.0))
+    terms = next(s for s in plain if isinstance(s, BacklashStage)).relaxation
+    assert terms is not None
+    assert (terms.reference, terms.tau) == (10.0, (0.01, 1.0))
+    assert terms.gain == pytest.approx((0.02 / 40.0, 0.04 / 40.0))
+    before, after = (next(s for s in stages if isinstance(s, ScaleStage)) for stages in (plain, shifted))
+    assert (before.gain, before.offset) == pytest.approx((3.0, 7.0 + 3.0 * 0.25))
+    assert after.offset == pytest.approx(before.offset - 2.0)
+
+
+# --- judging a model on another log ---
+
+
+def test_validation_takes_the_sensors_offset_off_and_nothing_else() -> None:
+    model = small_model()
+    voltage = np.concatenate([sine(4), sine(3, high=6.0)])
+    log = Recording("other", voltage, np.zeros(len(voltage)), sample_period=0.01)
+    error = 0.01 * np.sin(np.arange(len(voltage)))
+    log = replace(log, displacement=predict(model, log) + 123.0 + error)
+    found = validation_of(model, log, 0.0)
+    kept = error[found.rows]
+    assert found.values == pytest.approx(kept - kept.mean(), abs=1e-12)
+    assert found.rmse < 0.01
+
+
+def test_validation_leaves_out_what_came_before_both_ends_were_visited() -> None:
+    model = small_model()
+    voltage = np.concatenate([[4.0], np.linspace(4.0, 10.0, 30), sine(6)[::-1]])
+    log = Recording("other", voltage, np.zeros(len(voltage)), sample_period=0.01)
+    wiped = first_wiped_row(voltage)
+    assert 30 < wiped < 100
+    history = np.where(np.arange(len(voltage)) < wiped, 0.5, 0.0)
+    found = validation_of(model, replace(log, displacement=predict(model, log) + history), 0.0)
+    assert found.rows[0] == wiped
+    assert found.rmse < 1e-12
+
+
+# --- the bounded problem ---
+
+
+def test_no_gear_is_flat() -> None:
+    basis, voltage = Basis(10, 0.0, 10.0), sine(4)
+    flat = np.array([0.0, 0.0, 0.0, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2, 0.2])
+    engaged, _ = basis.operator().engagement(voltage, basis.operator().empty())
+    output = engaged @ flat
+    statistics = gather([prepared_log(voltage, output)], basis, 1)
+    gram, rows = statistics.total()
+    solution = solve(gram, statistics.columns, Structure("free", (), 1, 0.0), rows)
+    assert solution.heights.min() == pytest.approx(SLOPE_FLOOR / 10, rel=1e-6)
+
+
+def test_one_smoothness_means_the_same_for_any_number_of_gears() -> None:
+    def weight(gears: int) -> float:
+        at = (np.arange(gears) + 0.5) / gears
+        heights = (0.5 + at**2) / gears
+        return float(
+            heights @ penalties(Columns(gears, 0, 1, 0), Structure("free", (), 1, 1e-6), 1e4) @ heights
+        )
+
+    assert weight(64) == pytest.approx(weight(512), rel=0.05)
+
+
+def test_rows_of_the_output_error_leave_the_output_error_over() -> None:
+    """At the point about which they are linearised."""
+    basis = Basis(6, 0.0, 10.0, 2, (0.1,))
+    knots = np.array([0.0, 0.2, 0.55, 0.7, 1.0])
+    heights, gains = np.linspace(0.1, 0.2, 6), np.array([0.03])
+    fitted = Fitted(basis, heights, gains, 0.02, knots, np.array([0.0]))
+    rng = np.random.default_rng(3)
+    drive = rng.uniform(0.0, 1.0, (50, 7))
+    output = rng.uniform(0.0, 1.0, 50)
+    known, target = _rows_about(fitted)(drive, output)
+    moved = knots[1:-1] - np.array([0.25, 0.5, 0.75])
+    predicted = asymmetry(drive @ np.concatenate((heights, gains)) + 0.02, knots)[0]
+    left = target - known @ np.concatenate((heights, gains, moved))
+    assert left == pytest.approx(output - predicted, abs=1e-12)
+
+
+def test_few_gears_are_not_flat_either() -> None:
+    basis = Basis(8, 0.0, 10.0, 4)
+    fine = np.array([0.0, 0.0, 0.0, 0.0, 0.25, 0.25, 0.25, 0.25])
+    widths = np.full(5, 2.0)
+    heights = _few_heights(sine(1), basis, fine, widths)
+    assert len(SHRUNK) > 3
+    assert np.all(heights >= SLOPE_FLOOR * widths / 10.0 * (1.0 - 1e-9))
+
+
+# --- choosing ---
+
+
+def test_the_standard_error_is_that_of_the_mean() -> None:
+    """Over ten folds it is a third of their scatter: a loss between the two is not excused."""
+    scatter = np.tile([0.035, 0.015], 5)  # mean 0.025, deviation 0.01
+    best = Score(np.ones(10), np.full(10, 0.1))
+    candidate = Score(np.exp(2.0 * scatter), np.full(10, 0.1))
+    assert not no_worse(candidate, best, indifference=0.0)
+    wide = Score(np.exp(2.0 * (0.009 + 10.0 * (scatter - 0.025))), np.full(10, 0.1))  # deviation 0.1
+    assert no_worse(wide, best, indifference=0.0)
+    wider = Score(np.exp(2.0 * (0.025 + 6.0 * (scatter - 0.025))), np.full(10, 0.1))  # deviation 0.06
+    assert not no_worse(wider, best, indifference=0.0)
+
+
+def test_the_delay_is_the_middle_of_those_that_explain_the_log() -> None:
+    rng = np.random.default_rng(12)
+    voltage = sine(12, samples=200)
+    seconds = 0.001 * np.arange(len(voltage))
+    model = small_model()
+    log = Recording("log", voltage, np.zeros(len(voltage)), time=seconds)
+    late = np.interp(seconds - 0.0063, seconds, predict(model, log))
+    log = replace(log, displacement=late + 0.05 * rng.normal(size=len(voltage)))
+    found = choose(prepare([log], 0.0), Orders(gears=12, segments=1, time_constants=()), 0.2)
+    assert found.delay_interval is not None
+    low, high = found.delay_interval
+    assert high - low >= 0.0005
+    assert found.basis.delay == pytest.approx((low + high) / 2.0, abs=0.000126)
+    assert abs(found.basis.delay - low) >= 0.0002
+
+
+# --- sign and scale ---
+
+
+def test_the_sign_of_the_gain_is_read_from_all_logs_and_one_spike_does_not_turn_it() -> None:
+    voltage = sine(3)
+    rising, falling = Recording("a", voltage, 0.5 * voltage), Recording("b", voltage, -0.5 * voltage)
+    assert (gain_sign([rising]), gain_sign([falling])) == (1.0, -1.0)
+    spiked = 0.5 * voltage
+    spiked[int(np.argmin(voltage))] = 1e6
+    assert gain_sign([Recording("c", voltage, spiked)]) == 1.0
+    assert np.ptp(without_outliers(spiked)) < 5.1
