@@ -51,6 +51,7 @@ ANY = {
     for prefix, size in {"": 1.0, "p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}.items()
     for unit, base in (("V", 1.0), ("m", 1e6))
 } | {name: size for table in (VOLTS, MICROMETRES) for name, size in table.items()}
+ANY |= {"μV": 1e-6, "meter": 1e6, "meters": 1e6, "metre": 1e6, "%": 1.0}
 NO_TIMES = (
     "ticks", "samples", "counts", "cycles", "frames", "furlongs", "V", "m", "pts", "a.u.", "100us", "1",
 )  # fmt: skip
@@ -189,7 +190,11 @@ class HeaderFuzz:
             ["as written"] * 3 + ["slip", "slip", "text inside", "text inside, rate", "units lost"]
         )
         if mutation == "slip":
-            head[0] = self.slipped(head[0])
+            line = self.slipped(head[0])
+            cells = line.split(mark)
+            kept = [at for at, (name, _, _) in enumerate(columns) if name in OTHERS]
+            if len(cells) != len(names) or all(cells[at] == names[at] for at in kept):
+                head[0] = line  # a slip in another column's name may make it a signal's: that is no slip then
         elif mutation == "units lost" and len(head) > 1:
             head.pop()
         elif mutation.startswith("text inside"):

@@ -71,7 +71,7 @@ def split_header(header: str) -> tuple[str, str | None]:
     """Split a header cell into its quantity and its normalised unit (or None)."""
     text = " ".join(header.split())
     found = _BRACKETED.match(text)
-    if found and found["quantity"]:
+    if found and found["quantity"] and not is_torn(text):
         inner = found["unit"].strip().lower()
         if _INDEX.fullmatch(inner) or inner in _REMARKS:
             return text, None
@@ -83,6 +83,11 @@ def split_header(header: str) -> tuple[str, str | None]:
         if is_known_unit(found["unit"]) and found["quantity"].lower() not in _LETTERED:
             return found["quantity"].strip(), normalise_unit(found["unit"])
     return text, None
+
+
+def is_torn(text: str) -> bool:
+    """Tell whether brackets do not fit together: what they state cannot be told."""
+    return any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}"))
 
 
 def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
@@ -214,13 +219,8 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
     lesser = [column for column in measuring if _has_lesser_name(column, wish)]
     if not (found or letters or lesser):
         return []
-    if not found:  # and what nobody knows may be it as well, where no unit speaks for the lesser name
-        sure = all(kind_of_unit(column.unit) in wish.channel_kinds for column in [*letters, *lesser])
-        long_names = [name for name in wish.guesses if len(name) >= 4]
-        for column in fitting:
-            unknown = not sure and column.unit is None and _is_unknown(column, wish)
-            if unknown or any(name in column.quantity.lower() for name in long_names):  # positionmm
-                slips.append(column)
+    if not any(column.quantity.lower() in wish.guesses for column in found):
+        slips += _suspects(fitting, wish, bool(found), [*letters, *lesser])
     numbers = {column.number for column in [*found, *letters, *measuring, *slips]}
     return [column for column in fitting if column.number in numbers]
 
@@ -236,10 +236,28 @@ def _resembles(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Tell whether one of a column's words is a long name but for one letter."""
     return any(
         _one_letter_off(word, name)
-        for word in _words(column.quantity)
+        for word in [*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())]
         for name in wish.guesses
         if len(name) >= 4 and abs(len(word) - len(name)) <= 1 and word not in wish.foreign
     )
+
+
+def _suspects(
+    fitting: Sequence[ColumnInfo], wish: ColumnWish, found: bool, others: Sequence[ColumnInfo]
+) -> list[ColumnInfo]:
+    """Find what may be meant beside a column that has no whole name: names run together, letters in words.
+
+    Where no unit speaks for what was found by a lesser name, whatever nobody knows may be meant.
+    """
+    sure = found or all(kind_of_unit(column.unit) in wish.channel_kinds for column in others)
+    long_names = [name for name in wish.guesses if len(name) >= 4]
+    return [
+        column
+        for column in fitting
+        if any(name in column.quantity.lower() for name in long_names)  # positionmm
+        or set(_words(column.quantity)) & set(wish.letters)
+        or (not sure and column.unit is None and _is_unknown(column, wish))
+    ]
 
 
 def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:

@@ -281,6 +281,8 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
     """Split a header line in the way that gives as many cells as the data have columns."""
     ways = [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
     ways.append(split_cells(text, shape.delimiter))
+    if shape.delimiter != BLANKS and shape.delimiter in text:
+        ways = ways[-1:]  # taken apart at blanks instead, one name too few would shift all the others
     ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
     ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)])
     ways.append(text.split())

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import contradicted_unit
+from dbo_cli.logs.columns import contradicted_unit, is_torn
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import ONE, UnitFactor, kind_of_unit
 
@@ -110,6 +110,8 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     """
     if given is not None:
         return StatedTime(*parse_time_unit(given))
+    if column.unit is None and is_torn(column.quantity):
+        raise InputError(_unknown(place, column, column.quantity))
     words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
     units = {_UNIT_OF[word] for word in words if word in _WORDS}
     behind = _behind(column.quantity)
