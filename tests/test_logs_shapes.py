@@ -112,7 +112,7 @@ def test_numbers_survive_both_ways(tmp_path: Path) -> None:
 
 
 def test_what_is_taken_for_a_plain_log_has_no_instruments_header(tmp_path: Path) -> None:
-    """A log of one line of names above numbers is not shown to the makers' readers: they would find nothing."""
+    """One line of names above numbers is not shown to the makers' readers: they would find nothing there."""
     contents = [shape.content for shape in READABLE]
     for number, one in enumerate(INSTRUMENT_FILES):
         one.write(path := tmp_path / f"{number}{one.ending}")
