@@ -159,11 +159,11 @@ def test_the_range_wins_over_the_slew_limit(chosen: Any) -> None:
 @needs_compiled
 def test_point_kernels_agree_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
-    for m, x0 in ((1, 0.3), (2, 0.3), (3, 0.3), (17, 0.3), (17, 0.0), (200, 0.0)):
-        operator = DiscretePointOperator(rng.uniform(0.1, 1.0, m), rng.uniform(0.1, 1.0, m), x0, -7.0)
+    for m in (1, 2, 3, 17, 200):
+        operator = DiscretePointOperator(rng.uniform(0.1, 1.0, m), rng.uniform(0.1, 1.0, m), 0.3, -7.0)
         low, high = operator.x_range
         x = rng.uniform(low - 1.0, high + 1.0, 500)
-        x[: m - 1] = low + operator.segments[1:, 0]  # with x0 = 0 the breakpoints themselves, from below
+        x[: m - 1] = low + operator.segments[1:, 0][:500]
         outputs = []
         for chosen in (COMPILED, kernel.PythonKernel):
             monkeypatch.setattr(kernel, "CHOSEN", chosen)
