@@ -19,7 +19,7 @@ from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time
+from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
@@ -365,4 +365,6 @@ def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
             stamps = [column for column in some if column.written in writings]
             if stamps:
                 return stamps
+    if not found and columns and columns[0].written == "numbers" and time_unit(columns[0].unit or ""):
+        return [one for one in columns if time_unit(one.unit or "")]  # an oscilloscope's "Source" in Second
     return found
