@@ -347,8 +347,6 @@ def find_time_column(
         names = " or ".join(f"'{column.name}'" for column in found)
         raise InputError(f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
     if not found:
-        if options.time_unit is not None:
-            raise InputError(f"{place}: no column is recognised as the time (`time` COLUMN names it)")
         return FoundTime(None, [], [])
     clock = time_column(place, found[0], columns, options.time_unit)
     return FoundTime(clock, list(clock.picks.values()), [])

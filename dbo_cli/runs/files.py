@@ -17,8 +17,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.addresses import check_format, format_for, parse_output
+from dbo_cli.logs.addresses import check_document, check_format, format_for, parse_output
 from dbo_cli.logs.columns import ColumnWish, split_header
+from dbo_cli.logs.joined_logs import other_file, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
@@ -48,11 +49,17 @@ class Destination:
     live: bool = False
     command: str = ""
 
+    def beside(self, *selectors: str | None) -> Destination:
+        """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
+        return dataclasses.replace(self, protect=[*self.protect, *selected_files(*selectors)])
+
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
         if list(self.protect).count("-") > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
         parse_output(self.output)
+        if self.save_state is not None:
+            check_document(self.save_state, "a state", "json")
         check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
 
 
@@ -68,6 +75,7 @@ def simulate_log(
     listener: Listener = SILENT,
 ) -> Remarks:
     """Run a model over its input signal; write time (when known), the input column and the result."""
+    destination = destination.beside(column, reading.time)
     destination.check()
     _check_order(model_file, log_file)
     check_format(reading.format, [log_file, destination.output])
@@ -106,6 +114,7 @@ def compensate_trajectory(
 ) -> Remarks:
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
     check_range(v_min, v_max)
+    destination = destination.beside(column, voltage, measured, reading.time)
     destination.check()
     _check_order(model_file, trajectory)
     check_format(reading.format, [trajectory, destination.output])
@@ -153,6 +162,7 @@ def _recorded(
 
 def invert_model(model_file: str, output: str) -> ActuatorModel:
     """Write the exact inverse of a model."""
+    check_document(output, "a model", "json")
     inverse = read_model(model_file).inverse()
     write_whole(output, model_to_bytes(inverse), protect=[model_file])
     return inverse
@@ -254,7 +264,8 @@ def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
     stated = split_header(column.name)[1]
-    name = column.name if column.quantity else taken.quantity
+    named = other_file(column.name)  # the column of another file goes by its own name
+    name = (named[1] if named else column.name) if column.quantity else taken.quantity
     if stated is not None and stated != column.unit:
         name = column.quantity  # converted: the unit in its name is no longer its own
     return OutColumn(name, column.unit or taken.unit, taken.quantity)
@@ -295,7 +306,9 @@ def identify_logs(
     """Identify a model from logs and write it; ``reading.rows`` are not those of the validation's logs."""
     from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings, read_recordings
 
-    check_output(output, [*logs, *validation])
+    check_document(output, "a model", "json")
+    beside = selected_files(voltage, displacement, reading.time)
+    check_output(output, [*logs, *validation, *beside])
     check_format(reading.format, [*logs, *validation])
     fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
     columns = {"voltage": voltage, "displacement": displacement}

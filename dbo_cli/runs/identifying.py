@@ -12,6 +12,7 @@ from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.addresses import format_for
+from dbo_cli.logs.joined_logs import without_folder
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
@@ -137,7 +138,7 @@ def arguments_of(logs: Sequence[str], validation: Sequence[str], chosen: Mapping
             words.append("--" + name.replace("_", "-"))
             if one is not True:
                 words.append(_word(one))
-    return [cleaned(word) for word in words]
+    return [cleaned(without_folder(word)) for word in words]
 
 
 def chosen_of(options: IdentificationOptions) -> dict[str, object]:
