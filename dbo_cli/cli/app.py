@@ -30,7 +30,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say("interrupted")
         return INTERRUPTED
-    except Exception as problem:
+    except SystemExit:
+        raise
+    except BaseException as problem:  # a library's panic is no Exception
         if "--debug" in words:
             import traceback
 
@@ -95,7 +97,7 @@ def _dispatch(words: list[str]) -> int:
     return run_command(words)
 
 
-def _tell(problem: Exception, words: list[str]) -> int:
+def _tell(problem: BaseException, words: list[str]) -> int:
     """Say in one line what went wrong and return the exit code that belongs to it."""
     if isinstance(problem, DboError):
         _say(f"error: {problem}")
