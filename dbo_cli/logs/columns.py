@@ -337,15 +337,29 @@ def choose_columns(
             if len(found) == 1:
                 chosen[role] = found[0]
             elif found or wish.required:
-                raise InputError(_not_unique(place, role, columns, found, wish.option))
+                raise InputError(_not_unique(place, role, columns, found, wish))
     return {role: chosen[role] for role in want if role in chosen}
 
 
 def _not_unique(
-    place: str, role: str, columns: Sequence[ColumnInfo], found: Sequence[ColumnInfo], option: str
+    place: str, role: str, columns: Sequence[ColumnInfo], found: Sequence[ColumnInfo], wish: ColumnWish
 ) -> str:
+    choose = f"`{wish.option}` NAME or NUMBER"
+    role += " signal" if role in ("desired", "measured") else ""
     if found:
         names = " or ".join(f"'{column.name}'" for column in found)
-        return f"{place}: which column is the {role}, {names}? (choose with `{option}` NAME or NUMBER)"
+        return f"{place}: which column is the {role}, {names}? (choose with {choose})"
+    wanted = [one for one in columns if is_order(one, wish)]
+    if wanted:
+        return (
+            f"{place}: no column is recognised as the {role}: '{wanted[0].name}' is what was wanted, not what was "
+            f"measured (play the drive and record the sensor beside it; another column: {choose})"
+        )
     there = list_columns(columns)
-    return f"{place}: no column is recognised as the {role}: {there} (choose with `{option}` NAME or NUMBER)"
+    return f"{place}: no column is recognised as the {role}: {there} (choose with {choose})"
+
+
+def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether a column says what was wanted, where what was measured is looked for."""
+    unit_fits = wish.kinds is None or column.unit is None or kind_of_unit(column.unit) in wish.kinds
+    return "desired" in wish.contrary and unit_fits and bool(wish.contrary & set(_words(column.name)))

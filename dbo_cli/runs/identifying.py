@@ -12,6 +12,7 @@ from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.addresses import format_for
+from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.joined_logs import without_folder
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.provenance import program_version_string
@@ -70,8 +71,15 @@ def read_recordings(
 
     def read(address: str, options: ReadingOptions) -> RecordedLog:
         told = dataclasses.replace(options, format=format_for(address, options.format))
-        with open_log(address, recording_wishes(voltage, displacement), told, digest=True) as log:
+        wishes = recording_wishes(voltage, displacement)
+        with open_log(address, wishes, told, digest=True) as log:
             listener.opened(log.describe())
+            taken = log.columns["displacement"]
+            if is_order(taken, wishes["displacement"]):
+                log.warnings.append(
+                    f"{log.name}: column '{taken.name}' is what was wanted, by its name, not what was "
+                    "measured: what is identified is how the drive was computed, not the actuator"
+                )
             for role, unit in units.items():
                 log.convert(role, unit, "the first log is")
             recording = recording_of(log, names.get(address))
