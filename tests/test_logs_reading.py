@@ -91,6 +91,8 @@ def test_columns_are_told_apart(header: str, roles: tuple[str, ...], taken: str,
         ("displacement_um", ("voltage",), "no column is recognised as the voltage"),
         ("Snsor voltage (V),Piezo votage (mV),position (um)", IDENTIFY, "which column is the voltage"),
         ("voltage,x,positionmm", IDENTIFY, "'x' or 'positionmm'?"),
+        ("voltage,Sensor voltage (V),Wegµm", IDENTIFY, "'Sensor voltage (V)' or 'Wegµm'?"),
+        ("voltage,position 2,Posi)tion [um]", IDENTIFY, "'position 2' or 'Posi)tion [um]'?"),
     ],
 )
 def test_what_may_be_meant_is_asked_about(
@@ -271,3 +273,11 @@ def test_changed_headers_are_read_right_or_something_is_said(seed: int, tmp_path
     assert fuzz.failures == []
     assert set(fuzz.outcomes) == {"right", "refused", "warned", "said in the line"}
     assert fuzz.outcomes["right"] > 120
+
+
+def test_a_header_with_one_name_too_few_is_not_taken_apart_at_its_words(tmp_path: Path) -> None:
+    path = tmp_path / "log.tsv"
+    rows = "".join(f"{k}.5\t{k}.25\t{k}.75\t{k}.125\n" for k in range(9))
+    path.write_text(f"Desired (um)\ty/micron\tu/volts\n{rows}")
+    with pytest.raises(InputError, match=r":2: 4 cells where the header names 3 columns"):
+        open_log(str(path), {"voltage": wish("voltage")})

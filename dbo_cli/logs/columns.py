@@ -20,6 +20,10 @@ _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\
 _SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
+_PREFIXED = re.compile(
+    r"(?P<quantity>.+?)[_ /-](?P<prefix>milli|micro|nano|pico|kilo|mega|centi)", re.IGNORECASE
+)
+
 _INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
 _BESIDES = frozenset(
     ("n", "no", "index", "idx", "row", "sample", "flag", "temp", "temperature", "loop", "cycle", "trigger",
@@ -80,8 +84,12 @@ def split_header(header: str) -> tuple[str, str | None]:
         found = pattern.match(text)
         if found is None or found["unit"].strip("[](){}<>") != found["unit"]:  # half a bracket is no unit
             continue
-        if is_known_unit(found["unit"]) and found["quantity"].lower() not in _LETTERED:
-            return found["quantity"].strip(), normalise_unit(found["unit"])
+        quantity, unit = found["quantity"].strip(), found["unit"]
+        apart = _PREFIXED.fullmatch(quantity)
+        if apart is not None:  # milli volts
+            quantity, unit = apart["quantity"].rstrip(" /"), apart["prefix"] + unit
+        if is_known_unit(unit) and quantity.lower() not in _LETTERED:
+            return quantity, normalise_unit(unit)
     return text, None
 
 
@@ -254,10 +262,22 @@ def _suspects(
     return [
         column
         for column in fitting
-        if any(name in column.quantity.lower() for name in long_names)  # positionmm
+        if any(name in _letters(column) for name in long_names)  # positionmm, Posi)tion
+        or _runs_into_unit(column, wish)
         or set(_words(column.quantity)) & set(wish.letters)
         or (not sure and column.unit is None and _is_unknown(column, wish))
     ]
+
+
+def _letters(column: ColumnInfo) -> str:
+    return "".join(re.findall(r"[^\W_]+", column.quantity.lower()))
+
+
+def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether a name and a unit of the right kind stand without anything between them: Wegµm."""
+    word = _letters(column)
+    ends = [word[len(name) :] for name in (*wish.guesses, *wish.letters) if word.startswith(name)]
+    return any(kind_of_unit(normalise_unit(end)) in wish.channel_kinds for end in ends if end)
 
 
 def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -352,8 +372,8 @@ def _not_unique(
     wanted = [one for one in columns if is_order(one, wish)]
     if wanted:
         return (
-            f"{place}: no column is recognised as the {role}: '{wanted[0].name}' is what was wanted, not what was "
-            f"measured (play the drive and record the sensor beside it; another column: {choose})"
+            f"{place}: no column is recognised as the {role}: '{wanted[0].name}' is what was wanted, not "
+            f"what was measured (play the drive and record the sensor beside it; another column: {choose})"
         )
     there = list_columns(columns)
     return f"{place}: no column is recognised as the {role}: {there} (choose with {choose})"
