@@ -132,10 +132,11 @@ def _where_to_look(words: list[str]) -> str:
 
 def _say(text: str) -> None:
     """Print one line on stderr, whatever line breaks the text came with."""
-    from dbo_cli.cli.messages import shell_line
+    from dbo_cli.cli.messages import Progress, shell_line
 
     try:
-        print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
+        begin = Progress.ERASE if sys.stderr.isatty() else ""  # over what a long run has shown so far
+        print(begin + "dbo: " + shell_line(text), file=sys.stderr, flush=True)
     except OSError:
         pass  # stderr is gone: the exit code still says it
 

@@ -314,6 +314,11 @@ def identify_logs(
     columns = {"voltage": voltage, "displacement": displacement}
     chosen = {name: column for name, column in columns.items() if column is not None}
     arguments = arguments_of(logs, validation, chosen_of(options) | reading.chosen() | chosen)
-    found = identify_recordings(fitted, options, checks, arguments)
+    rows = sum(len(log.recording.voltage) for log in fitted)
+    listener.working(f"fitting {rows:,} rows")
+    try:
+        found = identify_recordings(fitted, options, checks, arguments)
+    finally:
+        listener.finished()
     write_whole(output, model_to_bytes(found.model))
     return found

@@ -42,9 +42,13 @@ class Identified:
     remarks: Remarks
 
 
-def recording_of(source: Source, name: str | None = None) -> Recording:
+def recording_of(source: Source, name: str | None = None, listener: Listener = SILENT) -> Recording:
     """Read a source whole."""
-    block = joined(list(source.blocks()))
+    blocks = []
+    for one in source.blocks():
+        blocks.append(one)
+        listener.progressed(len(one))
+    block = joined(blocks)
     rate = source.even_rate
     return Recording(
         name or source.name,
@@ -82,7 +86,7 @@ def read_recordings(
                 )
             for role, unit in units.items():
                 log.convert(role, unit, "the first log is")
-            recording = recording_of(log, names.get(address))
+            recording = recording_of(log, names.get(address), listener)
             units.update({role: column.unit for role, column in log.columns.items()})
             record = dict(log.record()) | {"read": log.reading_record()}
             return RecordedLog(recording, record, remarks_of(log))
