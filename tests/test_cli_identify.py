@@ -59,7 +59,8 @@ def test_what_was_wanted_is_no_measurement(dbo: Any, small_log: Path) -> None:
     assert refused.code == 1
     assert refused.err == (
         "dbo: error: drive.csv: no column is recognised as the displacement: 'desired_um' is what was wanted, not what "
-        "was measured (play the drive and record the sensor beside it; another column: --displacement NAME or NUMBER)\n"
+        "was measured (play the drive and record the sensor beside it): it has 1 time_s, 2 voltage_V, 3 desired_um "
+        "(choose with --displacement NAME or NUMBER)\n"
     )
     named = dbo("identify", "drive.csv", *QUICK, "--displacement", "desired_um", "-o", "model.json")
     assert named.code == 0

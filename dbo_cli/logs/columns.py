@@ -8,7 +8,7 @@ columns that may be meant are asked about, never taken by their order.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
@@ -323,6 +323,7 @@ def choose_columns(
     columns: Sequence[ColumnInfo],
     want: Mapping[str, ColumnWish],
     taken: Sequence[ColumnInfo] = (),
+    timed: bool = True,
 ) -> dict[str, ColumnInfo]:
     """Give every wished role its column.
 
@@ -336,6 +337,8 @@ def choose_columns(
         Role to wish; a role that is not required and not found is left out.
     taken
         Columns that are not to be guessed (the time column).
+    timed
+        Whether the samples' time is known; else the remedy names a time column, too.
 
     Raises
     ------
@@ -346,6 +349,7 @@ def choose_columns(
     for role, wish in want.items():
         if wish.selector is not None:
             chosen[role] = find_column(place, columns, wish.selector, wish.option)
+    missing: dict[str, list[ColumnInfo]] = {}
     for role, wish in want.items():
         if wish.selector is None:  # the only column left is what is meant
             used = {column.number for column in [*taken, *chosen.values()]}
@@ -357,26 +361,48 @@ def choose_columns(
             if len(found) == 1:
                 chosen[role] = found[0]
             elif found or wish.required:
-                raise InputError(_not_unique(place, role, columns, found, wish))
+                missing[role] = found
+    if missing:
+        used = {column.number for column in [*taken, *chosen.values()]}
+        raise InputError(_not_unique(place, columns, want, missing, used, timed))
     return {role: chosen[role] for role in want if role in chosen}
 
 
 def _not_unique(
-    place: str, role: str, columns: Sequence[ColumnInfo], found: Sequence[ColumnInfo], wish: ColumnWish
+    place: str,
+    columns: Sequence[ColumnInfo],
+    want: Mapping[str, ColumnWish],
+    missing: Mapping[str, Sequence[ColumnInfo]],
+    used: Collection[int],
+    timed: bool,
 ) -> str:
-    choose = f"`{wish.option}` NAME or NUMBER"
-    role += " signal" if role in ("desired", "measured") else ""
-    if found:
-        names = " or ".join(f"'{column.name}'" for column in found)
-        return f"{place}: which column is the {role}, {names}? (choose with {choose})"
-    wanted = [one for one in columns if is_order(one, wish)]
-    if wanted:
-        return (
-            f"{place}: no column is recognised as the {role}: '{wanted[0].name}' is what was wanted, not "
-            f"what was measured (play the drive and record the sensor beside it; another column: {choose})"
-        )
-    there = list_columns(columns)
-    return f"{place}: no column is recognised as the {role}: {there} (choose with {choose})"
+    """Say of every role at once which columns may be meant, or that none is, and how to choose."""
+    calls = {role: f"{role} signal" if role in ("desired", "measured") else role for role in missing}
+    free = [column.number for column in columns if column.number not in used]
+    if not any(column.quantity for column in columns) and len(free) >= len(missing):
+        options = [want[role].option for role in missing]
+        options = ["time", *options] if not timed and len(free) > len(missing) else options
+        example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
+        which = ", which the ".join(calls.values())
+        return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
+    told, absent = [], []
+    for role, found in missing.items():
+        called = calls[role]
+        if found:
+            names = " or ".join(f"'{column.name}'" for column in found)
+            told.append(f"which column is the {called}, {names}?")
+            continue
+        wanted = [one for one in columns if is_order(one, want[role])]
+        absent.append(called)
+        if wanted:
+            absent[-1] += (
+                f": '{wanted[0].name}' is what was wanted, not what was measured (play the drive and record "
+                "the sensor beside it)"
+            )
+    if absent:
+        told.append(f"no column is recognised as the {' nor as the '.join(absent)}: {list_columns(columns)}")
+    options = [f"`{want[role].option}`" for role in missing]
+    return f"{place}: {' '.join(told)} (choose with {' and '.join(options)} NAME or NUMBER)"
 
 
 def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:

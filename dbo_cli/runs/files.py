@@ -58,9 +58,9 @@ class Destination:
         if list(self.protect).count("-") > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
         parse_output(self.output)
+        check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
         if self.save_state is not None:
             check_document(self.save_state, "a state", "json")
-        check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
 
 
 def simulate_log(
