@@ -41,6 +41,11 @@ class LoopCompensation(Compensation):
 
     passes: int = 0
 
+    @property
+    def may_condition(self) -> bool:
+        """A loop is run in instead."""
+        return False
+
     def responses(self) -> Iterator[Response]:
         """Return the run-in, where it is asked for, and one period of the settled drive.
 
