@@ -197,8 +197,8 @@ class ModelRun:
             told.notes.append(
                 f"{self.source.name}: where it starts, the displacement depends on the past by up to "
                 f"{self.assumed:.3g}{_unit(displacement)}; the actuator is taken to have settled there "
-                f"({'`condition` sweeps it there, ' if self.may_condition else ''}`state` empty where it comes from "
-                "its lower end)"
+                f"({'`condition` sweeps it there, ' if self.may_condition else ''}`state` empty where it "
+                "comes from its lower end)"
             )
         if self.clipped.count:
             told.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
