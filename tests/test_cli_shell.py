@@ -278,3 +278,8 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
     assert [one for one in ear.heard if one[0] != "opened"] == [
         ("progressed", 4000), ("progressed", 1786), ("working", "fitting 5,786 rows"), ("finished",),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_has_an_example(dbo: Any, command: str) -> None:
+    assert f"Example: dbo {command} " in " ".join(dbo(command, "--help").out.split())

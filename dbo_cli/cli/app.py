@@ -47,12 +47,16 @@ def run() -> None:
     The garbage collector seldom finds anything in this program and looks often while modules are imported,
     and taking the interpreter apart at the end changes nothing any more: together a tenth of a second.
     """
+    import signal
+
     try:
-        code = _run_process()
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is work to undo
+        os._exit(_run_process())
     except KeyboardInterrupt:  # while starting up, or in the last flush
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough
         _say("interrupted")
-        code = INTERRUPTED
-    os._exit(code)
+        os._exit(INTERRUPTED)
 
 
 def _run_process() -> int:
