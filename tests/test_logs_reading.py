@@ -83,7 +83,11 @@ def test_columns_are_told_apart(header: str, roles: tuple[str, ...], taken: str,
         ("drive (degC),position (um)", IDENTIFY, "no column is recognised as the voltage"),
         ("drive (V),position (Hz)", IDENTIFY, "no column is recognised as the displacement"),
         ("drive (V),sensor (A)", IDENTIFY, "no column is recognised as the displacement"),
-        ("desired_um,voltage_V", IDENTIFY, "no column is recognised as the displacement"),
+        (
+            "desired_um,voltage_V",
+            IDENTIFY,
+            "no column is recognised as the displacement: 'desired_um' is what was wanted, not what was ",
+        ),
         ("sensor voltage (V),position (um)", IDENTIFY, "no column is recognised as the voltage"),
         ("voltage", ("trajectory",), "no column is recognised as the trajectory"),
         ("displacement_um", ("voltage",), "no column is recognised as the voltage"),
@@ -91,6 +95,8 @@ def test_columns_are_told_apart(header: str, roles: tuple[str, ...], taken: str,
         ("voltage,x,positionmm", IDENTIFY, "'x' or 'positionmm'?"),
         ("voltage,um,nm", IDENTIFY, "'um' or 'nm'?"),
         ("V,m", IDENTIFY, "no column is recognised as the displacement"),
+        ("voltage,Sensor voltage (V),Wegµm", IDENTIFY, "'Sensor voltage (V)' or 'Wegµm'?"),
+        ("voltage,position 2,Posi)tion [um]", IDENTIFY, "'position 2' or 'Posi)tion [um]'?"),
     ],
 )
 def test_what_may_be_meant_is_asked_about(
@@ -127,8 +133,7 @@ def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         column("2")
     assert str(raised.value) == (
-        f"{path}: `voltage` 2: column 2, '1', or column 3, which is named '2'? "
-        "(`voltage` number=2 or name=2)"
+        f"{path}: `voltage` 2: column 2, '1', or column 3, which is named '2'? (`voltage` number=2 or name=2)"
     )
     assert (column("number=2"), column("name=2"), column("3"), column("name=time_s")) == (2, 3, 3, 1)
 
@@ -284,3 +289,11 @@ def test_changed_headers_are_read_right_or_something_is_said(seed: int, tmp_path
     assert fuzz.failures == []
     assert set(fuzz.outcomes) == {"right", "refused", "warned", "said in the line"}
     assert fuzz.outcomes["right"] > 120
+
+
+def test_a_header_with_one_name_too_few_is_not_taken_apart_at_its_words(tmp_path: Path) -> None:
+    path = tmp_path / "log.tsv"
+    rows = "".join(f"{k}.5\t{k}.25\t{k}.75\t{k}.125\n" for k in range(9))
+    path.write_text(f"Desired (um)\ty/micron\tu/volts\n{rows}")
+    with pytest.raises(InputError, match=r":2: 4 cells where the header names 3 columns"):
+        open_log(str(path), {"voltage": wish("voltage")})

@@ -183,6 +183,11 @@ class ModelRun:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
         return done.y
 
+    @property
+    def may_condition(self) -> bool:
+        """Whether a sweep before the first sample could bring the actuator into the start."""
+        return self.limits is not None
+
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
         told = remarks_of(self.source)
@@ -192,8 +197,8 @@ class ModelRun:
             told.notes.append(
                 f"{self.source.name}: where it starts, the displacement depends on the past by up to "
                 f"{self.assumed:.3g}{_unit(displacement)}; the actuator is taken to have settled there "
-                f"({'`condition` sweeps it there, ' if self.limits else ''}`state` empty where it comes from "
-                "its lower end)"
+                f"({'`condition` sweeps it there, ' if self.may_condition else ''}`state` empty where it "
+                "comes from its lower end)"
             )
         if self.clipped.count:
             told.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")

@@ -9,6 +9,7 @@ from typing import Any
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, PointStage
 from dbo_cli.hysteresis.model_file import read_model, section_values
 from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
@@ -18,15 +19,20 @@ def show_model(model_file: str, output: str, form: str | None, figures: str | No
     """Write what is in a model; returns notes (where figures went)."""
     model = read_model(model_file)
     chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    check_document(output, "what is shown", chosen)
+    if figures is not None:
+        from dbo_cli.reports.drawing import check_folder
+
+        folder = check_folder(figures)
     content = contents(model)
     text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
         return []
-    from dbo_cli.reports.drawing import check_folder, save
+    from dbo_cli.reports.drawing import save
     from dbo_cli.reports.model_figures import plots_of_model
 
-    save(plots_of_model(model), check_folder(figures), "model")
+    save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
 
 
@@ -69,7 +75,10 @@ def as_text(content: Mapping[str, Any]) -> str:
     lines += _moving(content)
     lines += _goodness(content, made["unit"])
     if content["inputs"]:
-        names = ", ".join(f"{one.get('name')} ({one.get('rows'):,} rows)" for one in content["inputs"])
+        names = ", ".join(
+            f"{' and '.join(part['name'] for part in [one, *one.get('joined', ())])} ({one['rows']:,} rows)"
+            for one in content["inputs"]
+        )
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
