@@ -12,7 +12,6 @@ from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification import diagnostics
 from dbo_cli.hysteresis.identification.assembly import model_of
 from dbo_cli.hysteresis.identification.cleaning import cleaned
-from dbo_cli.hysteresis.identification.dynamics import with_dynamics
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     loop_width_percent,
@@ -21,6 +20,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validation_of,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
+from dbo_cli.hysteresis.identification.fast_parts import split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.paper_method import identify_as_in_paper
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
@@ -77,7 +77,10 @@ def identify(
         raise UsageError(
             "`delay` and `relaxation` need a clock: name the time column (`time`) or give `sample_rate`"
         )
-    if clocked and options.dynamics != 0:
+    if clocked and (options.dynamics or (options.dynamics is None and split(recordings)[1])):
+        # The signal processing behind it takes half a second to import, and few logs need it.
+        from dbo_cli.hysteresis.identification.dynamics import with_dynamics
+
         moving = with_dynamics(recordings, options, validation, identify)
         if moving is not None:
             return Identification(*moving)

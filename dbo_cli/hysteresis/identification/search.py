@@ -15,6 +15,7 @@ from dbo_cli.hysteresis.identification.selection import (
     INDIFFERENCE,
     Score,
     cross_validate,
+    fitted_rmse,
     no_worse,
     simplest_of,
 )
@@ -234,11 +235,14 @@ def _bend(
     """
     segments = straight.columns.segments
     found = [(coarse, straight, cross_validate(straight, trial))]
+    needed = (1.0 - BEND_GAIN) * found[0][2].rmse
 
     def attempt(bend: float) -> None:
         basis = replace(coarse, bend=bend)
         statistics = gather(logs, basis, segments)
-        found.append((basis, statistics, cross_validate(statistics, trial)))
+        # What is left out is predicted no better than what is fitted: most need not be left out at all.
+        if fitted_rmse(statistics, trial) <= needed:
+            found.append((basis, statistics, cross_validate(statistics, trial)))
 
     for bend in BEND_TRIALS:
         attempt(bend)
@@ -248,7 +252,7 @@ def _bend(
             if abs(bend) < max(BEND_TRIALS):
                 attempt(bend)
         best = min(found, key=lambda item: item[2].rmse)
-    if best[2].rmse > (1.0 - BEND_GAIN) * found[0][2].rmse or no_worse(found[0][2], best[2]):
+    if best[2].rmse > needed or no_worse(found[0][2], best[2]):
         best = found[0]
     return best[0], best[1]
 
