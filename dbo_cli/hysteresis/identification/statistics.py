@@ -41,17 +41,6 @@ class PreparedLog:
     stretches: int = 0
 
     @property
-    def drift_order(self) -> int:
-        """Order of the polynomial among the columns of drift; 0 for an offset alone."""
-        return int(self.drift.shape[1]) - self.stretches - 1
-
-    def with_drift_of(self, order: int) -> PreparedLog:
-        """Return the log with a drift polynomial of at most this order; offsets of stretches stay."""
-        own = self.drift_order + 1
-        kept = [k for k in range(self.drift.shape[1]) if k <= order or k >= own]
-        return replace(self, drift=self.drift[:, kept])
-
-    @property
     def used(self) -> NDArray[np.bool_]:
         """Rows that take part in the fit; shape (samples,)."""
         return self.fold >= 0
