@@ -123,6 +123,30 @@ def test_what_must_be_said_is_data_or_a_warning(small: dbo_api.Model) -> None:
         small.compensate([2.0, 20.0], on_limit="error")
 
 
+def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model: Path) -> None:
+    expected = json.loads(sample_model.read_text())["fit"]["expected_rmse"]
+    model = dbo_api.read_model(sample_model)
+    table = dbo_api.read_log(TRAJECTORY)
+    moved = float(np.ptp(table["displacement"]))
+    told = f"expected error of the move {expected:.3g} um RMS ({100.0 * expected / moved:.2g} % of the move)"
+    assert f"trajectory.csv: {told}\n" in dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").err
+    swept = model.compensate(table, details=True, condition=True)
+    assert any(note.endswith(told) for note in swept.notes)
+    loop = 6.0 + 4.0 * np.cos(2.0 * np.pi * np.arange(500) / 500.0)
+    settled = model.compensate(loop, sample_rate=500.0, periodic=True, details=True)
+    assert any(f"({12.5 * expected:.2g} % of the move)" in note for note in settled.notes)
+    far = model.output.maximum * 1.2
+    drive = model.input.maximum
+    beyond = model.compensate([6.0, far, 6.0], sample_rate=10.0, v_max=2.0 * drive, details=True)
+    assert any("cannot be told: the drive goes from" in note for note in beyond.notes)
+    clipped = model.compensate([*table["displacement"][:200], far], sample_rate=500.0, details=True)
+    assert any(note.endswith("of the move), clipped samples aside") for note in clipped.notes)
+
+
+def test_no_error_is_expected_of_a_model_that_does_not_know(small: dbo_api.Model) -> None:
+    assert not any("expected" in note for note in small.compensate([2.0, 3.0], details=True).notes)
+
+
 def test_a_slew_limit_holds_from_the_first_sample_on(small: dbo_api.Model) -> None:
     drive = small.compensate([6.0] * 40, sample_rate=10.0, max_slew=5.0, state="empty", details=True)
     assert np.diff(drive.values, prepend=0.0).max() <= 0.5 * (1 + 1e-12)

@@ -191,7 +191,7 @@ class ModelRun:
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             told.notes.append(
                 f"{self.source.name}: where it starts, the displacement depends on the past by up to "
-                f"{self.assumed:.3g}{_unit(displacement)}; the actuator is taken to have settled there "
+                f"{self.assumed:.3g}{unit_of(displacement)}; the actuator is taken to have settled there "
                 f"({'`condition` sweeps it there, ' if self.limits else ''}`state` empty where it comes from "
                 "its lower end)"
             )
@@ -203,7 +203,7 @@ class ModelRun:
             told.warn(f"{counted} outside the range of the model ({self._range()}): {fate}")
         if self.missed:
             told.warn(
-                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{_unit(self.taken)} off the "
+                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{unit_of(self.taken)} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
         if kernel.KIND == "python" and self.rows >= LONG_WORK:
@@ -212,7 +212,7 @@ class ModelRun:
         if self.limits and (self.limits.v_min < drive.minimum or self.limits.v_max > drive.maximum):
             told.warn(
                 f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}"
-                f"{_unit(drive)}, where the model was identified; it extrapolates there"
+                f"{unit_of(drive)}, where the model was identified; it extrapolates there"
             )
         return told
 
@@ -220,9 +220,9 @@ class ModelRun:
         """Say how much of a trajectory the drive's limits do not allow."""
         assert self.limits is not None
         drive = self.model.input
-        limits = f"{drive.quantity} {self.limits.v_min:.6g} to {self.limits.v_max:.6g}{_unit(drive)}"
+        limits = f"{drive.quantity} {self.limits.v_min:.6g} to {self.limits.v_max:.6g}{unit_of(drive)}"
         if self.limits.max_slew is not None:
-            limits += f", {self.limits.max_slew:.6g}{_unit(drive)}/s"
+            limits += f", {self.limits.max_slew:.6g}{unit_of(drive)}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({limits})"
 
     def _counted(self, tally: Tally) -> str:
@@ -231,7 +231,7 @@ class ModelRun:
 
     def _range(self) -> str:
         taken = self.taken
-        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{_unit(taken)}"
+        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{unit_of(taken)}"
 
     def _begun(self, first: float) -> ModelState:
         if self.limits is None:
@@ -250,5 +250,6 @@ def reads_ahead(model: ActuatorModel) -> bool:
     return model.delay_seconds > 0.0 or model.dynamics is not None
 
 
-def _unit(quantity: Quantity) -> str:
+def unit_of(quantity: Quantity) -> str:
+    """Return a quantity's unit behind a blank, nothing where it has none."""
     return f" {quantity.unit}" if quantity.unit else ""
