@@ -11,7 +11,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.initial_states import StartName
+from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity
 from dbo_cli.hysteresis.operators import Outside
@@ -86,6 +86,7 @@ class ModelRun:
     why_time: str | None = None
     bandwidth: float | None = None
     state: ModelState | None = None
+    found_start: StartName | None = None
     rows: int = 0
     beyond: Tally = field(default_factory=Tally)
     clipped: Tally = field(default_factory=Tally)
@@ -187,6 +188,8 @@ class ModelRun:
         """Return what is to be said of the run so far."""
         told = remarks_of(self.source)
         told.add(self.prepared.remarks())
+        if self.found_start:
+            told.notes.append(f"{self.source.name}: starts {self.found_start}, as the identification found")
         if self.assumed:
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             told.notes.append(
@@ -235,14 +238,30 @@ class ModelRun:
 
     def _begun(self, first: float) -> ModelState:
         if self.limits is None:
-            begun = self.model.start(first, self.start)
+            if self.start == "auto":
+                self.found_start = found_start(self.model, self.source.name, first)
+            begun = self.model.start(first, self.found_start or self.start)
         else:
             begun = self.model.start_compensation(first, self.start, self.limits)
-        if self.start == "auto":
+        if self.start == "auto" and not self.found_start:
             spread = self.model.start_spread(begun, first)
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             self.assumed = spread if spread > ASSUMED_SPREAD * displacement.span else 0.0
         return begun
+
+
+def found_start(model: ActuatorModel, name: str, first: float) -> StartName | None:
+    """Return the start that the identification found for its log of this name and first voltage."""
+    logs = model.fit.get("logs")
+    if model.direction != "forward" or not isinstance(logs, list):
+        return None
+    for log in logs:
+        told = log if isinstance(log, dict) else {}
+        named = name == told.get("name") or name.endswith(f"/{told.get('name')}")
+        for start in START_NAMES:
+            if named and told.get("begins_at") == first and told.get("start") == start:
+                return start
+    return None
 
 
 def reads_ahead(model: ActuatorModel) -> bool:

@@ -86,6 +86,7 @@ def identify(
             return Identification(*moving)
     cycle = median_cycle_seconds(recordings) if clocked else None
     options.sensor.check(cycle)
+    begins = [float(log.voltage[0]) for log in recordings]
     recordings, said = without_voltage_glitches([options.sensor.taken_off(log) for log in recordings])
     logs = [cleaned(log) for log in recordings]
     recordings = [one.recording for one in logs]
@@ -126,7 +127,9 @@ def identify(
         warnings.append(message)
     checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     expected = expect(prepared.logs, choice.basis, choice.structure, choice.score.rmse, choice.delay_interval)
-    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected)
+    figures = _figures(
+        prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
+    )
     summary = said + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
@@ -151,8 +154,12 @@ def _figures(
     line: float,
     cycle: float | None,
     expected: Expectation,
+    begins: Sequence[float],
 ) -> dict[str, object]:
-    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
+    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds.
+
+    ``begins`` is the first voltage of each log.
+    """
     span = abs(prepared.scale)
     cross = rmse * choice.score.rmse / expected.fitted
     new_moves = span * expected.rmse(rmse / span)
@@ -193,7 +200,8 @@ def _figures(
                 "samples": len(residual.values),
                 "rmse": residual.rmse,
                 "drift": residual.drift_span,
-                "start": log.start,
+                "begins_at": begins[k],
+                "start": None if prepared.transient_rows[k] or log.stretches else log.start,
                 "transient_rows": prepared.transient_rows[k],
                 "outlier_rows": prepared.outlier_rows[k],
                 "clipped_rows": prepared.clipped_rows[k],
