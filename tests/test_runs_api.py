@@ -143,6 +143,19 @@ def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model
     assert any(note.endswith("of the move), clipped samples aside") for note in clipped.notes)
 
 
+def test_a_drive_faster_than_the_logs_is_warned_of(sample_model: Path) -> None:
+    model = dbo_api.read_model(sample_model)
+    log = dbo_api.read_log(LOG)
+    rate = 1.0 / float(np.median(np.diff(log["time"])))
+    told = "more than 2 times as fast as the logs of the identification did"
+    for times, warned in ((1.0, False), (1.9, False), (6.0, True)):
+        run = model.simulate(log["voltage"], sample_rate=times * rate, details=True)
+        assert any(told in warning for warning in run.warnings) == warned
+    wanted = 6.0 + 4.0 * np.sin(np.arange(400) / 10.0)
+    sent = model.compensate(wanted, sample_rate=10_000.0, state="settled", details=True)
+    assert any(told in warning for warning in sent.warnings)
+
+
 def test_no_error_is_expected_of_a_model_that_does_not_know(small: dbo_api.Model) -> None:
     assert not any("expected" in note for note in small.compensate([2.0, 3.0], details=True).notes)
 

@@ -33,9 +33,12 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.identification.refinement import Fitted, fit
 from dbo_cli.hysteresis.identification.search import Choice, Orders, choose
 from dbo_cli.hysteresis.identification.sensor import Sensor
+from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
+
+FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
 
 
 @dataclass(frozen=True)
@@ -174,6 +177,7 @@ def _figures(
         "expected_percent": 100.0 * new_moves / span,
         "expected_from": expected.words(),
         "straight_line_rmse": line,
+        "fastest_drive": fastest_drive(prepared.logs),
     }
     if checks:
         value = _pooled([one.rmse for one in checks], checks)
@@ -214,6 +218,19 @@ def _figures(
             {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
         ]
     return figures
+
+
+def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:
+    """Rate of the voltage a second that one of the logs exceeds in 2 % of its steps; None without a clock."""
+    found = []
+    for log in logs:
+        if log.seconds is None:
+            return None
+        steps = np.diff(log.seconds)
+        forward = steps > 0.0
+        rates = np.abs(np.diff(log.voltage)[forward]) / steps[forward]
+        found.append(float(np.percentile(rates, FASTEST)) if rates.size else 0.0)
+    return max(found)
 
 
 def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
