@@ -89,6 +89,28 @@ def test_a_report_has_the_numbers_of_the_command(dbo: Any, sample_model: Path) -
     assert report.to_html().startswith("<!")
 
 
+def test_a_report_of_several_logs_has_their_errors_in_one_figure(dbo: Any, tmp_path: Path) -> None:
+    logs, tables = [], []
+    for number in (1, 2):
+        wanted = np.sin(np.arange(300) / 20.0)
+        measured = wanted + 0.01 * number * np.random.default_rng(number).normal(size=300)
+        columns = {"time_s": np.arange(300) / 100.0, "desired_um": wanted, "measured_um": measured}
+        tables.append(pd.DataFrame(columns))
+        logs.append(tmp_path / f"pass{number}.csv")
+        tables[-1].to_csv(logs[-1], index=False)
+    done = dbo("report", *logs, "--format", "json", "--figures", "shell")
+    several = dbo_api.report(logs)
+    assert several.to_json() == done.out
+    several.figures("api")
+    names = {path.name for path in Path("api").iterdir()}
+    assert names == {path.name for path in Path("shell").iterdir()}
+    assert {"all-logs-errors.svg", "all-logs-errors.png", "pass1-error.svg", "pass2-error.svg"} <= names
+    page = several.to_html()
+    assert page.index("Error of all logs against time") < page.index("Error against time")
+    rmse = [log.figures.rmse for log in several.report.logs]
+    assert [log.figures.rmse for log in dbo_api.report(tables).report.logs] == rmse
+
+
 def test_compensate_from_arrays_reads_ahead_by_the_models_delay(tmp_path: Path) -> None:
     document = json.loads(json.dumps(SMALL_MODEL))
     document["stages"].append({"type": "delay", "seconds": 0.02})
