@@ -413,6 +413,15 @@ def test_the_expected_error_is_what_comes_on_new_moves() -> None:
     assert any(line.startswith("expected on new moves inside the range: ") for line in many.summary)
 
 
+def test_what_cannot_be_expected_is_said_and_not_invented() -> None:
+    once = identify([record(actuator(), np.repeat(nested(3)[:150], 2))])
+    assert (once.fit["expected_rmse"], once.fit["expected_percent"]) == (None, None)
+    assert once.summary[1] == (
+        "what error to expect on new moves cannot be told: the logs go up and down less than twice, so "
+        "nothing could be left out: record more"
+    )
+
+
 def test_the_sensors_part_of_the_lag_is_not_the_models() -> None:
     truth = actuator()
     log = record(truth, nested(10, 200))

@@ -89,8 +89,12 @@ class Compensation(ModelRun):
 
     def _expected_error(self) -> str:
         """Say what error to expect of the move, unless a pass was learned or the model does not know."""
-        rmse, name = self.model.fit.get("expected_rmse"), self.source.name
-        if not isinstance(rmse, float) or self.desired is not None or not self.rows:
+        rmse, name = self.model.fit.get("expected_rmse", ""), self.source.name
+        if self.desired is not None or not self.rows:
+            return ""
+        if rmse is None:
+            return f"{name}: what error to expect cannot be told: {self.model.fit.get('expected_from')}"
+        if not isinstance(rmse, float):
             return ""
         covered = self.model.input
         slack = SLACK * covered.span
@@ -102,6 +106,7 @@ class Compensation(ModelRun):
         span = self.move.high - self.move.low
         part = f" ({100.0 * rmse / span:.2g} % of the move)" if span > 0.0 else ""
         held = ", clipped samples aside" if self.clipped.count else ""
+        held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
         return f"{name}: expected error of the move {rmse:.3g}{unit_of(self.model.output)} RMS{part}{held}"
 
     def _with_desired(self, response: Response, rows: int) -> Response:

@@ -165,7 +165,7 @@ def _figures(
     """
     span = abs(prepared.scale)
     cross = rmse * choice.score.rmse / expected.fitted
-    new_moves = span * expected.rmse(rmse / span)
+    new_moves = expected.rmse(rmse / span)
     gears = fitted.basis
     figures: dict[str, object] = {
         "method": "least-squares",
@@ -173,8 +173,8 @@ def _figures(
         "rmse_percent": 100.0 * rmse / span,
         "cross_validated_rmse": cross,
         "cross_validated_percent": 100.0 * cross / span,
-        "expected_rmse": new_moves,
-        "expected_percent": 100.0 * new_moves / span,
+        "expected_rmse": None if new_moves is None else span * new_moves,
+        "expected_percent": None if new_moves is None else 100.0 * new_moves,
         "expected_from": expected.words(),
         "straight_line_rmse": line,
         "fastest_drive": fastest_drive(prepared.logs),
@@ -274,10 +274,13 @@ def _summary(
         "% of range), offset removed"
         for one in checks
     )
-    lines.append(
-        f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
-        f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
-    )
+    if figures["expected_rmse"] is None:
+        lines.append(f"what error to expect on new moves cannot be told: {figures['expected_from']}")
+    else:
+        lines.append(
+            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+            f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
+        )
     lines.append(
         f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, "
         f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "
