@@ -155,6 +155,11 @@ def plan_cascade(
     for place, stage in enumerate(turned.stages):
         if not isinstance(stage, _KINDS):
             raise ModelError(f"stages[{place}]: a {type(stage).__name__} cannot be exported")
+    if turned.drive_lag is not None:
+        raise ModelError(
+            "stages: a lag before the gears cannot be exported (identify with `dynamics` 0, or put the lag "
+            "among the sections behind them)"
+        )
     if direction == "forward" and limits is not None:
         raise UsageError("limits on the drive belong to `direction` inverse")
     timed = turned.needs_time or (limits is not None and limits.max_slew is not None)
