@@ -3,8 +3,8 @@
 A lag behind the gears delays the displacement; one before them also rounds every turn of what they see, which
 at a fifth of the resonance is worth 1 % of the move (0.2 ms, 160 Hz). Its inverse is causal, since its zero
 is inside the unit circle (``linear_sections``). What the limits allow the drive, the lag passes on: after
-(p, u), the lag's output and input before, the output is p + part (u - p) + rise (u' - u), so that limits on u'
-are limits on the output, of that sample alone.
+(p, u), the lag's output and input before, the output is p + part (u - p) + rise (u' - u), so that limits on
+u' are limits on the output, of that sample alone.
 """
 
 from __future__ import annotations
@@ -103,7 +103,8 @@ def _limited(
         part = slice(at, min(at + chunk, x.size))
         own = Coefficients(*(one[part] for one in numbers))
         slices = _part(steps, part)
-        allowed = None if limits.max_slew is None else np.broadcast_to(limits.max_slew * slices, x[part].shape)
+        slew = limits.max_slew
+        allowed = None if slew is None else np.broadcast_to(slew * slices, x[part].shape)
         before = _last_drive(model, state)
         done = rest.simulate(x[part], state, time_step=slices, limits=wide)
         v, held = undone(own, done.y, state.drive_lag)

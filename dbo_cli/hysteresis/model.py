@@ -1,9 +1,10 @@
 """The model of an actuator: a cascade of stages, its inverse, its states, simulation and compensation.
 
 displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K and Y0 a scale stage.
-Dynamics stand behind them, and a delay last, on the output. Beyond the paper, points may also stand before Γ:
-an asymmetry that acts on the drive; and a lag before all, that of the amplifier. The inverse (17)-(18) inverts every stage and reverses their order;
-started in the same state, model and inverse compose to the identity, to rounding.
+Dynamics stand behind them, and a delay last, on the output. Beyond the paper, points may also stand before
+Γ: an asymmetry that acts on the drive; and a lag before all, that of the amplifier. The inverse (17)-(18)
+inverts every stage and reverses their order; started in the same state, model and inverse compose to the
+identity, to rounding.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ from dbo_cli.hysteresis.operators import (
 from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
+    "NEGLIGIBLE",
     "ActuatorModel",
     "BacklashStage",
     "DelayStage",
@@ -341,6 +343,18 @@ class ActuatorModel:
         signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         if self.drive_lag is not None:
             return self._simulate_lagging(signal, state, time_step, outside, limits)
+        return self._simulate_prompt(signal, state, time_step, outside, limits)
+
+    def _simulate_prompt(
+        self,
+        x: Floats,
+        state: ModelState,
+        time_step: float | ArrayLike | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+    ) -> Simulated:
+        """Return what ``simulate`` does, for a model without a lag before its gears."""
+        signal = x
         for stage in self._head:
             signal = stage.run(signal)
         if outside == "hold":
@@ -348,10 +362,10 @@ class ActuatorModel:
         steps = self._steps(time_step, signal.size, state, limits)
         inner = None if limits is None else self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
-        counts = self._with_uncovered(np.reshape(x, -1), counts)
+        counts = self._with_uncovered(x, counts)
         if outside == "error" and counts.outside:
             first = counts.first_outside
-            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered)
+            raise OutsideError(first, float(x[first]), *self._covered)
         for stage in self._tail:
             y = stage.run(y)
         if limits is not None and self._tail:

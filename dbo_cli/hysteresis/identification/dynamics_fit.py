@@ -1,0 +1,210 @@
+"""The fit of given dynamics to fast rows: parameters of least error, and the error on blocks left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
+from dbo_cli.hysteresis.identification.fast_parts import FastPart
+from dbo_cli.hysteresis.identification.recordings import Floats
+from dbo_cli.hysteresis.model import ActuatorModel
+
+Booleans = NDArray[np.bool_]
+
+FOLDS = 5
+BLOCKS = 40  # of the fast rows, dealt out to the folds in turn, so that every fold has all frequencies
+LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
+NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What is fitted: how many resonances, whether the highest has an antiresonance, and the lag's place."""
+
+    resonances: int
+    antiresonance: bool = False
+    lag_before: bool = False
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Dynamics fitted.
+
+    Attributes
+    ----------
+    structure : Structure
+        What was fitted.
+    parameters : array
+        Logarithms: of frequency (Hz) and damping of each resonance, of the antiresonance's, of the lag (s).
+    lag : float
+        Seconds, 0 for none.
+    rmse, left_out : float
+        On all fast rows, and on blocks left out.
+    spread : array
+        Standard errors of the parameters.
+    """
+
+    structure: Structure
+    parameters: Floats
+    lag: float
+    rmse: float
+    left_out: float
+    spread: Floats
+
+    @property
+    def resonances(self) -> tuple[Resonance, ...]:
+        """The second-order sections, lowest first."""
+        found = sections_of(self.parameters, self.structure)
+        return tuple(section for section in found if isinstance(section, Resonance))
+
+    @property
+    def behind(self) -> tuple[Section, ...]:
+        """The sections behind the gears, a lag first."""
+        lagging = self.lag > 0.0 and not self.structure.lag_before
+        lag: tuple[Section, ...] = (Lag(self.lag),) if lagging else ()
+        return (*lag, *self.resonances)
+
+    @property
+    def lag_before(self) -> float:
+        """The lag before the gears (s), 0 for none."""
+        return self.lag if self.structure.lag_before else 0.0
+
+
+class Signals:
+    """Of one fast part: what the slow model predicts for its drive, and what was measured.
+
+    Parameters
+    ----------
+    model
+        Of the slow rows, without lag.
+    part
+        The fast rows. Those before them lead to the state in which the gears are.
+    """
+
+    def __init__(self, model: ActuatorModel, part: FastPart) -> None:
+        log, rows = part.recording, part.rows
+        self.time_step = part.time_step
+        self.measured = log.displacement[rows]
+        self.voltage = log.voltage[rows]
+        self.block = (np.arange(self.measured.size) * BLOCKS) // self.measured.size
+        at = np.linspace(-1.0, 1.0, self.measured.size)
+        self.offsets = np.column_stack([np.ones_like(at), at])
+        self._model = model
+        before = model.start(float(log.voltage[0]), "auto")
+        self._state = model.simulate(log.voltage[: rows.start], before, time_step=part.time_step).state
+        self._lag, self._predicted = 0.0, self._after(0.0)
+
+    def predicted(self, lag_before: float = 0.0) -> Floats:
+        """Return what the slow model predicts, its drive passed through a lag (s) first."""
+        if lag_before != self._lag:
+            self._lag, self._predicted = lag_before, self._after(lag_before)
+        return self._predicted
+
+    def _after(self, lag: float) -> Floats:
+        drive = self.voltage
+        if lag > 0.0:
+            drive, _ = DynamicsStage((Lag(lag),)).run(drive, self.time_step, None)
+        return self._model.simulate(drive, self._state, time_step=self.time_step).y
+
+    def moved(self, sections: tuple[Section, ...], lag_before: float) -> Floats:
+        """Return the prediction through the lag, the gears and the sections."""
+        moved = self.predicted(lag_before)
+        return DynamicsStage(sections).run(moved, self.time_step, None)[0] if sections else moved
+
+
+def residuals(
+    signals: Sequence[Signals], sections: tuple[Section, ...], lag_before: float = 0.0
+) -> list[Floats]:
+    """Return measured minus predicted through the sections, gain, offset and drift of each part fitted."""
+    left = []
+    for one in signals:
+        columns = np.column_stack([one.moved(sections, lag_before), one.offsets])
+        left.append(one.measured - columns @ np.linalg.lstsq(columns, one.measured, rcond=None)[0])
+    return left
+
+
+def sections_of(parameters: Floats, structure: Structure) -> tuple[Section, ...]:
+    """Return the lag and the resonances of logarithms, lowest first, wherever the lag stands."""
+    count = structure.resonances
+    values = np.exp(parameters)
+    pairs = sorted((float(values[2 * k]), float(min(values[2 * k + 1], MOST_DAMPING))) for k in range(count))
+    resonances = [Resonance(frequency, damping) for frequency, damping in pairs]
+    if structure.antiresonance:
+        at, damping = float(values[2 * count]), float(min(values[2 * count + 1], MOST_DAMPING))
+        resonances[-1] = Resonance(*pairs[-1], Antiresonance(at, damping))
+    return (Lag(float(values[-1])), *resonances)
+
+
+def _left(signals: Sequence[Signals], parameters: Floats, structure: Structure) -> list[Floats]:
+    lag, *resonances = sections_of(parameters, structure)
+    assert isinstance(lag, Lag)
+    if structure.lag_before:
+        return residuals(signals, tuple(resonances), lag.seconds)
+    return residuals(signals, (lag, *resonances))
+
+
+def _refined(
+    signals: Sequence[Signals],
+    start: Floats,
+    structure: Structure,
+    bounds: tuple[Floats, Floats],
+    keep: Booleans,
+) -> tuple[Floats, float]:
+    """Return the parameters of least error on the blocks to keep, and that error (RMS)."""
+    chosen = [keep[one.block] for one in signals]
+
+    def error(parameters: Floats) -> Floats:
+        left = _left(signals, parameters, structure)
+        return np.concatenate([part[rows] for part, rows in zip(left, chosen, strict=True)])
+
+    found = least_squares(
+        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=1e-5, max_nfev=40
+    )
+    return found.x, float(np.sqrt(np.mean(found.fun**2)))
+
+
+def fitted(
+    signals: Sequence[Signals], starts: Sequence[Floats], structure: Structure, highest: float
+) -> Candidate:
+    """Return the best of several refinements, and its error on blocks left out.
+
+    Parameters
+    ----------
+    signals
+        The fast parts.
+    starts
+        Parameters to begin from (see ``Candidate``).
+    structure
+        What is fitted.
+    highest
+        The highest frequency swept, Hz.
+    """
+    step = min(one.time_step for one in signals)
+    seconds = structure.resonances + structure.antiresonance
+    low = np.log([*[highest / 1e3, LEAST_DAMPING] * seconds, 0.5 * NO_LAG * step])
+    high = np.log([*[1.5 * highest, MOST_DAMPING] * seconds, 10.0 / highest])
+    every = np.ones(BLOCKS, dtype=bool)
+    tried = [_refined(signals, start, structure, (low, high), every) for start in starts]
+    best, rmse = min(tried, key=lambda one: one[1])
+    squares, rows, folds = 0.0, 0, []
+    for fold in range(FOLDS):
+        keep = np.arange(BLOCKS) % FOLDS != fold
+        parameters, _ = _refined(signals, best, structure, (low, high), keep)
+        folds.append(parameters)
+        left = _left(signals, parameters, structure)
+        for part, one in zip(left, signals, strict=True):
+            out = part[~keep[one.block]]
+            squares, rows = squares + float(out @ out), rows + out.size
+    away = np.array(folds) - np.mean(folds, axis=0)
+    spread = np.sqrt((FOLDS - 1.0) / FOLDS * np.sum(away * away, axis=0))  # the jackknife's standard error
+    order = np.argsort(best[0 : 2 * structure.resonances : 2])
+    places = [2 * k + side for k in order for side in (0, 1)]
+    places += list(range(2 * structure.resonances, best.size))
+    lag = float(np.exp(best[-1]))
+    lag = lag if lag > NO_LAG * step else 0.0
+    return Candidate(structure, best[places], lag, rmse, float(np.sqrt(squares / rows)), spread[places])
