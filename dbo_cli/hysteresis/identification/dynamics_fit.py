@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.identification.fast_parts import FastPart
@@ -19,6 +21,7 @@ Booleans = NDArray[np.bool_]
 FOLDS = 5
 BLOCKS = 40  # of the fast rows, dealt out to the folds in turn, so that every fold has all frequencies
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
+FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement: of all starts, how many go on, to the end
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
 
 
@@ -106,15 +109,33 @@ class Signals:
         return self._predicted
 
     def _after(self, lag: float) -> Floats:
-        drive = self.voltage
-        if lag > 0.0:
-            drive, _ = DynamicsStage((Lag(lag),)).run(drive, self.time_step, None)
+        drive = lagged(self.voltage, lag, self.time_step)
         return self._model.simulate(drive, self._state, time_step=self.time_step).y
 
     def moved(self, sections: tuple[Section, ...], lag_before: float) -> Floats:
         """Return the prediction through the lag, the gears and the sections."""
         moved = self.predicted(lag_before)
-        return DynamicsStage(sections).run(moved, self.time_step, None)[0] if sections else moved
+        for section in sections:
+            if isinstance(section, Lag):
+                moved = lagged(moved, section.seconds, self.time_step)
+            else:
+                moved = DynamicsStage((section,)).run(moved, self.time_step, None)[0]
+        return moved
+
+
+def lagged(x: Floats, seconds: float, time_step: float) -> Floats:
+    """Return a signal, straight between samples and at rest before, after an exact first-order lag.
+
+    The stage's own lag, whose inverse is stable, is right at low frequencies and 1 % off at a quarter of a
+    radian a sample. Fitted with it, a lag of 0.2 ms in a sweep to 1 kHz (20 kHz) came out as 0.195 ms.
+    """
+    if seconds <= 0.0:
+        return x
+    ratio = time_step / seconds
+    decay = math.exp(-ratio)
+    hold = -math.expm1(-ratio) / ratio
+    answer: Floats = x[0] + lfilter([1.0 - hold, hold - decay], [1.0, -decay], x - x[0])
+    return answer
 
 
 def residuals(
@@ -154,6 +175,7 @@ def _refined(
     structure: Structure,
     bounds: tuple[Floats, Floats],
     keep: Booleans,
+    most: int = MOST_STEPS,
 ) -> tuple[Floats, float]:
     """Return the parameters of least error on the blocks to keep, and that error (RMS)."""
     chosen = [keep[one.block] for one in signals]
@@ -163,7 +185,7 @@ def _refined(
         return np.concatenate([part[rows] for part, rows in zip(left, chosen, strict=True)])
 
     found = least_squares(
-        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=1e-5, max_nfev=40
+        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=1e-5, max_nfev=most
     )
     return found.x, float(np.sqrt(np.mean(found.fun**2)))
 
@@ -189,7 +211,9 @@ def fitted(
     low = np.log([*[highest / 1e3, LEAST_DAMPING] * seconds, 0.5 * NO_LAG * step])
     high = np.log([*[1.5 * highest, MOST_DAMPING] * seconds, 10.0 / highest])
     every = np.ones(BLOCKS, dtype=bool)
-    tried = [_refined(signals, start, structure, (low, high), every) for start in starts]
+    tried = [_refined(signals, start, structure, (low, high), every, FEW_STEPS) for start in starts]
+    tried = sorted(tried, key=lambda one: one[1])[:FINALISTS]
+    tried = [_refined(signals, begun, structure, (low, high), every) for begun, _ in tried]
     best, rmse = min(tried, key=lambda one: one[1])
     squares, rows, folds = 0.0, 0, []
     for fold in range(FOLDS):
