@@ -10,17 +10,14 @@ u' are limits on the output, of that sample alone.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.operators import Counts, Outside
-
-if TYPE_CHECKING:
-    from dbo_cli.hysteresis.model import ActuatorModel
 
 Floats = NDArray[np.float64]
 Steps = float | Floats
@@ -61,18 +58,35 @@ def undone(
     return np.array(v), ((p, 0.0, u),)
 
 
+class Prompt(Protocol):
+    """What is behind the lag: the same model for a drive that has passed it."""
+
+    def simulate(
+        self,
+        x: ArrayLike,
+        state: ModelState,
+        *,
+        time_step: float | ArrayLike | None = None,
+        outside: Outside = "extend",
+        limits: DriveLimits | None = None,
+    ) -> Simulated:
+        """See ``ActuatorModel.simulate``."""
+
+    def outer_drive(self, drive: float) -> float:
+        """See ``ActuatorModel.outer_drive``."""
+
+
 def simulate(
-    model: ActuatorModel,
+    lag: DynamicsStage,
+    rest: Prompt,
     x: Floats,
     state: ModelState,
     steps: Steps,
     outside: Outside,
     limits: DriveLimits | None,
 ) -> Simulated:
-    """Return what ``ActuatorModel.simulate`` does, for a model with a lag before its gears."""
-    lag, rest = model.drive_lag, model.without_drive_lag
-    assert lag is not None
-    if model.direction == "forward":
+    """Return what ``ActuatorModel.simulate`` does, for a model of a lag and the rest behind it."""
+    if not lag.inverted:
         w, held = lag.run(x, steps, state.drive_lag)
         done = rest.simulate(w, state, time_step=steps, outside=outside)
         return replace(done, state=replace(done.state, drive_lag=held))
@@ -81,11 +95,11 @@ def simulate(
         done = rest.simulate(x, state, time_step=steps, outside=outside)
         v, held = undone(numbers, done.y, state.drive_lag)
         return replace(done, y=v, state=replace(done.state, drive_lag=held))
-    return _limited(model, x, state, steps, numbers, limits)
+    return _limited(rest, x, state, steps, numbers, limits)
 
 
 def _limited(
-    model: ActuatorModel,
+    rest: Prompt,
     x: Floats,
     state: ModelState,
     steps: Steps,
@@ -97,7 +111,7 @@ def _limited(
     As many samples at once as stay within the limits, each other one alone: the bits are those of one sample
     after the other, however many are tried at once.
     """
-    rest, wide = model.without_drive_lag, DriveLimits(limits.v_min, limits.v_max)
+    wide = DriveLimits(limits.v_min, limits.v_max)
     drives, total, missed, at, chunk = [np.zeros(0)], Counts(), 0.0, 0, x.size
     while at < x.size:
         part = slice(at, min(at + chunk, x.size))
@@ -105,7 +119,7 @@ def _limited(
         slices = _part(steps, part)
         slew = limits.max_slew
         allowed = None if slew is None else np.broadcast_to(slew * slices, x[part].shape)
-        before = _last_drive(model, state)
+        before = _last_drive(rest, state)
         done = rest.simulate(x[part], state, time_step=slices, limits=wide)
         v, held = undone(own, done.y, state.drive_lag)
         good = _within(v, before, allowed, limits)
@@ -138,11 +152,11 @@ def _part(steps: Steps, rows: slice) -> Steps:
     return steps[rows] if isinstance(steps, np.ndarray) else steps
 
 
-def _last_drive(model: ActuatorModel, state: ModelState) -> float | None:
+def _last_drive(rest: Prompt, state: ModelState) -> float | None:
     """Return the drive before a block, from which a slew limit goes on."""
     if state.drive_lag is not None:
         return state.drive_lag[0][2]
-    return None if state.drive is None else model.outer_drive(state.drive)
+    return None if state.drive is None else rest.outer_drive(state.drive)
 
 
 def _within(v: Floats, before: float | None, allowed: Floats | None, limits: DriveLimits) -> int:
@@ -164,7 +178,7 @@ def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tu
 
 
 def _held_back(
-    rest: ActuatorModel,
+    rest: Prompt,
     x: Floats,
     state: ModelState,
     steps: Steps,

@@ -388,7 +388,9 @@ class ActuatorModel:
         """Return what ``simulate`` does, for a model with a lag before its gears."""
         steps = self._steps(time_step, signal.size, state, limits)
         assert steps is not None
-        done = drive_lag.simulate(self, signal, state, steps, outside, limits)
+        assert self.drive_lag is not None
+        rest = self.without_drive_lag
+        done = drive_lag.simulate(self.drive_lag, rest, signal, state, steps, outside, limits)
         if self.direction == "inverse":
             return done
         counts = self._with_uncovered(signal, Counts(done.outside_count, done.first_outside))
