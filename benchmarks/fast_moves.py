@@ -38,8 +38,11 @@ BOUNDS = {1000: 0.05, 100: 0.05, 30: 0.05, 10: 0.1, 5: 0.5}
 NAMES = ("line", "without", "dynamics", "oracle")
 SLOW_RATE = 2_000.0  # Hz, of the slow log
 SLOW_SECONDS = 60.0
-"""Its length: creep of 8 s is not to be seen in 15 s. Mean error at f_r/1000 after 15, 30, 60 s, in % of the
-move: -0.12, -0.05, -0.04; what remains is the model's creep, which follows the drive, not the displacement."""
+"""Its length: creep of 8 s is not to be seen in 15 s.
+
+Mean error at f_r/1000 after 15, 30, 60 s, in % of the move: -0.12, -0.05, -0.04; what remains is the model's
+creep, which follows the drive, not the displacement.
+"""
 SHAPES = ("sine", "triangle")
 
 

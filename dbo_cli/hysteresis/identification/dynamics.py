@@ -50,6 +50,7 @@ FAST_LAGS = 2.0  # periods of the lowest swept frequency: shorter relaxation is 
 TRUSTED = 0.1  # of what was predicted, in a third of an octave: the error up to which a model is trusted
 TRUSTED_PART = 0.7  # of the lowest resonance, the most that is trusted: a change of 5 % there costs a tenth
 ENERGY = 0.003  # of the strongest third of an octave of the drive (amplitude): with less, nothing is known
+MOST_SHOWN = 60  # frequencies of the response that the model keeps, for its figure
 OVERLAP = 2.0  # standard errors on either side make an interval
 
 
@@ -304,6 +305,7 @@ def _assembled(
         "cross_validated_rmse": chosen.left_out,
         "logs": [part.recording.name for part in fast],
         "swept": [min(part.lowest for part in fast), highest],
+        "response": _response(signals, min(part.lowest for part in fast), highest),
     }
     figures["trusted_hz"] = trusted
     figures["delay_seconds"] = 0.0
@@ -321,6 +323,24 @@ def _assembled(
         ]
         summary += [f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE, offset removed" for one in checks]
     return dataclasses.replace(whole, fit=figures), figures, summary, list(base.warnings)
+
+
+def _response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[str, list[float]]:
+    """Return the measured response to what the gears make of the drive: Hz, gain (1 at rest), degrees."""
+    one = max(signals, key=lambda part: part.measured.size)
+    before, rate = one.predicted(), 1.0 / one.time_step
+    size = min(before.size, max(256, round(8.0 / (lowest * one.time_step))))
+    frequency, power = welch(before, rate, nperseg=size)
+    ratio = csd(before, one.measured, rate, nperseg=size)[1] / np.maximum(power, 1e-12 * power.max())
+    inside = (frequency >= lowest) & (frequency <= highest) & (power > ENERGY**2 * power.max())
+    rows = np.flatnonzero(inside)
+    if not rows.size:
+        return {"frequency": [], "gain": [], "phase_degrees": []}
+    wanted = np.geomspace(frequency[rows[0]], frequency[rows[-1]], MOST_SHOWN)
+    rows = np.unique(rows[np.argmin(np.abs(frequency[rows][None] - wanted[:, None]), axis=1)])
+    found = {"frequency": frequency[rows], "gain": np.abs(ratio[rows]),
+             "phase_degrees": np.degrees(np.unwrap(np.angle(ratio[rows])))}  # fmt: skip
+    return {key: [float(f"{value:.4g}") for value in values] for key, values in found.items()}
 
 
 def _interval(value: float, spread: float) -> list[float]:
