@@ -36,9 +36,10 @@ Actuators without a resonance, fitted with one, came to 0.97 to 1.00; with a hea
 swept band, 0.3.
 """
 AS_GOOD = 1.02
-"""Of the error on blocks left out with the lag behind the gears, up to which it is taken to stand before.
+"""Of the error on blocks left out, up to which something else is as good.
 
-A small sweep cannot tell (the gears hardly turn in it), and an amplifier's lag is the usual one.
+So with the lag behind the gears and before them: a small sweep cannot tell (the gears hardly turn in it), and
+an amplifier's lag is the usual one; and with the slow rows identified once and again.
 """
 APART = 0.3  # of the logarithms of two resonances, at least
 NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
@@ -50,6 +51,7 @@ FAST_LAGS = 2.0  # periods of the lowest swept frequency: shorter relaxation is 
 TRUSTED = 0.1  # of what was predicted, in a third of an octave: the error up to which a model is trusted
 TRUSTED_PART = 0.7  # of the lowest resonance, the most that is trusted: a change of 5 % there costs a tenth
 ENERGY = 0.003  # of the strongest third of an octave of the drive (amplitude): with less, nothing is known
+COHERENT = 0.5  # of the square of the response, at least, is no noise where it is shown
 MOST_SHOWN = 60  # frequencies of the response that the model keeps, for its figure
 OVERLAP = 2.0  # standard errors on either side make an interval
 
@@ -97,11 +99,21 @@ def with_dynamics(
     if chosen is None:
         return None
     chosen = _placed(signals, chosen, highest)
-    base = _again(base, slow, chosen, options, identify)
-    model = _instantaneous(base.model, lowest)
-    signals = [Signals(model, part) for part in fast]
-    chosen = fitted(signals, [chosen.parameters], chosen.structure, highest)
+    chosen = _sharpened(signals, chosen, highest)
+    again = _again(base, slow, chosen, options, identify)
+    model_again = _instantaneous(again.model, lowest)
+    signals_again = [Signals(model_again, part) for part in fast]
+    finer = _sharpened(signals_again, chosen, highest)
+    if finer.left_out <= AS_GOOD * chosen.left_out:
+        base, model, signals, chosen = again, model_again, signals_again, finer
     return _assembled(base, model, chosen, signals, fast, validation, options, highest)
+
+
+def _sharpened(signals: Sequence[Signals], chosen: Candidate, highest: float) -> Candidate:
+    """Return the dynamics refined, with the form of the lag that leaves less."""
+    forms = [dataclasses.replace(chosen.structure, sampled_lag=sampled) for sampled in (False, True)]
+    tried = [fitted(signals, [chosen.parameters], structure, highest) for structure in forms]
+    return min(tried, key=lambda one: one.left_out)
 
 
 def _without_sensor(part: FastPart, options: IdentificationOptions) -> FastPart:
@@ -222,7 +234,7 @@ def _earned(more: Candidate, best: Candidate, lowest: float, highest: float) -> 
 
 def _white(signals: Sequence[Signals], best: Candidate) -> bool:
     """Return whether what is left over is noise alone: as large as its second differences say."""
-    left = residuals(signals, best.behind, best.lag_before)
+    left = residuals(signals, best.parameters, best.structure)
     noise = [np.diff(part, 2) for part in left]
     total = sum(float(part @ part) for part in left) / sum(part.size for part in left)
     alone = sum(float(part @ part) for part in noise) / sum(part.size for part in noise) / 6.0
@@ -259,8 +271,8 @@ def _peak(signals: Sequence[Signals], best: Candidate, lowest: float, highest: f
     """Return where the measured departs most from the best found (Hz), away from its resonances."""
     one = max(signals, key=lambda part: part.measured.size)
     size = min(one.measured.size, max(256, round(8.0 / (lowest * one.time_step))))
-    moved = one.moved(best.behind, best.lag_before)
-    (left,) = residuals([one], best.behind, best.lag_before)
+    moved = one.moved(best.parameters, best.structure)
+    (left,) = residuals([one], best.parameters, best.structure)
     rate = 1.0 / one.time_step
     frequency, power = welch(moved, rate, nperseg=size)
     ratio = np.abs(csd(moved, left, rate, nperseg=size)[1]) / np.maximum(power, 1e-12 * power.max())
@@ -331,8 +343,9 @@ def _response(signals: Sequence[Signals], lowest: float, highest: float) -> dict
     before, rate = one.predicted(), 1.0 / one.time_step
     size = min(before.size, max(256, round(8.0 / (lowest * one.time_step))))
     frequency, power = welch(before, rate, nperseg=size)
-    ratio = csd(before, one.measured, rate, nperseg=size)[1] / np.maximum(power, 1e-12 * power.max())
-    inside = (frequency >= lowest) & (frequency <= highest) & (power > ENERGY**2 * power.max())
+    both, other = csd(before, one.measured, rate, nperseg=size)[1], welch(one.measured, rate, nperseg=size)[1]
+    ratio = both / np.maximum(power, 1e-12 * power.max())
+    inside = (frequency >= lowest) & (frequency <= highest) & (np.abs(both) ** 2 > COHERENT * power * other)
     rows = np.flatnonzero(inside)
     if not rows.size:
         return {"frequency": [], "gain": [], "phase_degrees": []}
@@ -350,8 +363,8 @@ def _interval(value: float, spread: float) -> list[float]:
 def _trusted(signals: Sequence[Signals], chosen: Candidate, highest: float) -> tuple[float, str]:
     """Return the frequency (Hz) up to which the model is good, and what ends it."""
     one = max(signals, key=lambda part: part.measured.size)
-    moved = one.moved(chosen.behind, chosen.lag_before)
-    (left,) = residuals([one], chosen.behind, chosen.lag_before)
+    moved = one.moved(chosen.parameters, chosen.structure)
+    (left,) = residuals([one], chosen.parameters, chosen.structure)
     size = min(moved.size, 8192)
     frequency, power = welch(moved, 1.0 / one.time_step, nperseg=size)
     off = welch(left, 1.0 / one.time_step, nperseg=size)[1]

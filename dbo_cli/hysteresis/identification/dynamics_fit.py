@@ -27,11 +27,24 @@ NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
 
 @dataclass(frozen=True)
 class Structure:
-    """What is fitted: how many resonances, whether the highest has an antiresonance, and the lag's place."""
+    """What is fitted.
+
+    Attributes
+    ----------
+    resonances : int
+        How many.
+    antiresonance : bool
+        Whether the highest has one.
+    lag_before : bool
+        Whether the lag stands before the gears, not behind them.
+    sampled_lag : bool
+        Whether it is the lag of the stage, not an exact one (see ``lagged``).
+    """
 
     resonances: int
     antiresonance: bool = False
     lag_before: bool = False
+    sampled_lag: bool = False
 
 
 @dataclass(frozen=True)
@@ -100,37 +113,43 @@ class Signals:
         self._model = model
         before = model.start(float(log.voltage[0]), "auto")
         self._state = model.simulate(log.voltage[: rows.start], before, time_step=part.time_step).state
-        self._lag, self._predicted = 0.0, self._after(0.0)
+        self._lag, self._predicted = (0.0, False), self._after(0.0, False)
 
-    def predicted(self, lag_before: float = 0.0) -> Floats:
+    def predicted(self, lag_before: float = 0.0, sampled: bool = False) -> Floats:
         """Return what the slow model predicts, its drive passed through a lag (s) first."""
-        if lag_before != self._lag:
-            self._lag, self._predicted = lag_before, self._after(lag_before)
+        if (lag_before, sampled) != self._lag:
+            self._lag, self._predicted = (lag_before, sampled), self._after(lag_before, sampled)
         return self._predicted
 
-    def _after(self, lag: float) -> Floats:
-        drive = lagged(self.voltage, lag, self.time_step)
+    def _after(self, lag: float, sampled: bool) -> Floats:
+        drive = lagged(self.voltage, lag, self.time_step, sampled)
         return self._model.simulate(drive, self._state, time_step=self.time_step).y
 
-    def moved(self, sections: tuple[Section, ...], lag_before: float) -> Floats:
-        """Return the prediction through the lag, the gears and the sections."""
-        moved = self.predicted(lag_before)
-        for section in sections:
-            if isinstance(section, Lag):
-                moved = lagged(moved, section.seconds, self.time_step)
-            else:
-                moved = DynamicsStage((section,)).run(moved, self.time_step, None)[0]
+    def moved(self, parameters: Floats, structure: Structure) -> Floats:
+        """Return the prediction through the lag, the gears and the resonances."""
+        lag, *resonances = sections_of(parameters, structure)
+        assert isinstance(lag, Lag)
+        if structure.lag_before:
+            moved = self.predicted(lag.seconds, structure.sampled_lag)
+        else:
+            moved = lagged(self.predicted(), lag.seconds, self.time_step, structure.sampled_lag)
+        if resonances:
+            moved, _ = DynamicsStage(tuple(resonances)).run(moved, self.time_step, None)
         return moved
 
 
-def lagged(x: Floats, seconds: float, time_step: float) -> Floats:
+def lagged(x: Floats, seconds: float, time_step: float, sampled: bool = False) -> Floats:
     """Return a signal, straight between samples and at rest before, after an exact first-order lag.
+
+    ``sampled``: after the one of the stage.
 
     The stage's own lag, whose inverse is stable, is right at low frequencies and 1 % off at a quarter of a
     radian a sample. Fitted with it, a lag of 0.2 ms in a sweep to 1 kHz (20 kHz) came out as 0.195 ms.
     """
     if seconds <= 0.0:
         return x
+    if sampled:
+        return DynamicsStage((Lag(seconds),)).run(x, time_step, None)[0]
     ratio = time_step / seconds
     decay = math.exp(-ratio)
     hold = -math.expm1(-ratio) / ratio
@@ -138,13 +157,11 @@ def lagged(x: Floats, seconds: float, time_step: float) -> Floats:
     return answer
 
 
-def residuals(
-    signals: Sequence[Signals], sections: tuple[Section, ...], lag_before: float = 0.0
-) -> list[Floats]:
-    """Return measured minus predicted through the sections, gain, offset and drift of each part fitted."""
+def residuals(signals: Sequence[Signals], parameters: Floats, structure: Structure) -> list[Floats]:
+    """Return measured minus predicted through the dynamics, gain, offset and drift of each part fitted."""
     left = []
     for one in signals:
-        columns = np.column_stack([one.moved(sections, lag_before), one.offsets])
+        columns = np.column_stack([one.moved(parameters, structure), one.offsets])
         left.append(one.measured - columns @ np.linalg.lstsq(columns, one.measured, rcond=None)[0])
     return left
 
@@ -161,14 +178,6 @@ def sections_of(parameters: Floats, structure: Structure) -> tuple[Section, ...]
     return (Lag(float(values[-1])), *resonances)
 
 
-def _left(signals: Sequence[Signals], parameters: Floats, structure: Structure) -> list[Floats]:
-    lag, *resonances = sections_of(parameters, structure)
-    assert isinstance(lag, Lag)
-    if structure.lag_before:
-        return residuals(signals, tuple(resonances), lag.seconds)
-    return residuals(signals, (lag, *resonances))
-
-
 def _refined(
     signals: Sequence[Signals],
     start: Floats,
@@ -181,7 +190,7 @@ def _refined(
     chosen = [keep[one.block] for one in signals]
 
     def error(parameters: Floats) -> Floats:
-        left = _left(signals, parameters, structure)
+        left = residuals(signals, parameters, structure)
         return np.concatenate([part[rows] for part, rows in zip(left, chosen, strict=True)])
 
     found = least_squares(
@@ -220,7 +229,7 @@ def fitted(
         keep = np.arange(BLOCKS) % FOLDS != fold
         parameters, _ = _refined(signals, best, structure, (low, high), keep)
         folds.append(parameters)
-        left = _left(signals, parameters, structure)
+        left = residuals(signals, parameters, structure)
         for part, one in zip(left, signals, strict=True):
             out = part[~keep[one.block]]
             squares, rows = squares + float(out @ out), rows + out.size
