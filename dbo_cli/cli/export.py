@@ -37,7 +37,7 @@ def export(
     NAME_test.c, the kernel, build files and README.md; it appears whole or not at all.
     """
     from dbo_cli.export import export_model
-    from dbo_cli.hysteresis.model_file import read_model
+    from dbo_cli.relatives.model_file import read_model
 
     summary = export_model(
         read_model(model),

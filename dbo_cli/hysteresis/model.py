@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,7 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.initial_states import StartName, start_drive, start_state
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity, Simulated
 from dbo_cli.hysteresis.operators import (
+    BacklashState,
     Counts,
     DiscreteBacklashOperator,
     DiscretePointOperator,
@@ -221,6 +222,20 @@ class ActuatorModel:
             or self.dynamics is not None
             or (self.direction == "forward" and self.delay_seconds > 0.0)
         )
+
+    @property
+    def size(self) -> str:
+        """How large the hysteresis operator is, in words."""
+        return f"{self.backlash.n} gears"
+
+    def state_values(self, state: BacklashState) -> dict[str, Any]:
+        """Return what the hysteresis remembers as the state file has it: key and values."""
+        return {"backlash": {"gears": self.backlash.n, **state.to_json_dict()}}
+
+    @property
+    def drive_end(self) -> float:
+        """Upper end of what the gears span on the drive's side, where every one is engaged."""
+        return self.forward_backlash.x_range[1]
 
     @cached_property
     def digest(self) -> str:

@@ -30,13 +30,12 @@ def _weighted(table: Floats, z: Floats, share: float) -> float:
     total = np.zeros(LANES)
     for group in (weight * z).reshape(-1, LANES):
         total = total + group
-    s = total.tolist()
-    value: float = ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7]))
-    return value
+    s: list[float] = total.tolist()
+    return ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7]))
 
 
 def _curve(curve: Floats, x: float) -> float:
-    cubic, linear = curve.tolist()
+    cubic, linear = float(curve[0]), float(curve[1])
     if x <= 0.0:
         return linear * x
     if x >= 1.0:
@@ -45,7 +44,7 @@ def _curve(curve: Floats, x: float) -> float:
 
 
 def _curve_slope(curve: Floats, x: float) -> float:
-    cubic, linear = curve.tolist()
+    cubic, linear = float(curve[0]), float(curve[1])
     if x <= 0.0:
         return linear
     if x >= 1.0:

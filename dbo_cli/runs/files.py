@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_format, format_for, parse_output
@@ -23,6 +23,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
+from dbo_cli.relatives.model_file import read_model
 from dbo_cli.runs.compensation import check_range, compensation
 from dbo_cli.runs.learning import Tracked, tracked_of, tracked_wishes
 from dbo_cli.runs.model import start_of
