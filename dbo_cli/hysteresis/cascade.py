@@ -53,7 +53,7 @@ class ScaleStage:
 
 
 class OtherHysteresis(ABC):
-    """A stage with hysteresis that is none of gears, from another room, which runs the models it stands in."""
+    """A stage with another hysteresis than that of gears; its room runs the models it stands in."""
 
     @abstractmethod
     def inverse(self) -> OtherHysteresis:
@@ -65,7 +65,12 @@ class OtherHysteresis(ABC):
 
 
 Stage = (
-    DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage | OtherHysteresis
+    DiscreteBacklashOperator
+    | DiscretePointOperator
+    | ScaleStage
+    | DynamicsStage
+    | DelayStage
+    | OtherHysteresis
 )
 MemoryFree = tuple[DiscretePointOperator | ScaleStage, ...]
 

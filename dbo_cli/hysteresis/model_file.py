@@ -165,7 +165,7 @@ def read_model(
 ) -> ActuatorModel:
     """Read a model file; ``-`` is standard input.
 
-    ``others`` are readers of stages that another room adds, by their types, and ``make`` builds a model of them.
+    ``others`` are readers of stages that another room adds, by their types; ``make`` builds a model of them.
 
     Raises
     ------
@@ -256,7 +256,8 @@ def _stage(node: Node, others: Mapping[str, StageReader]) -> Stage:
         raise node.refuse("type", "is missing")
     kind = node.text("type")
     readers: dict[str, StageReader] = {
-        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay, **others
+        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay,
+        **others,
     }  # fmt: skip
     if kind not in readers:
         raise node.refuse("type", f"{kind!r} is not a known stage; there are: {', '.join(readers)}")
@@ -465,7 +466,7 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
 def read_state(
     path: str, model: ActuatorModel, key: str = "backlash", read: HysteresisReader | None = None
 ) -> ModelState:
-    """Read a state file for a model or its inverse; ``read`` what another room's hysteresis has under ``key``.
+    """Read a state file for a model or its inverse; ``read`` what another room's stage has under ``key``.
 
     Raises
     ------

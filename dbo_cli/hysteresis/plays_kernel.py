@@ -1,8 +1,8 @@
 """The readable twin of ``dbo_plays.c``: the same arguments, the same bits.
 
 Every floating-point operation is written in the same order in both; sums run over lanes of ``LANES`` plays.
-The rows of ``table`` are up, down, weight and, where weights depend on the rate, by_rate, padded to whole groups
-of lanes; ``curve`` is empty or (cubic, linear). See ``dbo_plays.h`` for their meaning.
+The rows of ``table`` are up, down, weight and, where weights depend on the rate, by_rate, padded to whole
+groups of lanes; ``curve`` is empty or (cubic, linear). See ``dbo_plays.h`` for their meaning.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def plays_solve(
     step: Floats,
     last: float,
 ) -> tuple[int, int]:
-    """Fill ``x`` with the input whose output is ``y``, within limits; return clipped samples and the first."""
+    """Fill ``x`` with the input whose output is ``y``; return how many were clipped, and the first."""
     shares = share.tolist() if share.size else [0.0] * y.size
     clipped = first = 0
     for k, value in enumerate(y.tolist()):

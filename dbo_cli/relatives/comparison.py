@@ -121,7 +121,7 @@ def _fitter(
 
 
 def _own(recordings: Sequence[Recording], skip_seconds: float) -> ActuatorModel:
-    """Return the model that ``identify`` makes; a log that shows no more than a line is compared all the same."""
+    """Return the model that ``identify`` makes; what it would refuse for being a line is compared, too."""
     return identify(recordings, IdentificationOptions(skip_seconds=skip_seconds, force=True)).model
 
 
@@ -191,7 +191,7 @@ class _Judge:
         return fastest / len(signal)
 
     def _round_trip(self, model: ActuatorModel) -> float:
-        """Return the largest difference after inverse and model, on what the model does with the first drive."""
+        """Return the largest difference after inverse and model, on what the first log's drive leads to."""
         still = without_lateness(model)
         wanted = self._wanted(still, self.recordings[0].voltage[:ROUND_TRIP_SAMPLES])
         inverse = still.inverse()

@@ -1,6 +1,6 @@
-"""A relative fitted to prepared logs: bounded least squares on the same rows, folds, drift and starts as the DBO.
+"""A relative fitted to prepared logs: bounded least squares on the rows, folds, drift and starts of the DBO.
 
-Each has its best delay searched for, its number of plays and (of [6]) of dead zones chosen on cycles left out.
+Each has its best delay searched for, its numbers of plays and of dead zones chosen on cycles left out.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ SEGMENT_CHOICES = (1, 2, 4, 8)
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
 FINEST_DELAY_STEP = 0.125  # of a sample period
 LONGEST_DELAY = 0.125  # of a cycle, as for the gears
+FINE_INDIFFERENCE = 0.005
+"""A gain in RMSE below this share is not worth more plays or dead zones: as strict as for the gears."""
 FASTEST_SHARE = 0.999  # of all samples are slower than the rate that the second set of slopes belongs to
 
 
@@ -56,7 +58,12 @@ RELATIVES = (
     Relative("line", "straight line", "plays", plays=(1,)),
     Relative("pi", "Prandtl-Ishlinskii (PI), plays and dead zones [6]", "plays", segments=SEGMENT_CHOICES),
     Relative("rate", "rate-dependent PI and dead zones [7]", "rate-plays", segments=SEGMENT_CHOICES),
-    Relative("singularity-free", "singularity-free PI and dead zones [8]", "singular-plays", segments=SEGMENT_CHOICES),
+    Relative(
+        "singularity-free",
+        "singularity-free PI, dead zones [8]",
+        "singular-plays",
+        segments=SEGMENT_CHOICES,
+    ),
     Relative("asymmetric", "asymmetric PI [9], in the form of Gu et al.", "one-sided-plays"),
 )
 
@@ -74,8 +81,8 @@ class Solution:
 def solve(products: Products, design: Design, gram: Floats) -> Solution:
     """Minimise the squared equation error under the rules of the kind: a quadratic programme.
 
-    W_0 and the curve's slopes are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at least 0;
-    of [8] W_0 is free. The dead zones' slopes are above 0.
+    W_0 and the curve's slopes are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at
+    least 0; of [8] W_0 is free. The dead zones' slopes are above 0.
     """
     total = products.slopes + products.knots + products.drift
     fixed, bounded, free = np.zeros(total), [], np.zeros((total, 0))
@@ -124,7 +131,7 @@ def _slope_groups(design: Design) -> list[tuple[int, int]]:
 def _widths(segments: int) -> tuple[Floats, Floats, float]:
     """Return the knots with all segments at their narrowest, what each wider one adds, and what is to add."""
     narrowest = 1.0 / (MAX_STEEPNESS * segments)
-    least: Floats = np.arange(1, segments) * (narrowest - 1.0 / segments)
+    least: Floats = np.arange(1.0, segments) * (narrowest - 1.0 / segments)
     wider = np.hstack((np.tril(np.ones((segments - 1, segments - 1))), np.zeros((segments - 1, 1))))
     return least, wider, 1.0 - segments * narrowest
 
@@ -195,14 +202,8 @@ def fit(
     if relative.kind == "rate-plays":
         design = replace(design, fastest=_fastest(logs, design))
     design = replace(design, delay=best_delay(logs, design, cycle))
-    for changes in (
-        [replace(design, segments=count) for count in relative.segments],
-        [replace(design, plays=count) for count in relative.plays],
-    ):
-        names = (
-            ("segments",) if changes[0].plays == design.plays and len(relative.segments) > 1 else ("plays",)
-        )
-        design = replace(design, **{name: getattr(_simplest(logs, changes), name) for name in names})
+    design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
+    design = _simplest(logs, [replace(design, plays=count) for count in relative.plays])
     products = gather(logs, design)
     score = cross_validated(products, design)
     gram, rows = products.total()
@@ -219,10 +220,11 @@ def fit(
 
 
 def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
-    """Return the first of several designs, simplest first, that predicts what was left out no worse than any."""
+    """Return the first of several designs, simplest first, that predicts what was left out as well as any."""
     if len(designs) == 1:
         return designs[0]
-    return designs[simplest_of([cross_validated(gather(logs, one), one) for one in designs])]
+    scores = [cross_validated(gather(logs, one), one) for one in designs]
+    return designs[simplest_of(scores, FINE_INDIFFERENCE, max_standard_error=0.0)]
 
 
 def _fastest(logs: Sequence[PreparedLog], design: Design) -> float:
@@ -306,7 +308,7 @@ def _ranged(stages: Sequence[Stage], low: float, high: float, recording: Recordi
 
 
 def _levelled(model: RelativeModel, log: PreparedLog, recording: Recording) -> RelativeModel:
-    """Return the model with the offset that the first log's displacement asks for, the points' curve aside."""
+    """Return the model with the offset that the first log's displacement asks for."""
     left = (recording.displacement - predict(model, recording, log.start))[log.used]
     offset = float(np.linalg.lstsq(log.drift[log.used], left, rcond=None)[0][0])
     stages = list(model.stages)

@@ -1,8 +1,9 @@
 """A model whose hysteresis is a weighted sum of plays: what ``ActuatorModel`` is to the gears.
 
-Forward: a scale that brings the drive to the operator's range, the plays, points (the dead zones of [6]) and
-scales, then perhaps a delay. A straight line is a single play of radius 0. The commands take such a model as they
-take any other; what is made of gears alone (``export``, the live controller) refuses it.
+Forward: a scale that brings the drive to the operator's range, the plays, points (superposed dead zones are
+a curve of straight pieces) and scales, then perhaps a delay. A straight line is one play of radius 0. The
+commands take such a model as any other; what is made for gears alone (``export``, the live controller)
+refuses it.
 """
 
 from __future__ import annotations
@@ -71,8 +72,8 @@ class RelativeModel(ActuatorModel):
     def backlash(self) -> NoReturn:
         """Refuse: there are no gears in it."""
         raise ModelError(
-            f"the model is one of {self.plays.n} plays, to compare with: this needs the gears of the Discrete "
-            "Backlash Operator (dbo identify makes such a model)"
+            f"the model is one of {self.plays.n} plays, to compare with: this needs the gears of the Discrete"
+            " Backlash Operator (dbo identify makes such a model)"
         )
 
     forward_backlash = backlash
@@ -228,7 +229,7 @@ class RelativeModel(ActuatorModel):
     ) -> Floats:
         """Return the share of ``by_rate`` in every sample: the rate over the fastest one, at most 1.
 
-        An inverse knows the rate of what is wanted, and takes the drive's to be that over the loop's ``slope``.
+        An inverse knows the rate of what is wanted, and takes the drive's for that over the loop's ``slope``.
         """
         operator = self.plays
         if not operator.by_rate.size:

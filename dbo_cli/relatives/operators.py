@@ -6,11 +6,11 @@ Aye and Ang (2018); what is marked * was written from memory of the literature a
 
 - [6] Kuhnen (2003): plays, w_i ≥ 0, and the inverse in closed form, w'_0 = 1/w_0, w'_i = −w_i/(W_i W_{i−1}),
   r'_i = Σ_{j≤i} w_j (r_i − r_j), z'_i = W_i z_i + Σ_{j>i} w_j z_j, W_i = Σ_{j≤i} w_j.
-- [7] Ang, Khosla and Riviere (2007): W_i(ẋ) = W_i(0) + c_i |ẋ|. *The magnitude (a signed rate would make rising
-  and falling branches differ) and holding the weights beyond the fastest rate fitted are this program's reading.
-- [8] Tan et al. (2009): where slopes W_i of the first plays are not above 0, z = y + c x with c > −min W_i is
+- [7] Ang, Khosla and Riviere (2007): W_i(ẋ) = W_i(0) + c_i |ẋ|. *The magnitude (a signed rate would make
+  rising and falling branches differ) and weights that stay beyond the fastest rate are this program's own.
+- [8] Tan et al. (2009): where slopes W_i of the first plays are not above 0, z = y + c x, c > −min W_i, is
   inverted and x recovered. *Here x = Γ_c⁻¹(y + c x) is carried to its limit: from where the drive stands it
-  goes towards the wanted y until that is reached (see ``dbo_plays.c``), which is the same for every such c.
+  goes towards the wanted y until that is reached (see ``dbo_plays.c``), the same for every such c.
 - [9] Jiang et al. (2010) use one-sided operators; their equations were not to be had. In their place *Gu et
   al. (2014): y = a₁ x³ + a₂ x + Σ p_i F_i, F_i one-sided plays.
 """

@@ -1,8 +1,8 @@
 """The rows of a relative's least-squares problem, and their products, fold by fold.
 
-Plays that are neighbours are nearly alike, so the columns are their differences: Σ w_i z_i = Σ W_i (z_i − z_{i+1})
-+ W_n z_n with W_i = Σ_{j≤i} w_j. The unknowns are then the slopes W_i, and rules for the weights are rules for
-their increments.
+Plays that are neighbours are nearly alike, so the columns are their differences: Σ w_i z_i =
+Σ W_i (z_i − z_{i+1}) + W_n z_n with W_i = Σ_{j≤i} w_j. The unknowns are then the slopes W_i, and rules for
+the weights are rules for their increments.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _differences(plays: Floats) -> Floats:
 
 
 def rates_of(drive: Floats, seconds: Floats | None) -> Floats:
-    """Return the rate of the scaled drive (1/s) since the sample before; 0 at the first and without a clock."""
+    """Return the rate of the scaled drive (1/s) since the sample before; 0 at first and without a clock."""
     if seconds is None:
         return np.zeros(len(drive))
     steps = np.diff(seconds, prepend=seconds[0])
@@ -127,7 +127,7 @@ def rows_of(log: PreparedLog, design: Design) -> Iterator[tuple[slice, Floats]]:
 
 
 def delayed_rows(seconds: Floats | None, samples: int, delay: float) -> tuple[NDArray[np.int64], Floats]:
-    """Return for each row the row at or before the moment ``delay`` ago, and the share of the row after it."""
+    """Return for each row the row at or before ``delay`` seconds ago, and the share of the row after it."""
     rows = np.arange(samples)
     if seconds is None or delay <= 0.0:
         return rows, np.zeros(samples)
@@ -158,7 +158,7 @@ class Products:
 
 
 def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
-    """Run over all logs and gather the products of Γ(v) − S⁻¹(y) = 0 with S⁻¹ on the measured side, as in [6]."""
+    """Gather the products of Γ(v) − S⁻¹(y) = 0 over all logs, S⁻¹ on the measured side as in [6]."""
     drift = sum(log.drift.shape[1] for log in logs)
     shared = design.slopes + design.segments - 1
     size = shared + drift + 1
