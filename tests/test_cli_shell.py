@@ -168,6 +168,7 @@ PROMISED = {
     "report": "--desired --measured --lag --remove-offset --model --figures --max-rmse --max-abs "
     "--max-nrmse-percent --segment --rows --format",
     "excite": "--v-min --v-max --sample-rate --duration --frequency",
+    "compare": "--models --validate --skip --format --figures --save-models --no-timings --voltage --displacement",
     "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
     "--arduino --fmu --shared --overwrite",
 }

@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Recording
+from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.selection import Score, simplest_of
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
@@ -86,15 +87,15 @@ def solve(products: Products, design: Design, gram: Floats) -> Solution:
     """
     total = products.slopes + products.knots + products.drift
     fixed, bounded, free = np.zeros(total), [], np.zeros((total, 0))
-    n, one = design.plays, design.kind == "one-sided-plays"
-    floor = SLOPE_FLOOR * (1.0 if one else 0.5)
+    n, one_sided = design.plays, design.kind == "one-sided-plays"
+    floor = SLOPE_FLOOR * (1.0 if one_sided else 0.5)
     for begin, count in _slope_groups(design):
         rule = np.zeros((total, count))
         rule[begin : begin + count] = np.tril(np.ones((count, count)))
         bounded.append(rule)
-        if not one:
+        if not one_sided:
             fixed[begin : begin + count] = floor
-    if one:
+    if one_sided:
         fixed[n - 1 : n + 1] = floor
     if design.kind == "singular-plays":
         free, bounded[0] = bounded[0][:, :1], bounded[0][:, 1:]
@@ -106,7 +107,7 @@ def solve(products: Products, design: Design, gram: Floats) -> Solution:
     if products.knots:
         least, wider, spare = _widths(design.segments)
         fixed[at : at + products.knots] = least
-        tie = sum(one.shape[1] for one in bounded), spare
+        tie = sum(part.shape[1] for part in bounded), spare
         rule = np.zeros((total, design.segments))
         rule[at : at + products.knots] = wider
         bounded.append(rule)
@@ -146,6 +147,34 @@ def cross_validated(products: Products, design: Design) -> Score:
         errors.append(left / max(products.rows[fold], 1))
     rows = np.asarray(products.rows, dtype=float)
     return Score(np.asarray(errors), rows / rows.sum())
+
+
+def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> float:
+    """Return the RMS error on what was left out: whole cycles, or groups of swings where that is worse.
+
+    The groups are those of the DBO's own expectation; its other part, how far models that explain the logs as
+    well go apart, is not looked for here.
+    """
+    from dbo_cli.hysteresis.identification import expectation as own
+
+    worst = cycles**2
+    for _, labels in own._groupings(logs, Basis(1, design.low, design.high)):
+        grouped = [
+            replace(log, fold=np.where(log.used, label, -1)) for log, label in zip(logs, labels, strict=True)
+        ]
+        products = gather(grouped, design)
+        squares, rows = 0.0, 0
+        for group in range(1, len(products.grams)):
+            rest, others = products.total(leave_out=group)
+            mine = products.rows[group]
+            if mine < own.FEWEST_GROUP_ROWS or others < max(own.FEWEST_REST_ROWS, mine / 5):
+                continue
+            vector = solve(products, design, rest).vector
+            left = squared_error_free_of(products.grams[group], vector, products.nuisance[group])
+            squares += min(left, mine * (own.MAX_RATIO * cycles) ** 2)
+            rows += mine
+        worst = max(worst, squares / rows if rows else 0.0)
+    return float(np.sqrt(worst))
 
 
 def best_delay(logs: Sequence[PreparedLog], design: Design, cycle: float | None) -> float:
@@ -212,7 +241,7 @@ def fit(
     solution = solve(products, design, products.total()[0])
     model = _model_of(solution, design, prepared, recordings[0])
     model = _levelled(model, prepared.logs[0], recordings[0])
-    ratio = score.rmse / max(error, 1e-300)
+    ratio = _held_out(logs, design, max(score.rmse, error)) / max(error, 1e-300)
     figures = {"method": relative.name, "operator": relative.words, "plays": design.plays,
                "points": design.segments if design.segments > 1 else 0, "delay_seconds": design.delay,
                "parameters": _parameters(design), "left_out_ratio": ratio}  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,13 +23,13 @@ from dbo_cli.reports.model_figures import slow_loop
 from dbo_cli.reports.page import drawn_figures, page_of, table
 from dbo_cli.reports.renderers import digits, no_formula, wrapped
 from dbo_cli.reports.renderers import table as text_table
-from dbo_cli.reports.running_statistics import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 JSON_VERSION = 1
 LOOP_POINTS = 201
+LEGEND_COLUMNS, LEGEND_LINE = 3, 0.17  # inches
 
 MEANINGS = (
     ("Fit", "RMSE on the logs that the model was fitted to, each log's offset and drift taken off."),
@@ -141,13 +142,14 @@ class ModelComparison:
         plots = []
         if any(row.inverse_ns is not None for row in fitted):
             words = "RMSE of each model against the nanoseconds a sample of its inverse takes."
-            plots.append(
-                Plot("cost", "Error against cost", words, style.WIDE, partial(_paint_cost, self, fitted))
-            )
-        if fitted:
-            words = "Slow loop of each model, the first one's straight line taken off, against the drive."
-            plots.append(Plot("loops", "The loops, a straight line taken off", words, style.TALL,
-                              partial(_paint_loops, self, fitted)))  # fmt: skip
+            paint = partial(_paint_cost, self, fitted)
+            plots.append(Plot("cost", "Error against cost", words, style.WIDE, paint, head=_head(fitted)))
+        bent = [row for row in fitted if row.name != "line"]
+        if bent:
+            words = "Slow loop of each model, a straight line taken off, against the drive."
+            paint = partial(_paint_loops, self, bent)
+            title = "The loops, a straight line taken off"
+            plots.append(Plot("loops", title, words, style.TALL, paint, head=_head(bent)))
         return plots
 
 
@@ -178,6 +180,11 @@ def inexact(row: Row) -> str:
     )
 
 
+def _head(rows: Sequence[Row]) -> float:
+    """Return the inches that a legend of more than one line needs above a figure."""
+    return LEGEND_LINE * (math.ceil(len(rows) / LEGEND_COLUMNS) - 1)
+
+
 def _cells(row: Row, name: str, trip: str) -> list[str]:
     cells = [name]
     cells += [digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)]
@@ -193,11 +200,12 @@ def _paint_cost(shown: ModelComparison, rows: Sequence[Row], axes: Axes) -> None
         look = style.SEVERAL[number % len(style.SEVERAL)]
         assert row.inverse_ns is not None and y is not None
         axes.plot([row.inverse_ns], [y], label=row.name, color=look["color"], linestyle="none", marker="o")
+    axes.margins(0.08)
     axes.set(xscale="log", yscale="log", xlabel="Inverse (ns a sample)", ylabel=axis_label(error, shown.unit))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(_decades())
         axis.set_minor_formatter(_plain_numbers())
-    mark_curves(axes)
+    mark_curves(axes, columns=LEGEND_COLUMNS)
 
 
 def _decades() -> Any:
@@ -221,14 +229,13 @@ def _paint_loops(shown: ModelComparison, rows: Sequence[Row], axes: Axes) -> Non
             line = np.polyfit(np.tile(drive, 2), np.concatenate((rising, falling)), 1)
         taken = np.polyval(line, drive)
         look = style.SEVERAL[number % len(style.SEVERAL)]
-        x, y = np.concatenate((drive, drive[::-1])), _closed(rising - taken, (falling - taken)[::-1])
-        axes.plot(x, y - y.mean(), label=row.name, **look)
+        around = np.concatenate((rising - taken, (falling - taken)[::-1]))
+        pattern = {"linestyle": (0, (3.2, 1.4))} if number % 2 else {}
+        axes.plot(
+            np.concatenate((drive, drive[::-1])), around - around.mean(), label=row.name, **(look | pattern)
+        )
     model: ActuatorModel | None = rows[0].model
     assert model is not None
     axes.set(xlabel=axis_label("Drive voltage", model.input.unit))
     axes.set(ylabel=axis_label("Displacement less a line", shown.unit))
-    mark_curves(axes)
-
-
-def _closed(rising: Floats, falling: Floats) -> Floats:
-    return np.concatenate((rising, falling))
+    mark_curves(axes, columns=LEGEND_COLUMNS)
