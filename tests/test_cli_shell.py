@@ -19,7 +19,7 @@ from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, report, excite, export"
+LIST = "identify, show, invert, simulate, compensate, report, excite, export, compare"
 
 
 def test_version(dbo: Any) -> None:
