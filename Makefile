@@ -1,6 +1,7 @@
 # make demo    identify, compensate and report on the sample log; files and a picture are left in demo/
 # make test    ruff, mypy and pytest
 # make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
+# make compare DATA=FOLDER   the DBO beside its relatives on all recordings: the tables of docs/comparison.md
 # make fuzz    100,000 malformed inputs;  make bench    the figures of speed and memory;  make clean
 # make attack  killed runs, full disks, mutated models, random command lines (ATTACK=10: ten times as many)
 #
@@ -14,11 +15,11 @@ DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
 KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
 
-.PHONY: help demo test paper fuzz attack bench clean
+.PHONY: help demo test paper compare fuzz attack bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,9p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,10p'
 
 # --- the environment ---
 
@@ -88,6 +89,11 @@ paper: $(VENV)/installed
 	  echo "make paper DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
 	$(BIN)/python benchmarks/paper.py "$(DATA)" paper
 
+compare: $(VENV)/installed
+	@test -n "$(DATA)" || { \
+	  echo "make compare DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
+	$(BIN)/python benchmarks/comparison.py "$(DATA)" --write
+
 fuzz: $(VENV)/installed-test
 	$(BIN)/python benchmarks/fuzz.py
 
@@ -101,7 +107,7 @@ attack: $(VENV)/installed-test
 
 bench: $(VENV)/installed-test
 	@for script in benchmarks/*.py; do \
-	  case $$script in */fuzz.py|*/paper.py) continue;; esac; \
+	  case $$script in */fuzz.py|*/paper.py|*/comparison.py) continue;; esac; \
 	  echo "== $$script"; $(BIN)/python $$script || exit 1; \
 	done
 
