@@ -3,9 +3,9 @@
     python benchmarks/comparison.py [FOLDER] [--only NAME] [--write]
 
 FOLDER holds the authors' recordings (identification.dat and uncompensated.dat; README.md says where they are
-public). Beside them: the virtual actuators and positioners of sample_data, and the invented actuators. Each model
-is fitted to the same logs and predicts a new move of the same actuator, of which, where it was simulated, the
-true displacement is known. ``--write`` puts the tables into docs/comparison.md and draws the figures there.
+public). Beside them: the virtual actuators and positioners of sample_data, and the invented actuators. Each
+model is fitted to the same logs and predicts a new move of the same actuator, whose true
+displacement is known where it is simulated. ``--write`` puts tables into docs/comparison.md and draws the figures there.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ class Task:
     logs: list[Recording]
     test: Recording
     skip: float = 0.0
+    judged_from: float | None = None  # s; the model runs from the first row on
 
     @property
     def stroke(self) -> float:
@@ -65,13 +66,12 @@ def authors(folder: Path) -> Iterator[Task]:
         return Recording(name, table[:, 0].copy(), table[:, 1].copy(), None, 0.005, "V", "um")
 
     whole, test = log("identification.dat"), log("uncompensated.dat")
-    half, rest = log("uncompensated.dat", slice(600, 3500)), log("uncompensated.dat", slice(3500, None))
-    last = log("identification.dat", slice(600, None))
+    half = log("uncompensated.dat", slice(600, 3500))
     group = "authors' recordings"
-    yield Task(group, "one amplitude predicts many", [whole], log("uncompensated.dat", slice(600, None)), 2.0)
-    yield Task(group, "part of the range predicts all", [test], last, 3.0)
-    yield Task(group, "both predict the rest", [whole, half], rest, 2.0)
-    yield Task(group, "first half predicts second", [half], rest)
+    yield Task(group, "one amplitude predicts many", [whole], test, 2.0, 3.0)
+    yield Task(group, "part of the range predicts all", [test], whole, 3.0)
+    yield Task(group, "both predict the rest", [whole, half], test, 2.0, 17.5)
+    yield Task(group, "first half predicts second", [half], test, 0.0, 17.5)
 
 
 def virtual_actuators() -> Iterator[Task]:
@@ -127,7 +127,7 @@ def percent(row: Row, stroke: float) -> str:
 def line_of(task: Task) -> tuple[str, list[float]] | str:
     """Compare on one task; return the line of the table, and errors over the DBO's, or why there is none."""
     try:
-        rows = compare(task.logs, [task.test], NAMES, task.skip, timed=False)
+        rows = compare(task.logs, [task.test], NAMES, task.skip, False, task.judged_from)
     except DboError as problem:
         return f"| {task.name} | {problem} |"
     errors = [np.nan if row.validation_rmse is None else row.validation_rmse for row in rows]

@@ -4,8 +4,8 @@
 
 One run, one machine, ratios. All operators are C99 in one extension, compiled with the same flags, and called
 for blocks of samples; plays are summed in eight lanes, so that a compiler may use vector registers. Every
-gear and every weight differs from the others. The inverse of [6] is the closed form, again plays; those of [7]
-to [9] walk from play to play. Times are the processor's own, the best of the repeats, in ns a sample.
+gear and weight differs from the others. The inverse of [6] is the closed form, again plays; those of [7] to
+[9] walk from play to play. Times are the processor's own, the best of the repeats, in ns a sample.
 """
 
 from __future__ import annotations

@@ -121,4 +121,4 @@ def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelSt
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)
     after = dataclasses.replace(done.state, dynamics=sections)
-    return dataclasses.replace(done, y=shifted(y, -model.delay_seconds / step), state=after)
+    return done._replace(y=shifted(y, -model.delay_seconds / step), state=after)

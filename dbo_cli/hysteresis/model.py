@@ -482,7 +482,7 @@ class ActuatorModel:
         before = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
         moved = self.simulate(done.y, before, time_step=time_step).state
         after = dataclasses.replace(done.state, dynamics=moved.dynamics, history=moved.history)
-        return dataclasses.replace(done, state=after)
+        return done._replace(state=after)
 
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits

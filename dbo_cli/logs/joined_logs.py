@@ -15,7 +15,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import parse_address
-from dbo_cli.logs.clock import JITTER
+from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
 from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
@@ -246,7 +246,7 @@ class _ClockCheck:
 
     def _compare(self, block: SampleBlock, here: FloatArray, there: FloatArray, name: str) -> None:
         if self.step == 0.0 and len(here) > 1:
-            self.step = float(np.median(np.abs(np.diff(here))))
+            self.step = median_step(np.abs(np.diff(here)))
         apart = np.flatnonzero(~(np.abs(here - there) <= JITTER * self.step))
         if len(apart):
             index = int(apart[0])

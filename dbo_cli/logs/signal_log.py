@@ -19,7 +19,6 @@ from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
-from dbo_cli.logs.joined_logs import join_files, other_file
 from dbo_cli.logs.log_table import Table
 from dbo_cli.logs.provenance import InputRecord, input_record
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
@@ -305,12 +304,15 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
+    named, elsewhere = _named(want)
     if options.time:
         named.append(options.time)
     table = open_table(parse_address(address, options.format), options, live, digest, named)
     try:
-        table, want = join_files(table, want, options)
+        if elsewhere:
+            from dbo_cli.logs.joined_logs import join_files
+
+            table, want = join_files(table, want, options)
         found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
         columns = choose_columns(table.place, table.columns, want, found.taken)
         rate, start = options.sample_rate, 0.0
@@ -322,6 +324,16 @@ def open_log(
     except BaseException:
         table.close()
         raise
+
+
+def _named(want: Mapping[str, ColumnWish]) -> tuple[list[str], bool]:
+    """List the columns wished for by name, and tell whether some may be in other files (``FILE::COLUMN``)."""
+    named = [wish.selector for wish in want.values() if wish.selector]
+    if not any("::" in one for one in named):
+        return named, False
+    from dbo_cli.logs.joined_logs import other_file
+
+    return [one for one in named if other_file(one) is None], True
 
 
 def _named_columns(table: Table, want: Mapping[str, ColumnWish]) -> list[ColumnInfo]:

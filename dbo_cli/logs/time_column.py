@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,7 @@ DATE = "the date"  # the place among the roles of the column of dates beside clo
 _TEN_MILLION = 10**7
 
 
-@dataclass(frozen=True)
-class _Calendar:
+class _Calendar(NamedTuple):
     """Figures between ``low`` and ``high`` that count ``factor`` seconds each from a known date."""
 
     name: str
@@ -305,8 +305,7 @@ def time_column(
     return TimeColumn(place, bare, date, StatedTime("s"), True, said=text)
 
 
-@dataclass(frozen=True)
-class FoundTime:
+class FoundTime(NamedTuple):
     """The time column of a log, the columns that no other role may take, and what is to be said."""
 
     clock: TimeColumn | None

@@ -91,8 +91,11 @@ def compare(
     names: Sequence[str] = NAMES,
     skip_seconds: float = 0.0,
     timed: bool = True,
+    judged_from: float | None = None,
 ) -> list[Row]:
-    """Fit each model to the logs and judge it; a model that cannot be fitted has a row that says why.
+    """Fit each model to the logs and judge it; one that cannot be fitted has a row that says why.
+
+    ``skip_seconds`` are left out of every log, ``judged_from``, where given, of those of the validation.
 
     Raises
     ------
@@ -110,7 +113,8 @@ def compare(
     ready = prepare([one.recording for one in logs], skip_seconds, [one.bad for one in logs])
     clocked = all(log.seconds() is not None for log in recordings)
     cycle = median_cycle_seconds(recordings) if clocked else None
-    judge = _Judge([one.recording for one in logs], ready, validation, skip_seconds, timed)
+    judged = skip_seconds if judged_from is None else judged_from
+    judge = _Judge([one.recording for one in logs], ready, validation, judged, timed)
     rows = []
     for name in dict.fromkeys(names):
         if name == "dbo":

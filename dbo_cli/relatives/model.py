@@ -9,7 +9,6 @@ refuses it.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
 from functools import cached_property
 from typing import Any, NoReturn
 
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.cascade import ScaleStage, Stage, through
+from dbo_cli.hysteresis.cascade import ScaleStage, through
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel
@@ -254,8 +253,3 @@ class RelativeModel(ActuatorModel):
 
 def _held(plays: Floats) -> PlayState:
     return PlayState(0, None, tuple(plays.tolist()))
-
-
-def is_relative(stages: Iterable[Stage]) -> bool:
-    """Tell whether the stages are those of a relative's model."""
-    return any(isinstance(stage, PlayOperator) for stage in stages)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from dbo_cli.hysteresis import model_file
-from dbo_cli.hysteresis.cascade import Stage
+from dbo_cli.hysteresis.cascade import OtherHysteresis, Stage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.operators import BacklashState
-from dbo_cli.relatives.model import RelativeModel, is_relative
-from dbo_cli.relatives.operators import KINDS, Kind, PlayOperator, PlayState
+
+KINDS = ("plays", "rate-plays", "singular-plays", "one-sided-plays")
+
+# What a model of gears does not need is imported when there are plays: a command starts in no time.
 
 
 def read_model(path: str) -> ActuatorModel:
@@ -20,11 +22,16 @@ def read_model(path: str) -> ActuatorModel:
 
 
 def _made(direction: Any, source: Any, result: Any, stages: tuple[Stage, ...], **notes: Any) -> ActuatorModel:
-    make = RelativeModel if is_relative(stages) else ActuatorModel
-    return make(direction, source, result, stages, **notes)
+    if not any(isinstance(stage, OtherHysteresis) for stage in stages):
+        return ActuatorModel(direction, source, result, stages, **notes)
+    from dbo_cli.relatives.model import RelativeModel
+
+    return RelativeModel(direction, source, result, stages, **notes)
 
 
 def _plays(node: Node) -> Stage:
+    from dbo_cli.relatives.operators import Kind, PlayOperator
+
     kind: Kind = node.text("type")  # type: ignore[assignment]
     more: tuple[str, ...] = ()
     if kind == "rate-plays":
@@ -40,12 +47,15 @@ def _plays(node: Node) -> Stage:
 
 def read_state(path: str, model: ActuatorModel) -> ModelState:
     """Read a state file for a model of either kind; see ``hysteresis.model_file.read_state``."""
-    if not isinstance(model, RelativeModel):
+    if not any(isinstance(stage, OtherHysteresis) for stage in model.stages):
         return model_file.read_state(path, model)
     return model_file.read_state(path, model, "plays", _places)
 
 
 def _places(node: Node, model: ActuatorModel) -> BacklashState:
+    from dbo_cli.relatives.model import RelativeModel
+    from dbo_cli.relatives.operators import PlayState
+
     assert isinstance(model, RelativeModel)
     node.only(("places", "inverse_places", "wanted"))
     found = []

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,7 @@ from dbo_cli.hysteresis.plays_kernel import LANES
 
 Floats = NDArray[np.float64]
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
-KINDS: tuple[Kind, ...] = ("plays", "rate-plays", "singular-plays", "one-sided-plays")
+KINDS: tuple[Kind, ...] = get_args(Kind)
 NOTHING: Floats = np.empty(0)
 MOST_PLAYS = 100_000
 FLATTEST = 1e-9  # of the largest weight, where a slope must be above 0 for an inverse

@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.conditioning import condition as conditioning_drive
-from dbo_cli.logs.clock import even_step
+from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.runs.model_run import ModelRun, Response
 from dbo_cli.runs.remarks import Remarks
@@ -90,4 +90,4 @@ def _usual_step(name: str, stamps: FloatArray) -> float:
     forward = steps[steps > 0.0]
     if not len(forward):
         raise InputError(f"{name}: the time does not advance, and `condition` takes its rate from it")
-    return float(np.median(forward))
+    return median_step(forward)
