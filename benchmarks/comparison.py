@@ -4,8 +4,8 @@
 
 FOLDER holds the authors' recordings (identification.dat and uncompensated.dat; README.md says where they are
 public). Beside them: the virtual actuators and positioners of sample_data, and the invented actuators. Each
-model is fitted to the same logs and predicts a new move of the same actuator, whose true displacement
-is known where it is simulated. ``--write`` puts the tables into docs/comparison.md and draws the figures there.
+model is fitted to the same logs and predicts a new move of the same actuator; where that was simulated, its
+true displacement is known. ``--write`` puts the tables into docs/comparison.md and draws the figures there.
 """
 
 from __future__ import annotations
