@@ -144,30 +144,30 @@ def line_of(task: Task) -> tuple[str, list[float]] | str:
     ]
 
 
-def tables(folder: Path | None, seed: int, only: str) -> dict[str, str]:
-    """Return the tables by group, printed on the way."""
-    found: dict[str, list[str]] = {}
-    ratios: dict[str, list[list[float]]] = {}
+def show_tables(folder: Path | None, seed: int, only: str, write: bool) -> None:
+    """Print the tables by group; with ``write`` put each into the page as far as it is."""
+    groups: dict[str, list[Task]] = {}
     for task in tasks(folder, seed):
-        if only not in f"{task.group}: {task.name}":
-            continue
-        if task.group not in found:
-            head = ["recording", *NAMES, "best other / dbo", "dbo is"]
-            found[task.group] = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
-            print(f"\n{task.group}\n\n" + "\n".join(found[task.group]))
-        line = line_of(task)
-        if not isinstance(line, str):
-            ratios.setdefault(task.group, []).append(line[1])
-            line = line[0]
-        found[task.group].append(line)
-        print(line, flush=True)
-    for group, values in ratios.items():
-        means = np.exp(np.nanmean(np.log(np.array(values)), axis=0))
-        found[group].append(
-            f"| geometric mean over the DBO's | {' | '.join(f'{mean:.2f}' for mean in means)} | | |"
-        )
-        print(found[group][-1])
-    return {group: "\n".join(lines) for group, lines in found.items()}
+        if only in f"{task.group}: {task.name}":
+            groups.setdefault(task.group, []).append(task)
+    head = ["recording", *NAMES, "best other / dbo", "dbo is"]
+    for group, members in groups.items():
+        lines, ratios = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"], []
+        print(f"\n{group}\n\n" + "\n".join(lines))
+        for task in members:
+            line = line_of(task)
+            if not isinstance(line, str):
+                ratios.append(line[1])
+                line = line[0]
+            lines.append(line)
+            print(line, flush=True)
+        if ratios:
+            means = np.exp(np.nanmean(np.log(np.array(ratios)), axis=0))
+            cells = " | ".join(f"{mean:.2f}" for mean in means)
+            lines.append(f"| geometric mean of the ratios to dbo | {cells} | | |")
+            print(lines[-1], flush=True)
+        if write:
+            written(group, "\n".join(lines))
 
 
 def written(name: str, content: str) -> None:
@@ -220,13 +220,11 @@ def main() -> None:
     parser.add_argument("--only", default="", help="only the recordings whose group and name hold this text")
     parser.add_argument("--write", action="store_true", help="write docs/comparison.md and its figures")
     given = parser.parse_args()
-    found = tables(given.data, given.seed, given.only)
-    if given.write:
-        for group, content in found.items():
-            written(group, content)
+    if given.write and not given.only:
         written("cost", cost())
         if given.data is not None:
             written("command", command(given.data))
+    show_tables(given.data, given.seed, given.only, given.write)
 
 
 if __name__ == "__main__":

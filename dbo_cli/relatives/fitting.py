@@ -82,8 +82,8 @@ class Solution:
 def solve(products: Products, design: Design, gram: Floats) -> Solution:
     """Minimise the squared equation error under the rules of the kind: a quadratic programme.
 
-    W_0 and the curve's slopes are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at
-    least 0; of [8] W_0 is free. The dead zones' slopes are above 0.
+    All slopes W_i are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at least 0 (of
+    loops that soften after a turn at most 0); of [8] W_0 is free. The dead zones' slopes are above 0.
     """
     total = products.slopes + products.knots + products.drift
     fixed, bounded, free = np.zeros(total), [], np.zeros((total, 0))
@@ -91,13 +91,14 @@ def solve(products: Products, design: Design, gram: Floats) -> Solution:
     floor = SLOPE_FLOOR * (1.0 if one_sided else 0.5)
     for begin, count in _slope_groups(design):
         rule = np.zeros((total, count))
-        rule[begin : begin + count] = np.tril(np.ones((count, count)))
+        whole = np.ones((count, count))
+        rule[begin : begin + count] = np.triu(whole) if design.falling else np.tril(whole)
         bounded.append(rule)
         if not one_sided:
             fixed[begin : begin + count] = floor
     if one_sided:
         fixed[n - 1 : n + 1] = floor
-    if design.kind == "singular-plays":
+    if design.kind == "singular-plays" and not design.falling:
         free, bounded[0] = bounded[0][:, :1], bounded[0][:, 1:]
         fixed[:] = 0.0
     at = products.slopes
@@ -177,11 +178,13 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
     return float(np.sqrt(worst))
 
 
-def best_delay(logs: Sequence[PreparedLog], design: Design, cycle: float | None) -> float:
-    """Return the delay (s) with the least squared error; 0 without a clock."""
+def best_delay(logs: Sequence[PreparedLog], design: Design, cycle: float | None) -> tuple[float, float]:
+    """Return the delay (s) with the least squared error, and that error; 0 without a clock."""
     clocks = [log.seconds for log in logs]
     if cycle is None or any(clock is None for clock in clocks):
-        return 0.0
+        products = gather(logs, design)
+        gram, _ = products.total()
+        return 0.0, squared_error(gram, solve(products, design, gram).vector)
     steps = np.concatenate([np.diff(clock) for clock in clocks if clock is not None])
     period = float(np.median(steps[steps > 0.0]))
     errors: dict[float, float] = {}
@@ -203,7 +206,7 @@ def best_delay(logs: Sequence[PreparedLog], design: Design, cycle: float | None)
         above = min((step for step in errors if step > best), default=best)
         between = [0.5 * (best + step) for step in (below, above) if abs(step - best) > FINEST_DELAY_STEP]
         if not between:
-            return best * period
+            return best * period, errors[best]
         for step in between:
             attempt(step)
 
@@ -230,7 +233,10 @@ def fit(
     design = Design(relative.kind, plays, prepared.low, prepared.high, segments=relative.segments[-1])
     if relative.kind == "rate-plays":
         design = replace(design, fastest=_fastest(logs, design))
-    design = replace(design, delay=best_delay(logs, design, cycle))
+    falls = (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
+    ways = [(*best_delay(logs, replace(design, falling=fall), cycle), fall) for fall in falls]
+    delay, _, falling = min(ways, key=lambda way: way[1])
+    design = replace(design, delay=delay, falling=falling)
     design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
     design = _simplest(logs, [replace(design, plays=count) for count in relative.plays])
     products = gather(logs, design)

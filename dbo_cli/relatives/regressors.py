@@ -40,6 +40,8 @@ class Design:
         Of the dead zones' curve; 1: none.
     fastest : float
         Of [7]: the rate (1/s, of the scaled drive) that the second set of slopes belongs to.
+    falling : bool
+        Whether slopes fall from play to play (loops that soften after a turn) instead of growing.
     """
 
     kind: Kind
@@ -49,6 +51,7 @@ class Design:
     delay: float = 0.0
     segments: int = 1
     fastest: float = 0.0
+    falling: bool = False
 
     def operator(self) -> PlayOperator:
         """Return plays of weight 1, for their rows."""
