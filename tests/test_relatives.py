@@ -365,6 +365,17 @@ def test_every_relative_finds_the_delay_and_follows_a_sum_of_plays() -> None:
     assert found["line"].validation_rmse is not None and found["line"].validation_rmse > 0.3
 
 
+def test_loops_that_soften_after_a_turn_get_falling_weights() -> None:
+    rows = compare(
+        [recording(0, -0.8)], [recording(1, -0.8)], ["pi", "rate", "singularity-free"], timed=False
+    )
+    for row in rows:
+        assert isinstance(row.model, RelativeModel) and row.validation_rmse is not None
+        assert row.validation_rmse < 0.009
+        assert row.model.plays.weights[0] > 0.0 and (row.model.plays.weights[1:] <= 0.0).all()
+        assert row.invertible == (row.name != "rate")
+
+
 def test_a_relative_that_cannot_be_fitted_has_a_row_that_says_why() -> None:
     rows = compare([recording(clock=False)], [], ["rate", "line"], timed=False)
     assert [row.refused for row in rows] == [
