@@ -153,6 +153,8 @@ class _Judge:
             model = make()
         except DboError as problem:
             return Row(name, words, refused=str(problem))
+        except np.linalg.LinAlgError as problem:
+            return Row(name, words, refused=f"its least-squares problem cannot be solved ({problem})")
         seconds = time.perf_counter() - begun
         logs = zip(self.recordings, self.ready.logs, strict=True)
         rmse = _pooled([residual_of(model, recording, log) for recording, log in logs])

@@ -41,6 +41,8 @@ FINEST_DELAY_STEP = 0.125  # of a sample period
 LONGEST_DELAY = 0.125  # of a cycle, as for the gears
 FINE_INDIFFERENCE = 0.005
 """A gain in RMSE below this share is not worth more plays or dead zones: as strict as for the gears."""
+ROWS_PER_PLAY = 8  # fewer rows for each unknown weight are not safe, as for the gears
+NOTHING_LEFT = 1e-12  # of the range: an error below it is rounding
 FASTEST_SHARE = 0.999  # of all samples are slower than the rate that the second set of slopes belongs to
 
 
@@ -238,7 +240,9 @@ def fit(
     delay, _, falling = min(ways, key=lambda way: way[1])
     design = replace(design, delay=delay, falling=falling)
     design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
-    design = _simplest(logs, [replace(design, plays=count) for count in relative.plays])
+    usable = sum(int(log.used.sum()) for log in logs)
+    counts = [count for count in relative.plays if count * ROWS_PER_PLAY <= usable] or relative.plays[:1]
+    design = _simplest(logs, [replace(design, plays=count) for count in counts])
     products = gather(logs, design)
     score = cross_validated(products, design)
     gram, rows = products.total()
@@ -247,7 +251,8 @@ def fit(
     solution = solve(products, design, products.total()[0])
     model = _model_of(solution, design, prepared, recordings[0])
     model = _levelled(model, prepared.logs[0], recordings[0])
-    ratio = _held_out(logs, design, max(score.rmse, error)) / max(error, 1e-300)
+    error = max(error, NOTHING_LEFT)
+    ratio = _held_out(logs, design, max(score.rmse, error)) / error
     figures = {"method": relative.name, "operator": relative.words, "plays": design.plays,
                "points": design.segments if design.segments > 1 else 0, "delay_seconds": design.delay,
                "parameters": _parameters(design), "left_out_ratio": ratio}  # fmt: skip
