@@ -61,6 +61,8 @@ def table(header: str, rows: int = 30) -> str:
         ("desired_um,measured_um,voltage_V", ("trajectory",), "desired_um"),
         ("q", ("trajectory",), "q"),
         ("Voltage (measured),Position (actual)", IDENTIFY, "Voltage (measured)|Position (actual)"),
+        ("V,um", IDENTIFY, "V|um"),
+        ("volts,microns", IDENTIFY, "volts|microns"),
     ],
 )
 def test_columns_are_told_apart(header: str, roles: tuple[str, ...], taken: str, tmp_path: Path) -> None:
@@ -91,6 +93,8 @@ def test_columns_are_told_apart(header: str, roles: tuple[str, ...], taken: str,
         ("displacement_um", ("voltage",), "no column is recognised as the voltage"),
         ("Snsor voltage (V),Piezo votage (mV),position (um)", IDENTIFY, "which column is the voltage"),
         ("voltage,x,positionmm", IDENTIFY, "'x' or 'positionmm'?"),
+        ("voltage,um,nm", IDENTIFY, "'um' or 'nm'?"),
+        ("V,m", IDENTIFY, "no column is recognised as the displacement"),
         ("voltage,Sensor voltage (V),Wegµm", IDENTIFY, "'Sensor voltage (V)' or 'Wegµm'?"),
         ("voltage,position 2,Posi)tion [um]", IDENTIFY, "'position 2' or 'Posi)tion [um]'?"),
     ],
@@ -102,6 +106,19 @@ def test_what_may_be_meant_is_asked_about(
         opened(tmp_path, table(header), roles)
     assert told in str(raised.value)
     assert str(raised.value).endswith(" NAME or NUMBER)")
+
+
+def test_a_first_column_in_a_unit_of_time_is_the_clock(tmp_path: Path) -> None:
+    """As oscilloscopes write it: "Source,CH1,CH2" above "Second,Volt,Volt"."""
+    path = tmp_path / "log.csv"
+    path.write_text("Source,CH1\nSecond,Volt\n" + "".join(f"{0.25 * k},{k % 5}\n" for k in range(9)))
+    with open_log(str(path), {"voltage": wish("voltage", "CH1", option="voltage")}) as log:
+        block = log.read()
+    assert block.time is not None
+    assert block.time.tolist() == [0.25 * k for k in range(9)]
+    path.write_text("a (s),b (ms),voltage\n" + "".join(f"{0.25 * k},{k},{k % 5}\n" for k in range(9)))
+    with pytest.raises(InputError, match="which column is the time, 'a \\(s\\)' or 'b \\(ms\\)'"):
+        open_log(str(path), {"voltage": wish("voltage", option="voltage")})
 
 
 def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
@@ -116,8 +133,7 @@ def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         column("2")
     assert str(raised.value) == (
-        f"{path}: `voltage` 2: column 2, '1', or column 3, which is named '2'? "
-        "(`voltage` number=2 or name=2)"
+        f"{path}: `voltage` 2: column 2, '1', or column 3, which is named '2'? (`voltage` number=2 or name=2)"
     )
     assert (column("number=2"), column("name=2"), column("3"), column("name=time_s")) == (2, 3, 3, 1)
 

@@ -301,7 +301,8 @@ State = Annotated[
         "--state",
         "auto|empty|full|settled|FILE",
         "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
-        "away there), auto (empty at the lower end, else settled), or a saved state.",
+        "away there), auto (empty at the lower end, else settled; for a log that the model was identified "
+        "from, as the fit found it), or a saved state.",
         default="auto",
     ),
 ]

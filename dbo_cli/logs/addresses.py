@@ -179,3 +179,28 @@ def check_format(named: str | None, addresses: Sequence[str]) -> None:
 def format_for(address: str, named: str | None) -> str | None:
     """Return the format that was asked for where an address's own name does not tell it, else None."""
     return named if named is not None and parse_address(address).kind is None else None
+
+
+def other_file(selector: str | None) -> tuple[str, str] | None:
+    """Take ``FILE::COLUMN`` or ``FILE::GROUP::COLUMN`` apart; None for a plain column name."""
+    if selector is None or "::" not in selector:
+        return None
+    path, _, rest = selector.partition("::")
+    if not os.path.isfile(path):
+        return None
+    inner, separator, column = rest.rpartition("::")
+    return (f"{path}::{inner}", column) if separator else (path, rest)
+
+
+def selected_files(*selectors: str | None) -> list[str]:
+    """List the files that ``FILE::COLUMN`` names: no output may overwrite them."""
+    named = [other_file(selector) for selector in selectors]
+    return [found[0].partition("::")[0] for found in named if found is not None]
+
+
+def without_folder(selector: str) -> str:
+    """Take the folder off ``FILE::COLUMN``: it differs between machines."""
+    if other_file(selector) is None:
+        return selector
+    path, _, rest = selector.partition("::")
+    return f"{os.path.basename(path)}::{rest}"

@@ -41,6 +41,7 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
+_NAMING = ("length", "angle")  # a column called "um" is in um; "m" and "Volts" may be anything
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
 
@@ -106,6 +107,8 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
     if not header:
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
     quantity, own = split_header(header)
+    if own is None and header != "m" and kind_of_unit(normalise_unit(header)) in _NAMING:
+        own = normalise_unit(header)
     return ColumnInfo(header, normalise_unit(unit or "") or own, quantity, number)
 
 
@@ -301,7 +304,9 @@ def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
     words = set(_words(column.quantity))
     if words & set(wish.by_unit) and not words & {"monitor", "mon"}:  # a monitor has a scale of its own
         return True
-    return "ch" in wish.by_unit and bool(_CHANNEL.fullmatch(column.quantity.strip()))
+    if "ch" not in wish.by_unit:
+        return False
+    return bool(_CHANNEL.fullmatch(column.quantity.strip())) or normalise_unit(column.quantity) == column.unit
 
 
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:

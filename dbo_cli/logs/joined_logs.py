@@ -6,7 +6,6 @@ the files must be equally long.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import parse_address
-from dbo_cli.logs.clock import JITTER
+from dbo_cli.logs.addresses import other_file, parse_address
+from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
 from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
@@ -35,31 +34,6 @@ class _Other:
     table: Table
     columns: dict[int, ColumnInfo]  # number in the joined log to column in the file
     clock: TimeColumn | None = None
-
-
-def other_file(selector: str | None) -> tuple[str, str] | None:
-    """Take ``FILE::COLUMN`` or ``FILE::GROUP::COLUMN`` apart; None for a plain column name."""
-    if selector is None or "::" not in selector:
-        return None
-    path, _, rest = selector.partition("::")
-    if not os.path.isfile(path):
-        return None
-    inner, separator, column = rest.rpartition("::")
-    return (f"{path}::{inner}", column) if separator else (path, rest)
-
-
-def selected_files(*selectors: str | None) -> list[str]:
-    """List the files that ``FILE::COLUMN`` names: no output may overwrite them."""
-    named = [other_file(selector) for selector in selectors]
-    return [found[0].partition("::")[0] for found in named if found is not None]
-
-
-def without_folder(selector: str) -> str:
-    """Take the folder off ``FILE::COLUMN``: it differs between machines."""
-    if other_file(selector) is None:
-        return selector
-    path, _, rest = selector.partition("::")
-    return f"{os.path.basename(path)}::{rest}"
 
 
 class Joined(NamedTuple):
@@ -283,7 +257,7 @@ class _ClockCheck:
 
     def _compare(self, block: SampleBlock, here: FloatArray, there: FloatArray, name: str) -> None:
         if self.step == 0.0 and len(here) > 1:
-            self.step = float(np.median(np.abs(np.diff(here))))
+            self.step = median_step(np.abs(np.diff(here)))
         apart = np.flatnonzero(~(np.abs(here - there) <= JITTER * self.step))
         if len(apart):
             index = int(apart[0])

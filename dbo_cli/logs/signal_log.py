@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.addresses import other_file, parse_address, selected_files, without_folder
 from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
-from dbo_cli.logs.joined_logs import join_files, other_file, without_folder
 from dbo_cli.logs.log_table import Table
 from dbo_cli.logs.provenance import InputRecord, input_record
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
@@ -311,12 +310,17 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
+    elsewhere = selected_files(options.time, *(wish.selector for wish in want.values()))
     named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
     if options.time and other_file(options.time) is None:
         named.append(options.time)
     table = open_table(parse_address(address, options.format), options, live, digest, named)
+    others: list[str] = []
     try:
-        table, want, options, others = join_files(table, want, options)
+        if elsewhere or any("::" in one for one in named):
+            from dbo_cli.logs.joined_logs import join_files
+
+            table, want, options, others = join_files(table, want, options)
         found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
         if found.clock is None and options.time_unit is not None:
             raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
@@ -119,8 +120,7 @@ def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:
     return tuple(found.get(column) or "numbers" for column in range(shape.width))
 
 
-@dataclass(frozen=True)
-class _Shape:
+class _Shape(NamedTuple):
     """One reading of the sample: ``numeric`` are the columns that hold numbers in most of its rows."""
 
     delimiter: str
@@ -173,8 +173,7 @@ def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
     return _Shape(delimiter, decimal, width, numeric, quality, whole)
 
 
-@dataclass(frozen=True)
-class _Layout:
+class _Layout(NamedTuple):
     """Where the data begin (index of the line) and the header rows above; ``fits`` ranks equal readings."""
 
     first: int

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time
+from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
@@ -26,8 +27,7 @@ DATE = "the date"  # the place among the roles of the column of dates beside clo
 _TEN_MILLION = 10**7
 
 
-@dataclass(frozen=True)
-class _Calendar:
+class _Calendar(NamedTuple):
     """Figures between ``low`` and ``high`` that count ``factor`` seconds each from a known date."""
 
     name: str
@@ -309,8 +309,7 @@ def time_column(
     return TimeColumn(place, bare, date, StatedTime("s"), True, said=text)
 
 
-@dataclass(frozen=True)
-class FoundTime:
+class FoundTime(NamedTuple):
     """The time column of a log, the columns that no other role may take, and what is to be said."""
 
     clock: TimeColumn | None
@@ -368,4 +367,6 @@ def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
             stamps = [column for column in some if column.written in writings]
             if stamps:
                 return stamps
+    if not found and columns and columns[0].written == "numbers" and time_unit(columns[0].unit or ""):
+        return [one for one in columns if time_unit(one.unit or "")]  # an oscilloscope's "Source" in Second
     return found

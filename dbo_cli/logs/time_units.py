@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import contradicted_unit, is_torn
@@ -82,8 +82,7 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
     return text.strip(), factor.times(int(digits), 10 ** len(found["part"] or ""))
 
 
-@dataclass(frozen=True)
-class StatedTime:
+class StatedTime(NamedTuple):
     """What a time column's header says of its figures; ``unit`` is None where it says nothing."""
 
     unit: str | None

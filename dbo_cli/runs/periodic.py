@@ -73,6 +73,7 @@ class LoopCompensation(Compensation):
         settled = self._settled(undone_period, step, state)
         drive = settled.done.y
         self._count(settled, whole)
+        self.followed(desired, drive)
         end = settled_run(self.model, drive, step, settled.before)
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(settled.done.state, dynamics=end.state.dynamics, time=time)

@@ -11,8 +11,7 @@ from typing import Any, Literal
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model_file import read_model
-from dbo_cli.logs.addresses import check_document, format_for
-from dbo_cli.logs.joined_logs import selected_files
+from dbo_cli.logs.addresses import check_document, format_for, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole

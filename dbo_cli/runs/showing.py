@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, PointStage
 from dbo_cli.hysteresis.model_file import read_model, section_values
 from dbo_cli.hysteresis.model_state import Quantity
@@ -53,6 +54,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "relaxation_seconds": relaxation,
         "delay_seconds": delay,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
+        "drive_lag_seconds": _drive_lag(model),
         "fit": {key: fit[key] for key in fit if key not in ("warnings", "logs", "validation")},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
@@ -86,9 +88,15 @@ def as_text(content: Mapping[str, Any]) -> str:
     return "\n".join(_wrapped(line) for line in lines)
 
 
+def _drive_lag(model: ActuatorModel) -> float | None:
+    sections = model.drive_lag.sections if model.drive_lag else ()
+    return next((one.seconds for one in sections if isinstance(one, Lag)), None)
+
+
 def _moving(content: Mapping[str, Any]) -> list[str]:
     """Return the dynamics, and how fast the model can be trusted."""
-    parts = []
+    before = content["drive_lag_seconds"]
+    parts = [f"a lag of {1e3 * before:.3g} ms before the gears"] if before else []
     for one in content["dynamics"]:
         if "lag" in one:
             parts.append(f"a lag of {1e3 * one['lag']:.3g} ms")

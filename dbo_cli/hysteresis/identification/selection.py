@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     solve,
+    squared_error,
     squared_error_free_of,
 )
 from dbo_cli.hysteresis.identification.statistics import Statistics
@@ -60,30 +61,26 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     return Score(np.asarray(errors), rows_of / rows_of.sum())
 
 
-def no_worse(
-    candidate: Score,
-    best: Score,
-    indifference: float = INDIFFERENCE,
-    max_standard_error: float = MAX_STANDARD_ERROR,
-) -> bool:
+def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
+    """RMS error over all rows of a fit to all of them."""
+    gram, rows = statistics.total()
+    vector = solve(gram, statistics.columns, structure, rows).vector
+    return float(np.sqrt(squared_error(gram, vector) / rows))
+
+
+def no_worse(candidate: Score, best: Score, indifference: float = INDIFFERENCE) -> bool:
     """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
 
     The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common. With few or uneven folds it says little, so it excuses a loss only up to ``max_standard_error``.
+    common. With few or uneven folds it says little, so it excuses a loss only up to ``MAX_STANDARD_ERROR``.
     """
     excess = candidate.excess_over(best)
     mean = float(excess.mean())
     error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
-    return bool(mean <= max(min(error, max_standard_error), float(np.log1p(indifference))))
+    return bool(mean <= max(min(error, MAX_STANDARD_ERROR), float(np.log1p(indifference))))
 
 
-def simplest_of(
-    scores: Sequence[Score],
-    indifference: float = INDIFFERENCE,
-    max_standard_error: float = MAX_STANDARD_ERROR,
-) -> int:
+def simplest_of(scores: Sequence[Score], indifference: float = INDIFFERENCE) -> int:
     """Index of the first (simplest first) candidate that is no worse than the best of all."""
     best = min(scores, key=lambda score: float(score.excess_over(scores[0]).mean()))
-    return next(
-        k for k, score in enumerate(scores) if no_worse(score, best, indifference, max_standard_error)
-    )
+    return next(k for k, score in enumerate(scores) if no_worse(score, best, indifference))
