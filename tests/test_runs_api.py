@@ -198,6 +198,7 @@ BAD_ARRAYS: list[tuple[Any, dict[str, Any], str]] = [
     ([1.0, float("nan")], {}, "`x`: sample 2 is not finite: nan (leave it out)"),
     ([[1.0, 2.0]], {}, "`x`: has the shape (1, 2); give one dimension"),
     (["a"], {}, "`x`: is no array of numbers"),
+    ([1.0 + 2.0j], {}, "`x`: is no array of numbers"),
     ([1.0, 2.0], {"time": [0.0]}, "`time` has 1 samples where `x` has 2"),
     ([1.0, 2.0], {}, "`x`: no time is given, and this model's lag, creep or delay depends on it "
      "(`time` or `sample_rate` HZ)"),
@@ -214,7 +215,10 @@ def test_bad_arrays_are_refused(lagging: dbo_api.Model, x: Any, more: dict[str, 
 
 
 def test_repeated_stamps_are_noted(lagging: dbo_api.Model) -> None:
-    result = lagging.simulate([1.0, 2.0, 3.0], time=[0.0, 0.1, 0.1], details=True)
+    stamps = [0.0, 0.1, 0.1]
+    with pytest.warns(dbo_api.DboWarning, match="`time` repeats its stamps in 1 of 3 samples: too few"):
+        lagging.simulate([1.0, 2.0, 3.0], time=stamps)
+    result = lagging.simulate([1.0, 2.0, 3.0], time=stamps, details=True)
     assert any("repeats at row 3" in note for note in result.notes)
 
 
@@ -222,8 +226,8 @@ def test_a_table_without_the_columns_is_refused() -> None:
     with pytest.raises(dbo_api.InputError) as raised:
         dbo_api.identify(pd.DataFrame({"a": [1.0], "b": [2.0]}))
     assert str(raised.value) == (
-        "the table: no column is recognised as the voltage: it has 1 a, 2 b (choose with `voltage` NAME or "
-        "NUMBER)"
+        "the table: no column is recognised as the voltage nor as the displacement: it has 1 a, 2 b (choose "
+        "with `voltage` and `displacement` NAME or NUMBER)"
     )
 
 

@@ -97,7 +97,7 @@ Time = Annotated[
     _reading(
         "--time",
         COLUMN,
-        "Time, as every column a header name, a dataset path, or a number counted from 1; guessed by name.",
+        "Time. Every column: a header name, a dataset path, a number from 1, or FILE::COLUMN; else guessed.",
     ),
 ]
 

@@ -102,7 +102,7 @@ def export_model(
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=table_bytes,
         state_bytes=_state_bytes(parts), worst_runs=rows,
         vectors=sum(len(run.inputs) for run in parts.vectors), bounds=bounds, gears_loss=loss,
-        notes=tuple(_notes(plan, loss)),
+        notes=(*_lag_moved(model), *_notes(plan, loss)),
     )  # fmt: skip
     files: dict[str, str | bytes] = dict(_files(plan, parts, summary, title, origin, arduino))
     files |= _host_files(plan, name, title, files, fmu, shared)
@@ -179,19 +179,30 @@ def _state_bytes(parts: SourceParts) -> int:
     return -(-total // 8) * 8
 
 
+def _lag_moved(model: ActuatorModel) -> list[str]:
+    """Say that a lag before the gears is exported behind them."""
+    if model.drive_lag is None:
+        return []
+    return [
+        "The model's lag before the gears is exported among the dynamics behind them: the same for slow and "
+        "for small moves; at a fifth of the resonance, moves over half the range differ by about 1 %."
+    ]
+
+
 def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
     notes = []
     unit = f" {plan.model.output.unit}" if plan.model.output.unit else ""
     if plan.time_step is not None:
         notes.append(
-            f"Call the step at a fixed {1.0 / plan.time_step!r} Hz: lag, creep and slew are in the tables for"
-            " that step; another rate is another export."
+            f"Call the step at a fixed {1.0 / plan.time_step:.12g} Hz: lag, creep and slew are in the tables"
+            " for that step; another rate is another export."
         )
     ahead = read_ahead(plan)
     if ahead > 0.0:
-        samples = "" if plan.time_step is None else f" ({ahead / plan.time_step:.6g} samples)"
+        steps = 0.0 if plan.time_step is None else round(ahead / plan.time_step, 6)
+        samples = "" if plan.time_step is None else f" ({steps:.6g} sample{'s' if steps > 1 else ''})"
         notes.append(
-            f"Read {ahead!r} s{samples} ahead: give the displacement that is wanted so much later. Where"
+            f"Read {ahead:.9g} s{samples} ahead: give the displacement that is wanted so much later. Where"
             " the trajectory is not known in advance, the actuator lags by that time."
         )
     if plan.limits is not None:
@@ -295,7 +306,7 @@ def _units(plan: CascadePlan, name: str, arithmetic: str) -> str:
     parts = []
     for way, quantity in (("in", plan.model.input), ("out", plan.model.output)):
         unit = f" {quantity.unit}" if quantity.unit else ""
-        parts.append(f"{quantity.quantity} {way}, {quantity.minimum!r} to {quantity.maximum!r}{unit}")
+        parts.append(f"{quantity.quantity} {way}, {quantity.minimum:.9g} to {quantity.maximum:.9g}{unit}")
     if arithmetic != "q31":
         return "; ".join(parts) + "; beyond the range the last slope goes on."
     return (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from dbo_cli.hysteresis.initial_states import DriveStart
 from dbo_cli.hysteresis.operators import BacklashState
 
 Floats = NDArray[np.float64]
+
+NEGLIGIBLE = 1e-9
+"""Clipping, and missing a first value, count from this fraction of the range on."""
 
 
 class OutsideError(InputError):
@@ -103,6 +107,8 @@ class ModelState:
         (p, q, u) of each section of the dynamics; None: at rest at the sample to come.
     undoing : InverseMemory, or None
         What the inverse of the dynamics remembers, after a compensation.
+    drive_lag : tuple, or None
+        (p, q, u) of the lag before the gears; None: at rest at the sample to come.
     """
 
     backlash: BacklashState
@@ -112,10 +118,10 @@ class ModelState:
     time: float | None = None
     dynamics: SectionStates | None = None
     undoing: InverseMemory | None = None
+    drive_lag: SectionStates | None = None
 
 
-@dataclass(frozen=True)
-class Simulated:
+class Simulated(NamedTuple):
     """One block of output, the state after it, and what was unusual; indices count from 0 in the block.
 
     Attributes

@@ -9,9 +9,9 @@ from itertools import chain
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.conditioning import condition as conditioning_drive
-from dbo_cli.logs.clock import even_step
+from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.runs.model_run import ModelRun, Response, unit_of
 from dbo_cli.runs.remarks import Remarks
@@ -125,12 +125,28 @@ class Compensation(ModelRun):
         times = [block.time for block, _ in held if block.time is not None]
         stamps = np.concatenate(times)[:RATE_SAMPLES]
         step = self.steps.step or even_step(stamps) or _usual_step(self.source.name, stamps)
+        self._require_bounded(step)
         sweep = conditioning_drive(self.model, first, self.limits, step)
         start = self.model.start(float(sweep.voltage[0]))
         expected = self.model.simulate(sweep.voltage, start, time_step=step).y
         self.state = sweep.state
         self.steps.follow(float(stamps[0]) - step)
         return Response(sweep.time + float(stamps[0]), expected, sweep.voltage)
+
+    def _require_bounded(self, step: float) -> None:
+        """Refuse a sweep over the whole range that no memory could hold (UsageError)."""
+        from dbo_cli.hysteresis.excitation import MOST_SAMPLES
+
+        assert self.limits is not None
+        slew = self.limits.max_slew
+        slowest = 0.0 if slew is None else 0.5 * np.pi * (self.limits.v_max - self.limits.v_min) / slew
+        rows = 2.0 * max(slowest, 1.0) / step
+        if rows > MOST_SAMPLES:
+            at, remedy = (f" at `max_slew` {slew:g}", "`max_slew`") if slowest > 1.0 else ("", "rate")
+            raise UsageError(
+                f"`condition`: the sweep{at} takes {rows * step:.4g} s, {rows:.4g} rows, more than the "
+                f"{MOST_SAMPLES:,} that are written at most (another {remedy})"
+            )
 
 
 def _usual_step(name: str, stamps: FloatArray) -> float:
@@ -139,4 +155,4 @@ def _usual_step(name: str, stamps: FloatArray) -> float:
     forward = steps[steps > 0.0]
     if not len(forward):
         raise InputError(f"{name}: the time does not advance, and `condition` takes its rate from it")
-    return float(np.median(forward))
+    return median_step(forward)

@@ -193,6 +193,11 @@ class ModelRun:
             self._watch_speed(x if self.limits is None else done.y, steps, block)
         return done.y
 
+    @property
+    def may_condition(self) -> bool:
+        """Whether a sweep before the first sample could bring the actuator into the start."""
+        return self.limits is not None
+
     def _watch_speed(self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock) -> None:
         """Count the samples whose drive is faster than any that the model was identified from."""
         fastest = self.model.fit.get("fastest_drive")
@@ -215,8 +220,8 @@ class ModelRun:
             told.notes.append(
                 f"{self.source.name}: where it starts, the displacement depends on the past by up to "
                 f"{self.assumed:.3g}{unit_of(displacement)}; the actuator is taken to have settled there "
-                f"({'`condition` sweeps it there, ' if self.limits else ''}`state` empty where it comes from "
-                "its lower end)"
+                f"({'`condition` sweeps it there, ' if self.may_condition else ''}`state` empty where it "
+                "comes from its lower end)"
             )
         if self.clipped.count:
             told.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
