@@ -1,6 +1,7 @@
 # make demo    identify, compensate and report on the sample log; files and a picture are left in demo/
 # make test    ruff, mypy and pytest
 # make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
+# make compare DATA=FOLDER   the DBO beside its relatives on all recordings: the tables of docs/comparison.md
 # make fuzz    100,000 malformed inputs, 20,000 changed headers;  make clean
 # make attack  killed runs, full disks, mutated models, random command lines (ATTACK=10: ten times as many)
 # make mutants plants faults in the mathematics and says which no test finds (an hour on one core)
@@ -16,11 +17,11 @@ DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
 KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
 
-.PHONY: help demo test paper fuzz attack mutants bench clean
+.PHONY: help demo test paper compare fuzz attack mutants bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,10p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,11p'
 
 # --- the environment ---
 
@@ -90,6 +91,11 @@ paper: $(VENV)/installed
 	  echo "make paper DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
 	$(BIN)/python benchmarks/paper.py "$(DATA)" paper
 
+compare: $(VENV)/installed
+	@test -n "$(DATA)" || { \
+	  echo "make compare DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
+	$(BIN)/python benchmarks/comparison.py "$(DATA)" --write
+
 fuzz: $(VENV)/installed-test
 	$(BIN)/python benchmarks/fuzz.py
 	$(BIN)/python benchmarks/header_fuzz.py 20000
@@ -106,7 +112,7 @@ mutants: $(VENV)/installed-test
 	$(BIN)/python benchmarks/mutants.py
 
 MEASURED := startup text_speed hdf5_speed format_speed large_files report_speed kernel_speed live_speed hops \
-            identification_cost drift round_trip dynamics_round_trip tracking
+            identification_cost relatives_cost drift round_trip dynamics_round_trip tracking
 bench: $(VENV)/installed-test
 	@for name in $(MEASURED); do \
 	  echo "== benchmarks/$$name.py"; $(BIN)/python benchmarks/$$name.py || exit 1; \

@@ -25,7 +25,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.runs.files import identify_logs
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, report, excite, export"
+LIST = "identify, show, invert, simulate, compensate, report, excite, export, compare"
 
 
 def test_version(dbo: Any) -> None:
@@ -174,6 +174,7 @@ PROMISED = {
     "report": "--desired --measured --lag --remove-offset --model --figures --max-rmse --max-abs "
     "--max-nrmse-percent --segment --rows --format",
     "excite": "--v-min --v-max --sample-rate --duration --frequency",
+    "compare": "--models --validate --skip --format --figures --save-models --no-timings --voltage --displacement",
     "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
     "--arduino --fmu --shared --overwrite",
 }

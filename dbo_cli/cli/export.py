@@ -39,7 +39,7 @@ def export(
     Example: dbo export model.json -o firmware --sample-rate 10000
     """
     from dbo_cli.export import export_model
-    from dbo_cli.hysteresis.model_file import read_model
+    from dbo_cli.relatives.model_file import read_model
 
     summary = export_model(
         read_model(model),

@@ -484,6 +484,22 @@ ModelFigures = Annotated[
     _option("--figures", "DIR", "Draw the model's curves, PNG and SVG, into this folder."),
 ]
 
+# --- compare ---
+ModelNames = Annotated[
+    tuple[str, ...] | None,
+    _option(
+        "--models",
+        "NAME,...",
+        "Only these of dbo, line, pi, rate, singularity-free, asymmetric.",
+        parse=values.names,
+    ),
+]
+NoTimings = Annotated[bool, _option("--no-timings", None, "Measure no times: the table repeats to the byte.")]
+SaveModels = Annotated[
+    str | None,
+    _option("--save-models", "DIR", "Also write every model that was fitted, NAME.json, into this folder."),
+]
+
 # --- excite ---
 ExciteMin = Annotated[
     float, _option("--v-min", "VOLT", "Lowest drive voltage.", default="0", parse=values.number)

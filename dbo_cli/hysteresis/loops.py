@@ -84,8 +84,11 @@ def settled_drive(
 
 def _periodic(model: ActuatorModel, before: ModelState, after: ModelState, seconds: float) -> ModelState:
     """Return the state after a pass, with the memory that further passes of the same drive would lead to."""
-    terms, memory = model.backlash.relaxation, after.backlash.memory
-    if terms is not None and memory is not None:
+    memory = after.backlash.memory
+    if memory is None:
+        return after  # no relaxation
+    terms = model.backlash.relaxation
+    if terms is not None:
         begun = before.backlash.memory
         if begun is not None:
             kept = [math.exp(-seconds / tau) for tau in terms.tau]

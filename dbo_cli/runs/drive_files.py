@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs.addresses import check_format, format_for
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.relatives.model_file import read_model
 from dbo_cli.runs.compensation import check_range, compensation
 from dbo_cli.runs.files import Destination, check_order, opened, spoken, write_response
 from dbo_cli.runs.model_run import reads_ahead

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_file import read_model as read_model_file
+from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_document
@@ -24,6 +23,8 @@ from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.relatives.model_file import read_model as read_model_file
+from dbo_cli.relatives.model_file import read_state
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import DboWarning, Remarks
 from dbo_cli.runs.roles import quantity_wish
@@ -87,7 +88,7 @@ class Model:
     def __repr__(self) -> str:
         """Return what the model turns into what."""
         a, b = self.input, self.output
-        return f"<dbo Model, {self.direction}: {_named(a)} to {_named(b)}, {self.actuator.backlash.n} gears>"
+        return f"<dbo Model, {self.direction}: {_named(a)} to {_named(b)}, {self.actuator.size}>"
 
     @property
     def direction(self) -> str:

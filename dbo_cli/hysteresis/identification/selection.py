@@ -68,19 +68,30 @@ def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
     return float(np.sqrt(squared_error(gram, vector) / rows))
 
 
-def no_worse(candidate: Score, best: Score, indifference: float = INDIFFERENCE) -> bool:
+def no_worse(
+    candidate: Score,
+    best: Score,
+    indifference: float = INDIFFERENCE,
+    max_standard_error: float = MAX_STANDARD_ERROR,
+) -> bool:
     """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
 
     The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common. With few or uneven folds it says little, so it excuses a loss only up to ``MAX_STANDARD_ERROR``.
+    common. With few or uneven folds it says little, so it excuses a loss only up to ``max_standard_error``.
     """
     excess = candidate.excess_over(best)
     mean = float(excess.mean())
     error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
-    return bool(mean <= max(min(error, MAX_STANDARD_ERROR), float(np.log1p(indifference))))
+    return bool(mean <= max(min(error, max_standard_error), float(np.log1p(indifference))))
 
 
-def simplest_of(scores: Sequence[Score], indifference: float = INDIFFERENCE) -> int:
+def simplest_of(
+    scores: Sequence[Score],
+    indifference: float = INDIFFERENCE,
+    max_standard_error: float = MAX_STANDARD_ERROR,
+) -> int:
     """Index of the first (simplest first) candidate that is no worse than the best of all."""
     best = min(scores, key=lambda score: float(score.excess_over(scores[0]).mean()))
-    return next(k for k, score in enumerate(scores) if no_worse(score, best, indifference))
+    return next(
+        k for k, score in enumerate(scores) if no_worse(score, best, indifference, max_standard_error)
+    )
