@@ -22,7 +22,7 @@ from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.runs.files import identify_logs
+from dbo_cli.runs.identifying import identify_logs
 
 ROOT = Path(__file__).resolve().parent.parent
 LIST = "identify, show, invert, simulate, compensate, report, excite, export, compare"
