@@ -62,7 +62,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=12.0)
     seconds = parser.parse_args().seconds
     wide = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0}
-    warnings.simplefilter("ignore")  # a run that begins on the move rings at first: its last period is compared
+    warnings.simplefilter("ignore")  # a run that begins on the move rings at first; its last period counts
     bad = 0
     for k in range(5):
         loop, frequency = 0.30 + 0.05 * k, 650.0 + 60.0 * k
