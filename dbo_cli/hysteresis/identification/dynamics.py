@@ -33,15 +33,12 @@ Found = tuple[ActuatorModel, dict[str, object], list[str], list[str]]
 EARNED = 0.9
 """Of the error on blocks left out: one more resonance, or an antiresonance, must lower it to this.
 
+So must a lag behind the gears against one before them: a small sweep cannot tell (the gears hardly turn in
+it), and an amplifier's lag is the usual one.
 Actuators without a resonance, fitted with one, came to 0.97 to 1.00; with a heavily damped one at half the
 swept band, 0.3.
 """
-AS_GOOD = 1.02
-"""Of the error on blocks left out, up to which something else is as good.
-
-So with the lag behind the gears and before them: a small sweep cannot tell (the gears hardly turn in it), and
-an amplifier's lag is the usual one; and with creep behind the gears and beside them.
-"""
+AS_GOOD = 1.02  # of the error on cycles left out, up to which creep behind the gears is taken
 STILL_GOOD = 1.25
 """Of the same error, up to which the slow rows' second reading is taken.
 
@@ -202,7 +199,7 @@ def _placed(signals: Sequence[Signals], behind: Candidate, highest: float) -> Ca
         return behind
     structure = dataclasses.replace(behind.structure, lag_before=True)
     before = fitted(signals, [behind.parameters], structure, highest)
-    return before if before.left_out <= AS_GOOD * behind.left_out else behind
+    return before if EARNED * before.left_out <= behind.left_out else behind
 
 
 def _without_short(model: ActuatorModel, shortest: float) -> ActuatorModel:
