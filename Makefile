@@ -1,8 +1,11 @@
 # make demo    identify, compensate and report on the sample log; files and a picture are left in demo/
 # make test    ruff, mypy and pytest
 # make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
-# make fuzz    100,000 malformed inputs;  make bench    the figures of speed and memory;  make clean
+# make compare DATA=FOLDER   the DBO beside its relatives on all recordings: the tables of docs/comparison.md
+# make fuzz    100,000 malformed inputs, 20,000 changed headers;  make clean
 # make attack  killed runs, full disks, mutated models, random command lines (ATTACK=10: ten times as many)
+# make mutants plants faults in the mathematics and says which no test finds (an hour on one core)
+# make bench   the figures of speed, memory and exactness
 #
 # Needs python3 (3.11 or newer) and make; everything else is installed into .venv by the first call.
 # Another interpreter: make PYTHON=python3.12 demo. On Windows see README.md.
@@ -14,11 +17,11 @@ DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
 KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
 
-.PHONY: help demo test paper fuzz attack bench clean
+.PHONY: help demo test paper compare fuzz attack mutants bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,9p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,11p'
 
 # --- the environment ---
 
@@ -88,8 +91,14 @@ paper: $(VENV)/installed
 	  echo "make paper DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
 	$(BIN)/python benchmarks/paper.py "$(DATA)" paper
 
+compare: $(VENV)/installed
+	@test -n "$(DATA)" || { \
+	  echo "make compare DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
+	$(BIN)/python benchmarks/comparison.py "$(DATA)" --write
+
 fuzz: $(VENV)/installed-test
 	$(BIN)/python benchmarks/fuzz.py
+	$(BIN)/python benchmarks/header_fuzz.py 20000
 
 ATTACK ?= 1
 
@@ -99,10 +108,14 @@ attack: $(VENV)/installed-test
 	$(BIN)/python benchmarks/attack/mutants.py $$((10000 * $(ATTACK)))
 	$(BIN)/python benchmarks/attack/command_lines.py $$((10000 * $(ATTACK)))
 
+mutants: $(VENV)/installed-test
+	$(BIN)/python benchmarks/mutants.py
+
+MEASURED := startup text_speed hdf5_speed format_speed large_files report_speed kernel_speed live_speed hops \
+            identification_cost relatives_cost drift round_trip dynamics_round_trip tracking
 bench: $(VENV)/installed-test
-	@for script in benchmarks/*.py; do \
-	  case $$script in */fuzz.py|*/paper.py) continue;; esac; \
-	  echo "== $$script"; $(BIN)/python $$script || exit 1; \
+	@for name in $(MEASURED); do \
+	  echo "== benchmarks/$$name.py"; $(BIN)/python benchmarks/$$name.py || exit 1; \
 	done
 
 clean:

@@ -2,7 +2,7 @@
 
     python benchmarks/export_bounds.py [--samples N] [--models N] [--flood N]
 
-Ten simulated recordings (those of against_plays.py) are identified, everything automatic; each model is
+Ten simulated recordings (invented_actuators.py) are identified, everything automatic; each model is
 exported both ways in double, float and q31. float and q31 must stay within their bounds, reduced to 12
 gears the lookup table must give the bits of the recursion. --flood N plays N random samples with NaN and
 infinities among them under the address and undefined-behaviour sanitizers. Needs a C compiler.
@@ -11,6 +11,7 @@ infinities among them under the address and undefined-behaviour sanitizers. Need
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import subprocess
 import sys
@@ -25,12 +26,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
-from against_plays import recordings  # noqa: E402
 from exported import COMPILERS, SANITIZERS, compiled, random_moves  # noqa: E402
+from invented_actuators import cases  # noqa: E402
 
 from dbo_cli.export import export_model  # noqa: E402
 from dbo_cli.export.single_tables import counts_unit  # noqa: E402
-from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify  # noqa: E402
+from dbo_cli.hysteresis.identification import IdentificationOptions, identify  # noqa: E402
 from dbo_cli.hysteresis.model import ActuatorModel  # noqa: E402
 
 RUN = 5000  # samples from one start: once gears differ, a model with memory remembers that
@@ -63,11 +64,12 @@ int main(void) {
 
 
 def identified(count: int) -> list[tuple[str, ActuatorModel, float]]:
-    """Return name, model and sample rate of the first recordings."""
+    """Return name, model and sample rate of the first cases."""
     found = []
-    for name, (rate, voltage, displacement) in list(recordings().items())[:count]:
-        log = Recording(name, voltage, displacement, None, 1.0 / rate)
-        found.append((name, identify([log], IdentificationOptions()).model, rate))
+    for case in itertools.islice(cases(), count):
+        seconds = case.test.seconds()
+        rate = round((len(seconds) - 1) / float(seconds[-1]), 6)
+        found.append((case.name, identify(case.logs, IdentificationOptions()).model, rate))
     return found
 
 

@@ -1,7 +1,8 @@
 """Faults in the mathematics for ``mutants.py``: where, the text there, the faulty text, what it breaks.
 
 The text must stand exactly once in its file (tests/test_planted_faults.py holds that). Take faults that a
-person could make: a wrong end, a lost sign, a tolerance left out, a special case forgotten.
+person could make: a wrong end, a lost sign, a tolerance left out, a special case forgotten.  Which segment of
+the points a breakpoint belongs to is none: widths and heights stand on a binary grid, so both give the same bits.
 """
 
 from __future__ import annotations
@@ -54,9 +55,6 @@ FAULTS: list[Fault] = [
         ("if ((bits_of(d) ^ turned) >= reach) break;", "if ((bits_of(d) ^ turned) > reach) break;",
          "a gear travelled exactly to the tolerance counts as crossed"),
         ("sum += op->gain[j] * memory[j];", "sum += op->gain[j] * drive;", "lag and creep are remembered"),
-        ("while (c + 1 < m && u >= segments[c + 1].x) c++;",
-         "while (c + 1 < m && u > segments[c + 1].x) c++;",
-         "a breakpoint of the points begins the upper segment"),
         ("*clipped = y - high > slack;", "*clipped = 1;", "clipping by less than the slack does not count"),
         ("return d >= 0.0 ? high : low;", "return d >= 0.0 ? low : high;",
          "an output on the wrong side of the limits goes to the nearer one"),
@@ -69,9 +67,6 @@ FAULTS: list[Fault] = [
         ("return min(max(last - step, low), high), max(min(last + step, high), low)",
          "return max(last - step, low), min(last + step, high)",
          "the range wins over the slew limit, in Python"),
-        ('c = np.searchsorted(segments[1:, 0], u, side="right")',
-         'c = np.searchsorted(segments[1:, 0], u, side="left")',
-         "a breakpoint of the points begins the upper segment, in Python"),
         ("outside = (d if rising else -d) >= width * (1.0 - fraction)", "outside = d >= width * (1.0 - fraction)",
          "samples below the range are counted, in Python"),
     ),
@@ -190,7 +185,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/statistics.py",
         IDENTIFICATION,
-        ("slice(begin if alone else end - log.stretches, end)", "slice(begin, end)",
+        ("slice(begin if len(mine) < 2 else end - log.stretches, end)", "slice(begin, end)",
          "a fold left out has its log's offset in common with the others"),
     ),
     *_faults(

@@ -32,10 +32,11 @@ PLACES: dict[str, tuple[int, float, float, str]] = {
     "logs": (1, 5.2, 10.0, "formats, columns, units, clocks, outputs"),
     "identification": (2, 0.0, 3.1, "a model from logs"),
     "export": (2, 3.45, 6.55, "a model as C"),
-    "reports": (2, 6.9, 10.0, "figures of merit, pages"),
-    "runs": (3, 0.0, 10.0, "the use cases: blocks in, blocks out; what must be said comes back as data"),
-    NAMES: (4, 0.0, 4.8, "the public names, loaded when asked for"),
-    "cli": (4, 5.2, 10.0, "options, one call, output"),
+    "relatives": (3, 0.0, 3.1, "what to compare with"),
+    "reports": (4, 6.9, 10.0, "figures of merit, pages"),
+    "runs": (5, 0.0, 10.0, "the use cases: blocks in, blocks out; what must be said comes back as data"),
+    NAMES: (6, 0.0, 4.8, "the public names, loaded when asked for"),
+    "cli": (6, 5.2, 10.0, "options, one call, output"),
 }
 """The rooms; an arrow may only lead to a lower level."""
 
@@ -144,7 +145,7 @@ def paint(axes: Axes) -> None:
         middle = 2.0 * level + 0.5
         axes.text((left + right) / 2, middle + (0.2 if what else 0.0), name, weight="bold", **spot)
         axes.text((left + right) / 2, middle - 0.22, what, color=style.MUTED, fontsize=7.5, **spot)
-    axes.set(xlim=(-0.1, 10.1), ylim=(-0.1, 9.1))
+    axes.set(xlim=(-0.1, 10.1), ylim=(-0.1, 13.1))
     axes.axis("off")
 
 
@@ -179,7 +180,7 @@ def picture() -> bytes:
 
     content = io.BytesIO()
     with rc_context(style.RC):
-        figure = Figure(figsize=(7.2, 5.4))
+        figure = Figure(figsize=(7.2, 7.6))
         FigureCanvasAgg(figure)
         paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
         figure.savefig(content, format="svg", metadata={"Date": None, "Creator": None})

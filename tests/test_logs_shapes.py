@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dbo_cli.logs import text_logs
 from dbo_cli.logs import text_parsing as parsing
 from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.instrument_headers import InstrumentHeader, read_instrument_header
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
+from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.readable import READABLE, Shape
 
 VOLTAGE = ("voltage", "drive", "command", "u", "v")
@@ -105,3 +109,15 @@ def test_numbers_survive_both_ways(tmp_path: Path) -> None:
     with open_log(str(path), {"voltage": ColumnWish(None, VOLTAGE)}) as log:
         read = log.read().values["voltage"]
     assert read.view(np.uint64).tolist() == np.array(values).view(np.uint64).tolist()
+
+
+def test_what_is_taken_for_a_plain_log_has_no_instruments_header(tmp_path: Path) -> None:
+    """One line of names above numbers is not shown to the makers' readers: they would find nothing there."""
+    contents = [shape.content for shape in READABLE]
+    for number, one in enumerate(INSTRUMENT_FILES):
+        one.write(path := tmp_path / f"{number}{one.ending}")
+        contents.append(path.read_bytes())
+    plain = [content for content in contents if text_logs._PLAIN.fullmatch(content)]
+    assert len(plain) > 10
+    for content in plain:
+        assert read_instrument_header("log", content, ReadingOptions()) == InstrumentHeader()

@@ -45,7 +45,8 @@ def compensate(
 
     Example: dbo compensate model.json trajectory.csv --max-slew 2000 -o drive.csv
     """
-    from dbo_cli.runs.files import Destination, compensate_trajectory
+    from dbo_cli.runs.drive_files import compensate_trajectory
+    from dbo_cli.runs.files import Destination
 
     remarks = compensate_trajectory(
         model,

@@ -31,7 +31,7 @@ def excite(
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
-    from dbo_cli.runs.files import write_excitation
+    from dbo_cli.runs.drive_files import write_excitation
 
     rows = write_excitation(
         output,

@@ -46,7 +46,7 @@ def identify(
     """
     refuse_terminal(output)
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.files import identify_logs
+    from dbo_cli.runs.identifying import identify_logs
 
     asked = IdentificationOptions(
         gears=gears,

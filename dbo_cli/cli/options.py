@@ -97,7 +97,7 @@ Time = Annotated[
     _reading(
         "--time",
         COLUMN,
-        "Time, as every column a header name, a dataset path, or a number counted from 1; guessed by name.",
+        "Time. Every column: a header name, a dataset path, a number from 1, or FILE::COLUMN; else guessed.",
     ),
 ]
 
@@ -301,7 +301,8 @@ State = Annotated[
         "--state",
         "auto|empty|full|settled|FILE",
         "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
-        "away there), auto (empty at the lower end, else settled), or a saved state.",
+        "away there), auto (empty at the lower end, else settled; for a log that the model was identified "
+        "from, as the fit found it), or a saved state.",
         default="auto",
     ),
 ]
@@ -481,6 +482,22 @@ ShowFormat = Annotated[
 ModelFigures = Annotated[
     str | None,
     _option("--figures", "DIR", "Draw the model's curves, PNG and SVG, into this folder."),
+]
+
+# --- compare ---
+ModelNames = Annotated[
+    tuple[str, ...] | None,
+    _option(
+        "--models",
+        "NAME,...",
+        "Only these of dbo, line, pi, rate, singularity-free, asymmetric.",
+        parse=values.names,
+    ),
+]
+NoTimings = Annotated[bool, _option("--no-timings", None, "Measure no times: the table repeats to the byte.")]
+SaveModels = Annotated[
+    str | None,
+    _option("--save-models", "DIR", "Also write every model that was fitted, NAME.json, into this folder."),
 ]
 
 # --- excite ---

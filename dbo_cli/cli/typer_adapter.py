@@ -28,7 +28,9 @@ from dbo_cli.cli.messages import Voice
 from dbo_cli.errors import UsageError
 from dbo_cli.version import __version__
 
-COMMANDS = ("identify", "show", "invert", "simulate", "compensate", "report", "excite", "export")
+COMMANDS = (
+    "identify", "show", "invert", "simulate", "compensate", "report", "excite", "export", "compare"
+)  # fmt: skip
 SHELLS = ("bash", "zsh", "fish")
 PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
 HEADINGS = ("Arguments", "Options", options.STATE, options.READING, options.COMMON)
@@ -174,7 +176,7 @@ def run(words: Sequence[str]) -> int:
     return 0
 
 
-def complaint(problem: Exception) -> tuple[str, int] | None:
+def complaint(problem: BaseException) -> tuple[str, int] | None:
     """Return text and exit code of the library's own complaints, whatever their class is called."""
     wording = getattr(problem, "format_message", None)
     if wording is None:

@@ -97,6 +97,14 @@ def rows(option: str, text: str) -> tuple[int, int | None]:
     return parse_rows(text)
 
 
+def names(option: str, text: str) -> tuple[str, ...]:
+    """Return names that commas divide."""
+    found = tuple(name.strip() for name in text.split(","))
+    if not all(found):
+        raise UsageError(f"`{option}` {shown(text)}: give names with commas between them")
+    return found
+
+
 def header_lines(option: str, text: str) -> int:
     """Return a number of header lines: 0, 1 or 2."""
     return int(choice(("0", "1", "2"))(option, text))

@@ -152,6 +152,7 @@ def plan_cascade(
     if sample_rate is not None and not (math.isfinite(sample_rate) and sample_rate > 0.0):
         raise UsageError(f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0")
     turned = model if model.direction == direction else model.inverse()
+    _ = turned.backlash  # a model that has no gears says so
     turned = turned.with_lag_behind()
     for place, stage in enumerate(turned.stages):
         if not isinstance(stage, _KINDS):

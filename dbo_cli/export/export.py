@@ -194,14 +194,15 @@ def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
     unit = f" {plan.model.output.unit}" if plan.model.output.unit else ""
     if plan.time_step is not None:
         notes.append(
-            f"Call the step at a fixed {1.0 / plan.time_step!r} Hz: lag, creep and slew are in the tables for"
-            " that step; another rate is another export."
+            f"Call the step at a fixed {1.0 / plan.time_step:.12g} Hz: lag, creep and slew are in the tables"
+            " for that step; another rate is another export."
         )
     ahead = read_ahead(plan)
     if ahead > 0.0:
-        samples = "" if plan.time_step is None else f" ({ahead / plan.time_step:.6g} samples)"
+        steps = 0.0 if plan.time_step is None else round(ahead / plan.time_step, 6)
+        samples = "" if plan.time_step is None else f" ({steps:.6g} sample{'s' if steps > 1 else ''})"
         notes.append(
-            f"Read {ahead!r} s{samples} ahead: give the displacement that is wanted so much later. Where"
+            f"Read {ahead:.9g} s{samples} ahead: give the displacement that is wanted so much later. Where"
             " the trajectory is not known in advance, the actuator lags by that time."
         )
     if plan.limits is not None:
@@ -305,7 +306,7 @@ def _units(plan: CascadePlan, name: str, arithmetic: str) -> str:
     parts = []
     for way, quantity in (("in", plan.model.input), ("out", plan.model.output)):
         unit = f" {quantity.unit}" if quantity.unit else ""
-        parts.append(f"{quantity.quantity} {way}, {quantity.minimum!r} to {quantity.maximum!r}{unit}")
+        parts.append(f"{quantity.quantity} {way}, {quantity.minimum:.9g} to {quantity.maximum:.9g}{unit}")
     if arithmetic != "q31":
         return "; ".join(parts) + "; beyond the range the last slope goes on."
     return (

@@ -1,4 +1,4 @@
-/* dbo_kernel.c and dbo_dynamics.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
+/* dbo_kernel.c, dbo_dynamics.c and dbo_plays.c as a Python extension in the limited ABI. Arguments are checked by operators.py; here
  * only lengths are, so that no mistake there can read or write beyond a buffer. */
 #define Py_LIMITED_API 0x030b0000
 #define PY_SSIZE_T_CLEAN
@@ -6,6 +6,7 @@
 
 #include "dbo_dynamics.h"
 #include "dbo_kernel.h"
+#include "dbo_plays.h"
 
 #define NUMBERS(view) ((size_t)(view).len / sizeof(double))
 
@@ -242,6 +243,108 @@ done:
     return Py_BuildValue("");
 }
 
+/* The plays out of buffers; 0 with an error set where lengths do not match. The table has three or four rows. */
+static int assemble_plays(dbo_plays *op, Py_ssize_t n, const Py_buffer *table, const Py_buffer *curve,
+                          const Py_buffer *z) {
+    const size_t padded = NUMBERS(*z), rows = padded ? NUMBERS(*table) / padded : 0;
+    const double *numbers = table->buf;
+    if (n < 1 || padded < (size_t)n || padded % DBO_PLAY_LANES) return !too_short("z");
+    if (rows < 3 || rows > 4 || rows * padded != NUMBERS(*table)) return !too_short("table");
+    if (curve && NUMBERS(*curve) != 0 && NUMBERS(*curve) != 2) return !too_short("curve");
+    op->n = (size_t)n;
+    op->padded = padded;
+    op->up = numbers;
+    op->down = numbers + padded;
+    op->weight = numbers + 2 * padded;
+    op->by_rate = rows == 4 ? numbers + 3 * padded : NULL;
+    op->curved = curve && NUMBERS(*curve) == 2;
+    op->cubic = op->curved ? ((const double *)curve->buf)[0] : 0.0;
+    op->linear = op->curved ? ((const double *)curve->buf)[1] : 0.0;
+    return 1;
+}
+
+static PyObject *plays_run(PyObject *module, PyObject *args) {
+    Py_buffer table, curve, z, x, y, share;
+    dbo_plays op;
+    Py_ssize_t n;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*", &n, &table, &curve, &z, &x, &y, &share)) return NULL;
+    if (!assemble_plays(&op, n, &table, &curve, &z)) goto done;
+    if (NUMBERS(y) != NUMBERS(x) && too_short("y")) goto done;
+    if (NUMBERS(share) != (op.by_rate ? NUMBERS(x) : 0) && too_short("share")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_plays_run(&op, z.buf, x.buf, y.buf, NUMBERS(x), share.buf);
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&table);
+    PyBuffer_Release(&curve);
+    PyBuffer_Release(&z);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&y);
+    PyBuffer_Release(&share);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *plays_rows(PyObject *module, PyObject *args) {
+    Py_buffer table, z, x, rows;
+    dbo_plays op;
+    Py_ssize_t n;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "ny*w*y*w*", &n, &table, &z, &x, &rows)) return NULL;
+    if (!assemble_plays(&op, n, &table, NULL, &z)) goto done;
+    if (NUMBERS(rows) != NUMBERS(x) * op.n && too_short("rows")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    dbo_plays_rows(&op, z.buf, x.buf, rows.buf, NUMBERS(x));
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&table);
+    PyBuffer_Release(&z);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&rows);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *plays_solve(PyObject *module, PyObject *args) {
+    Py_buffer table, curve, z, y, x, share, step;
+    dbo_plays op;
+    dbo_play_limits limits;
+    Py_ssize_t n;
+    size_t clipped = 0, first = 0;
+    double last;
+    int limited, ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*pdddy*d", &n, &table, &curve, &z, &y, &x, &share, &limited, &limits.low,
+                          &limits.high, &limits.slack, &step, &last))
+        return NULL;
+    limits.step = NUMBERS(step) ? step.buf : NULL;
+    limits.step_stride = NUMBERS(step) > 1;
+    if (!assemble_plays(&op, n, &table, &curve, &z)) goto done;
+    if (NUMBERS(x) != NUMBERS(y) && too_short("x")) goto done;
+    if (NUMBERS(share) != (op.by_rate ? NUMBERS(y) : 0) && too_short("share")) goto done;
+    if (NUMBERS(step) > 1 && NUMBERS(step) != NUMBERS(y) && too_short("step")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    clipped = dbo_plays_solve(&op, z.buf, y.buf, x.buf, NUMBERS(y), op.by_rate ? share.buf : NULL,
+                              limited ? &limits : NULL, last, &first);
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&table);
+    PyBuffer_Release(&curve);
+    PyBuffer_Release(&z);
+    PyBuffer_Release(&y);
+    PyBuffer_Release(&x);
+    PyBuffer_Release(&share);
+    PyBuffer_Release(&step);
+    if (!ready) return NULL;
+    return Py_BuildValue("(nn)", (Py_ssize_t)clipped, (Py_ssize_t)first);
+}
+
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
@@ -249,6 +352,9 @@ static PyMethodDef methods[] = {
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},
     {"dynamics_run", dynamics_run, METH_VARARGS, "Linear sections over a block of samples."},
     {"dynamics_undo", dynamics_undo, METH_VARARGS, "The input of a linear section from its output."},
+    {"plays_run", plays_run, METH_VARARGS, "A weighted sum of plays over a block of samples."},
+    {"plays_rows", plays_rows, METH_VARARGS, "Every play in every sample."},
+    {"plays_solve", plays_solve, METH_VARARGS, "The input of a weighted sum of plays from its output."},
     {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
     {NULL, NULL, 0, NULL}};
 

@@ -6,9 +6,10 @@ import dataclasses
 import hashlib
 import json
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,26 @@ class ScaleStage:
         return ScaleStage(1.0 / self.gain, -self.offset / self.gain)
 
 
-Stage = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage
+class OtherHysteresis(ABC):
+    """A stage with another hysteresis than that of gears; its room runs the models it stands in."""
+
+    @abstractmethod
+    def inverse(self) -> OtherHysteresis:
+        """Return the stage that undoes this one."""
+
+    @abstractmethod
+    def file_values(self) -> dict[str, Any]:
+        """Return the stage as plain values for the model file, its ``type`` first."""
+
+
+Stage = (
+    DiscreteBacklashOperator
+    | DiscretePointOperator
+    | ScaleStage
+    | DynamicsStage
+    | DelayStage
+    | OtherHysteresis
+)
 MemoryFree = tuple[DiscretePointOperator | ScaleStage, ...]
 
 
@@ -144,6 +164,8 @@ def digest_of(stages: Sequence[Stage]) -> str:
             parts.append(stage.seconds)
         elif isinstance(stage, DynamicsStage):
             parts.append([dataclasses.asdict(section) for section in stage.sections])
+        elif isinstance(stage, OtherHysteresis):
+            parts.append(stage.file_values())
         else:
             parts.append([stage.dx.tolist(), stage.dy.tolist(), stage.x0, stage.y0])
             if isinstance(stage, DiscreteBacklashOperator) and stage.relaxation:

@@ -37,12 +37,11 @@ def condition(
     ``compensate`` goes on from the state; the last time is one ``time_step`` before 0.
     """
     model.require("forward")
-    operator = model.forward_backlash
     loading = model.inverse().start(first_desired, "empty")
     wanted = model.inverse().simulate([first_desired], loading, time_step=time_step).y[0]
     target = float(min(max(wanted, limits.v_min), limits.v_max))
     low = limits.v_min
-    high = min(max(operator.x_range[1], target), limits.v_max)
+    high = min(max(model.drive_end, target), limits.v_max)
     # What lags remembers the sweep, so the voltage that the trajectory begins with depends on the sweep, and
     # the sweep shall end at that voltage: a fixed point, found in a few turns since the memory is weak.
     for _ in range(JOINING_TURNS):

@@ -89,12 +89,12 @@ def simulate(
     if not lag.inverted:
         w, held = lag.run(x, steps, state.drive_lag)
         done = rest.simulate(w, state, time_step=steps, outside=outside)
-        return replace(done, state=replace(done.state, drive_lag=held))
+        return done._replace(state=replace(done.state, drive_lag=held))
     numbers = _coefficients(lag, steps, x.size)
     if limits is None:
         done = rest.simulate(x, state, time_step=steps, outside=outside)
         v, held = undone(numbers, done.y, state.drive_lag)
-        return replace(done, y=v, state=replace(done.state, drive_lag=held))
+        return done._replace(y=v, state=replace(done.state, drive_lag=held))
     return _limited(rest, x, state, steps, numbers, limits)
 
 
@@ -197,5 +197,5 @@ def _held_back(
     done = rest.simulate(x, state, time_step=steps, limits=DriveLimits(low, high))
     w = done.y.item()
     drive = bounds[0] if w - low <= high - w else bounds[1]
-    counted = replace(done, clipped_count=1, first_clipped=0)
+    counted = done._replace(clipped_count=1, first_clipped=0)
     return counted, np.array([drive]), ((w, 0.0, drive),)

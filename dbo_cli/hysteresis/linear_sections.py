@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,8 +195,7 @@ class Lag:
 Section = Resonance | Lag
 
 
-@dataclass(frozen=True)
-class SectionInverse:
+class SectionInverse(NamedTuple):
     """The inverse of one section on an even clock.
 
     Attributes

@@ -84,8 +84,11 @@ def settled_drive(
 
 def _periodic(model: ActuatorModel, before: ModelState, after: ModelState, seconds: float) -> ModelState:
     """Return the state after a pass, with the memory that further passes of the same drive would lead to."""
-    terms, memory = model.backlash.relaxation, after.backlash.memory
-    if terms is not None and memory is not None:
+    memory = after.backlash.memory
+    if memory is None:
+        return after  # no relaxation
+    terms = model.backlash.relaxation
+    if terms is not None:
         begun = before.backlash.memory
         if begun is not None:
             kept = [math.exp(-seconds / tau) for tau in terms.tau]
@@ -122,4 +125,4 @@ def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelSt
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)
     after = dataclasses.replace(done.state, dynamics=sections, drive_lag=lagging)
-    return dataclasses.replace(done, y=shifted(y, -model.delay_seconds / step), state=after)
+    return done._replace(y=shifted(y, -model.delay_seconds / step), state=after)

@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,6 +45,7 @@ from dbo_cli.hysteresis.model_state import (
     Simulated,
 )
 from dbo_cli.hysteresis.operators import (
+    BacklashState,
     Counts,
     DiscreteBacklashOperator,
     DiscretePointOperator,
@@ -273,6 +274,20 @@ class ActuatorModel:
             or (self.direction == "forward" and self.delay_seconds > 0.0)
         )
 
+    @property
+    def size(self) -> str:
+        """How large the hysteresis operator is, in words."""
+        return f"{self.backlash.n} gears"
+
+    def state_values(self, state: BacklashState) -> dict[str, Any]:
+        """Return what the hysteresis remembers as the state file has it: key and values."""
+        return {"backlash": {"gears": self.backlash.n, **state.to_json_dict()}}
+
+    @property
+    def drive_end(self) -> float:
+        """Upper end of what the gears span on the drive's side, where every one is engaged."""
+        return self.forward_backlash.x_range[1]
+
     @cached_property
     def digest(self) -> str:
         """A name for everything a state refers to: equal for a model and its inverse."""
@@ -414,7 +429,7 @@ class ActuatorModel:
         counts = self._with_uncovered(signal, Counts(done.outside_count, done.first_outside))
         if outside == "error" and counts.outside:
             raise OutsideError(counts.first_outside, float(signal[counts.first_outside]), *self._covered)
-        return dataclasses.replace(done, outside_count=counts.outside, first_outside=counts.first_outside)
+        return done._replace(outside_count=counts.outside, first_outside=counts.first_outside)
 
     def outer_drive(self, drive: float) -> float:
         """Return the voltage of an inverse model for a drive at its backlash stage."""
@@ -557,7 +572,7 @@ class ActuatorModel:
         before = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
         moved = self.simulate(done.y, before, time_step=time_step).state
         after = dataclasses.replace(done.state, dynamics=moved.dynamics, history=moved.history)
-        return dataclasses.replace(done, state=after)
+        return done._replace(state=after)
 
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.delay import DelayHistory
 from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Resonance, Section, SectionStates
 from dbo_cli.hysteresis.model import (
@@ -48,7 +49,7 @@ Json = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class _Node:
+class Node:
     """One JSON object with the path that leads to it; reads keys and names them where they are wrong."""
 
     file: str
@@ -126,15 +127,15 @@ class _Node:
             raise self.refuse(key, f"{json.dumps(value)} holds characters that cannot be shown")
         return value
 
-    def node(self, key: str) -> _Node:
+    def node(self, key: str) -> Node:
         """Return the object under a key."""
         return self.below(key, self.values[key])
 
-    def below(self, key: str, value: object) -> _Node:
+    def below(self, key: str, value: object) -> Node:
         """Return an object that stands below this one under the name ``key``."""
         if not isinstance(value, dict):
             raise self.refuse(key, "is not an object")
-        return _Node(self.file, self.at(key), value)
+        return Node(self.file, self.at(key), value)
 
     def check_notes(self, depth: int) -> None:
         """Refuse, in what is only carried along, what could not be written again."""
@@ -145,7 +146,7 @@ class _Node:
                 if depth == 0:
                     raise self.refuse(key, "is nested too deeply")
                 entries = value if isinstance(value, dict) else {f"[{i}]": x for i, x in enumerate(value)}
-                _Node(self.file, self.at(key), entries).check_notes(depth - 1)
+                Node(self.file, self.at(key), entries).check_notes(depth - 1)
 
     def build(self, make: Callable[[], Any]) -> Any:
         """Return what ``make`` builds; put file and path before the key it complains about."""
@@ -155,8 +156,16 @@ class _Node:
             raise ModelError(f"{self.file}: {self.at(str(problem))}") from None
 
 
-def read_model(path: str) -> ActuatorModel:
+StageReader = Callable[[Node], Stage]
+NONE: Mapping[str, StageReader] = {}
+
+
+def read_model(
+    path: str, others: Mapping[str, StageReader] = NONE, make: Callable[..., ActuatorModel] = ActuatorModel
+) -> ActuatorModel:
     """Read a model file; ``-`` is standard input.
+
+    ``others`` are readers of stages that another room adds, by their types; ``make`` builds a model of them.
 
     Raises
     ------
@@ -173,19 +182,19 @@ def read_model(path: str) -> ActuatorModel:
     stages = root.values["stages"]
     if not isinstance(stages, list):
         raise root.refuse("stages", "is not a list")
-    cascade = tuple(_stage(root.below(f"stages[{i}]", stage)) for i, stage in enumerate(stages))
+    cascade = tuple(_stage(root.below(f"stages[{i}]", stage), others) for i, stage in enumerate(stages))
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)
     source, result = _quantity(root.node("input")), _quantity(root.node("output"))
     carried = {key: note.values for key, note in notes.items()}
     model: ActuatorModel = root.build(
-        lambda: ActuatorModel(direction, source, result, cascade, **carried)  # type: ignore[arg-type]
+        lambda: make(direction, source, result, cascade, **carried)
     )
     return model
 
 
-def _load(path: str, wanted: str, noun: str) -> _Node:
+def _load(path: str, wanted: str, noun: str) -> Node:
     """Return the top of a JSON file, its format and version checked."""
     name = "standard input" if path == "-" else path
     try:
@@ -206,7 +215,7 @@ def _load(path: str, wanted: str, noun: str) -> _Node:
         raise ModelError(f"{name}: {reason}") from None
     if not isinstance(values, dict) or values.get("format") != wanted:
         raise ModelError(f'{name}: is not a {noun} file ("format" must be "{wanted}")')
-    root = _Node(name, "", values)
+    root = Node(name, "", values)
     if "version" not in values:
         raise root.refuse("version", "is missing")
     version = values["version"]
@@ -233,7 +242,7 @@ def _distinct(pairs: list[tuple[str, Any]]) -> Json:
     return values
 
 
-def _quantity(node: _Node) -> Quantity:
+def _quantity(node: Node) -> Quantity:
     node.only(("quantity", "unit", "min", "max"))
     unit = None if node.values["unit"] is None else node.text("unit")
     name, low, high = node.text("quantity"), node.number("min"), node.number("max")
@@ -241,20 +250,21 @@ def _quantity(node: _Node) -> Quantity:
     return quantity
 
 
-def _stage(node: _Node) -> Stage:
+def _stage(node: Node, others: Mapping[str, StageReader]) -> Stage:
     """Return one stage of the cascade by its type."""
     if "type" not in node.values:
         raise node.refuse("type", "is missing")
     kind = node.text("type")
-    readers = {
-        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay
+    readers: dict[str, StageReader] = {
+        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay,
+        **others,
     }  # fmt: skip
     if kind not in readers:
         raise node.refuse("type", f"{kind!r} is not a known stage; there are: {', '.join(readers)}")
     return readers[kind](node)
 
 
-def _backlash(node: _Node) -> Stage:
+def _backlash(node: Node) -> Stage:
     node.only(("type", "x0", "y0", "dx", "dy"), ("relaxation",))
     relaxation, axis = None, "input"
     if "relaxation" in node.values:
@@ -270,28 +280,28 @@ def _backlash(node: _Node) -> Stage:
     return stage
 
 
-def _point(node: _Node) -> Stage:
+def _point(node: Node) -> Stage:
     node.only(("type", "x0", "y0", "dx", "dy"))
     dx, dy, x0, y0 = node.widths("dx"), node.widths("dy"), node.number("x0"), node.number("y0")
     stage: Stage = node.build(lambda: PointStage(dx, dy, x0, y0))
     return stage
 
 
-def _scale(node: _Node) -> Stage:
+def _scale(node: Node) -> Stage:
     node.only(("type", "gain", "offset"))
     gain, offset = node.number("gain"), node.number("offset")
     stage: Stage = node.build(lambda: ScaleStage(gain, offset))
     return stage
 
 
-def _delay(node: _Node) -> Stage:
+def _delay(node: Node) -> Stage:
     node.only(("type", "seconds"))
     seconds = node.number("seconds")
     stage: Stage = node.build(lambda: DelayStage(seconds))
     return stage
 
 
-def _dynamics(node: _Node) -> Stage:
+def _dynamics(node: Node) -> Stage:
     node.only(("type", "sections"))
     given = node.values["sections"]
     if not isinstance(given, list):
@@ -301,7 +311,7 @@ def _dynamics(node: _Node) -> Stage:
     return stage
 
 
-def _section(node: _Node) -> Section:
+def _section(node: Node) -> Section:
     """Return a lag or a resonance, perhaps with its antiresonance."""
     if "lag" in node.values:
         node.only(("lag",), ("lead",))
@@ -352,6 +362,8 @@ def _stage_values(stage: Stage) -> Json:
         return {"type": "delay", "seconds": stage.seconds}
     if isinstance(stage, DynamicsStage):
         return {"type": "dynamics", "sections": [section_values(section) for section in stage.sections]}
+    if isinstance(stage, OtherHysteresis):
+        return stage.file_values()
     values: Json = {
         "type": "backlash" if isinstance(stage, BacklashStage) else "point",
         "x0": stage.x0,
@@ -432,13 +444,16 @@ def _filled(items: list[str], inner: str, indent: str) -> str:
     return "[\n" + "\n".join([*lines, line.rstrip()]) + "\n" + indent + "]"
 
 
+HysteresisReader = Callable[[Node, ActuatorModel], BacklashState]
+
+
 def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     """Return the state file of a state; it names the gears it belongs to by a digest."""
     values: Json = {
         "format": STATE_FORMAT,
         "version": VERSION,
         "model": model.digest,
-        "backlash": {"gears": model.backlash.n, **state.backlash.to_json_dict()},
+        **model.state_values(state.backlash),
         "time": state.time,
         "drive": state.drive,
         "delay": None if state.history is None else state.history.to_json_dict(),
@@ -450,8 +465,10 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     return _to_bytes(values)
 
 
-def read_state(path: str, model: ActuatorModel) -> ModelState:
-    """Read a state file for a model or its inverse.
+def read_state(
+    path: str, model: ActuatorModel, key: str = "backlash", read: HysteresisReader | None = None
+) -> ModelState:
+    """Read a state file for a model or its inverse; ``read`` what another room's stage has under ``key``.
 
     Raises
     ------
@@ -463,12 +480,19 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     root = _load(path, STATE_FORMAT, "state")
     timed = root.values["version"] > 1
     root.only(
-        ("format", "version", "model", "backlash", *(("time",) if timed else ()), "drive", "delay"),
+        ("format", "version", "model", key, *(("time",) if timed else ()), "drive", "delay"),
         ("dynamics", "drive_lag") if timed else (),
     )
     if root.text("model") != model.digest:
         raise root.refuse("model", "the state belongs to another model (save it again with this one)")
-    node = root.node("backlash")
+    backlash = (read or _bits_and_memory)(root.node(key), model)
+    drive = None if root.values["drive"] is None else root.number("drive")
+    time = None if not timed or root.values["time"] is None else root.number("time")
+    begun = ModelState(backlash, drive, _history(root), time=time)
+    return _with_dynamics(begun, root, model)
+
+
+def _bits_and_memory(node: Node, model: ActuatorModel) -> BacklashState:
     node.only(("gears", "bits", "memory"))
     if node.values["gears"] != model.backlash.n:
         raise node.refuse("gears", f"is not {model.backlash.n}, the number of gears of the model")
@@ -479,10 +503,7 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     terms = len(model.backlash.relaxation.tau) if model.backlash.relaxation else 0
     if memory is not None and len(memory) != terms:
         raise node.refuse("memory", f"has {len(memory)} entries where the model has {terms} relaxation terms")
-    drive = None if root.values["drive"] is None else root.number("drive")
-    time = None if not timed or root.values["time"] is None else root.number("time")
-    begun = ModelState(BacklashState(int(digits, 16), memory), drive, _history(root), time=time)
-    return _with_dynamics(begun, root, model)
+    return BacklashState(int(digits, 16), memory)
 
 
 def _dynamics_values(state: ModelState) -> Json:
@@ -495,7 +516,7 @@ def _dynamics_values(state: ModelState) -> Json:
     }
 
 
-def _with_dynamics(state: ModelState, root: _Node, model: ActuatorModel) -> ModelState:
+def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> ModelState:
     """Return a state with that of the dynamics, where the file holds one."""
     if "drive_lag" in root.values:
         node = root.node("drive_lag")
@@ -522,7 +543,7 @@ def _with_dynamics(state: ModelState, root: _Node, model: ActuatorModel) -> Mode
     return replace(state, dynamics=forward, undoing=undoing)
 
 
-def _section_states(node: _Node, count: int) -> SectionStates:
+def _section_states(node: Node, count: int) -> SectionStates:
     given = node.values["sections"]
     if not isinstance(given, list) or len(given) != count:
         raise node.refuse("sections", f"is not a list of {count}, the number of sections of the model")
@@ -536,7 +557,7 @@ def _section_states(node: _Node, count: int) -> SectionStates:
     return tuple(states)
 
 
-def _history(root: _Node) -> DelayHistory | None:
+def _history(root: Node) -> DelayHistory | None:
     """Return what a delay held back."""
     if root.values["delay"] is None:
         return None

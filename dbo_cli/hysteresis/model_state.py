@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +121,7 @@ class ModelState:
     drive_lag: SectionStates | None = None
 
 
-@dataclass(frozen=True)
-class Simulated:
+class Simulated(NamedTuple):
     """One block of output, the state after it, and what was unusual; indices count from 0 in the block.
 
     Attributes

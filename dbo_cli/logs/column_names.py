@@ -7,7 +7,7 @@ as ``target`` gives another role.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.units import kind_of_unit
@@ -21,8 +21,7 @@ MORE_TIME_NAMES = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class RoleNames:
+class RoleNames(NamedTuple):
     """How the columns of one role are called.
 
     Attributes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cell_grammar import split_cells
@@ -12,8 +12,7 @@ from dbo_cli.logs.sample_block import FloatArray
 END_OF_HEADER = "***End_of_Header***"
 
 
-@dataclass(frozen=True)
-class HeaderBlock:
+class HeaderBlock(NamedTuple):
     """What begins and ends each header block, and the date and time that the first one states (each s)."""
 
     first_word: str

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from dbo_cli.logs.sample_block import ColumnInfo
 
 
-@dataclass(frozen=True)
-class ReadColumn:
+class ReadColumn(NamedTuple):
     """A column as it was used: its role, where it stands, its unit, and the factor that was asked for."""
 
     role: str
@@ -30,8 +28,7 @@ class ReadColumn:
         return {key: value for key, value in found.items() if value is not None}
 
 
-@dataclass(frozen=True)
-class ReadingSummary:
+class ReadingSummary(NamedTuple):
     """What was read of a log.
 
     ``rows`` is None where it is not known yet; ``seconds`` is the time from the first sample to the last,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from dbo_cli.logs.cell_grammar import decode_line, split_cells, to_number
 from dbo_cli.logs.text_dialect import Dialect, is_comment
@@ -19,8 +19,7 @@ _USUAL_STEPS = 3.0  # a change this many times the largest one above is not the 
 _NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
 
 
-@dataclass(frozen=True)
-class _Written:
+class _Written(NamedTuple):
     """How a number is written: digits before and after the decimal sign (-1: no sign) and in the exponent."""
 
     whole: int

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
@@ -11,15 +13,19 @@ from dbo_cli.logs.background_io import one_ahead
 from dbo_cli.logs.byte_source import ByteSource, LineBlocks
 from dbo_cli.logs.cell_grammar import decode_line, is_number, split_cells
 from dbo_cli.logs.columns import column_info
-from dbo_cli.logs.instrument_headers import InstrumentHeader, read_instrument_header
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
 from dbo_cli.logs.record_end import last_cells, looks_cut
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock
-from dbo_cli.logs.stated_clock import agreed_rate
 from dbo_cli.logs.text_dialect import COMMENTS, Dialect, detect, is_comment
 from dbo_cli.logs.text_parsing import PLAIN_BYTES, BlockParser
 
+if TYPE_CHECKING:
+    from dbo_cli.logs.instrument_headers import InstrumentHeader
+
 _LARGEST_BLOCK = 1 << 23
+# One line of names above nothing but numbers: no instrument's header, so its readers need not be loaded.
+# A rate in the names (tInc = 2e-6) and Rohde & Schwarz's "in s" are theirs.
+_PLAIN = re.compile(rb"(?!.*\bin )[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
 
 
 class TextTable:
@@ -73,7 +79,7 @@ class TextTable:
 
     def _detected(
         self, head: bytes | None, options: ReadingOptions, live: bool
-    ) -> tuple[Dialect, InstrumentHeader]:
+    ) -> tuple[Dialect, InstrumentHeader | None]:
         """Detect the dialect and what the instrument says above it, further down below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
@@ -82,8 +88,9 @@ class TextTable:
             whole = self._lines.whole_in_head
             try:
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
-                header = read_instrument_header(self.place, complete, options)
-                return header.dialect or detect(self.place, complete, options), header
+                header = _instrument_header(self.place, complete, options)
+                made = header.dialect if header is not None else None
+                return made or detect(self.place, complete, options), header
             except InputError as problem:
                 told = problem
             head = None if live else self._lines.longer_head()
@@ -95,6 +102,10 @@ class TextTable:
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Give the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
+        if self._header is None:
+            return None, 0.0
+        from dbo_cli.logs.stated_clock import agreed_rate
+
         return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
 
     def blocks(
@@ -129,10 +140,10 @@ class TextTable:
 
     def _data(self, parser: BlockParser) -> Iterator[bytes]:
         """Skip the lines above the data, and the instrument's mark of the end."""
-        self.notes.extend(f"{self.place}: {remark}" for remark in self._header.remarks)
+        remarks, mark = (self._header.remarks, self._header.end_mark) if self._header else ((), b"")
+        self.notes.extend(f"{self.place}: {remark}" for remark in remarks)
         parser.next_line += self._lines.empty_lines
         first = self.dialect.first_line + self._lines.empty_lines
-        mark = self._header.end_mark
         for block in self._lines:
             if mark and block.rstrip().endswith(mark):
                 block = block.rstrip().removesuffix(mark)
@@ -173,6 +184,15 @@ class TextTable:
         written = self.dialect.writings or ("numbers",) * self.dialect.width
         told = enumerate(zip(names, units, written, strict=True), start=1)
         return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in told]
+
+
+def _instrument_header(place: str, head: bytes, options: ReadingOptions) -> InstrumentHeader | None:
+    """Read what an instrument says above its data; None for a plain log."""
+    if _PLAIN.fullmatch(head):
+        return None
+    from dbo_cli.logs.instrument_headers import read_instrument_header
+
+    return read_instrument_header(place, head, options)
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import contradicted_unit, is_torn
@@ -82,8 +82,7 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
     return text.strip(), factor.times(int(digits), 10 ** len(found["part"] or ""))
 
 
-@dataclass(frozen=True)
-class StatedTime:
+class StatedTime(NamedTuple):
     """What a time column's header says of its figures; ``unit`` is None where it says nothing."""
 
     unit: str | None
@@ -113,7 +112,7 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     if column.unit is None and is_torn(column.quantity):
         raise InputError(_unknown(place, column, column.quantity))
     words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
-    units = {_UNIT_OF[word] for word in words if word in _WORDS}
+    units = _named_units(words)
     behind = _behind(column.quantity)
     units |= {unit for word in behind if (unit := time_unit(word))}
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
@@ -136,6 +135,15 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     if counted:
         raise InputError(_unknown(place, column, counted[0]))
     return StatedTime(None)
+
+
+def _named_units(words: list[str]) -> set[str]:
+    """Find the units among the words of a name, ``nano seconds`` in two words, too."""
+    units = set()
+    for before, word in zip(["", *words], words, strict=False):
+        if word in _WORDS:
+            units.add(_UNIT_OF.get(before + word, _UNIT_OF[word]))
+    return units
 
 
 def _behind(quantity: str) -> list[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
@@ -64,8 +65,7 @@ _OTHER_KINDS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class UnitFactor:
+class UnitFactor(NamedTuple):
     """Multiplies (or divides) a signal so that it comes out in another unit.
 
     The factor is a fraction of whole numbers.  Dividing by 1000 gives the float64 nearest to the true
@@ -138,8 +138,7 @@ def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
     return UnitFactor(here[1], here[2]).times(there[2], there[1])
 
 
-@dataclass(frozen=True)
-class UnitMatch:
+class UnitMatch(NamedTuple):
     """How a column is brought into the unit that is wanted, and what is to be said of it."""
 
     factor: UnitFactor = ONE

@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dbo_cli.hysteresis.cascade import OtherHysteresis
+from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import Lag, Resonance
 from dbo_cli.hysteresis.linear_sections import Complexes
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -27,7 +30,11 @@ FEW = 40
 
 
 def plots_of_model(model: ActuatorModel) -> list[Plot]:
-    """Return the figures of a model in either direction."""
+    """Return the figures of a model in either direction; of one without gears, the loop of the whole."""
+    if any(isinstance(stage, OtherHysteresis) for stage in model.stages):
+        words = f"Output against input of the model with {model.size}, slowly up and back down."
+        paint = partial(_paint_slow_loop, model)
+        return [Plot("loop", f"The loop of the model with {model.size}", words, style.TALL, paint)]
     view = _ModelView(model)
     gears = model.backlash
     plots = [
@@ -190,6 +197,26 @@ def _finish_bode(model: ActuatorModel, axes: Axes) -> None:
 
 
 _POINTS = {"color": style.SECOND, "linestyle": "none", "marker": "o", "markersize": 3.2}
+
+
+def slow_loop(model: ActuatorModel, count: int = 1001) -> tuple[Floats, Floats, Floats]:
+    """Return the input on the way up, and the output there and on the way down, slowly and without delay."""
+    up = np.linspace(model.input.minimum, model.input.maximum, count)
+    stages = tuple(stage for stage in model.stages if not isinstance(stage, DelayStage))
+    still = dataclasses.replace(model, stages=stages)
+    walk = np.concatenate((up, up[::-1]))
+    start = still.start(float(up[0]), "empty")
+    y = still.simulate(walk, start, time_step=1e9 if still.needs_time else None).y
+    return up, y[:count], y[: count - 1 : -1]
+
+
+def _paint_slow_loop(model: ActuatorModel, axes: Axes) -> None:
+    drive, rising, falling = slow_loop(model)
+    axes.plot(drive, rising, label="up", **style.SOLID)
+    axes.plot(drive, falling, label="down", **style.DASHED)
+    axes.set(xlabel=axis_label(model.input.quantity.capitalize(), model.input.unit))
+    axes.set(ylabel=axis_label(model.output.quantity.capitalize(), model.output.unit))
+    mark_curves(axes)
 
 
 def _paint_points(stage: DiscretePointOperator, axes: Axes) -> None:

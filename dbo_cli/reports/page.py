@@ -66,15 +66,20 @@ def to_html(
         parts.append(
             '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
         )
-    parts.append(_figures(comparison_plots, "all"))
+    parts.append(drawn_figures(comparison_plots, "all"))
     for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
-        parts.append(f"<section><h2>{breakable(log.name)}</h2>{_figures(figures, f'l{number}')}")
+        parts.append(f"<section><h2>{breakable(log.name)}</h2>{drawn_figures(figures, f'l{number}')}")
         parts.append(_segments(report, log) + "</section>")
     if model_plots:
-        parts.append(f"<section><h2>The model</h2>{_figures(model_plots, 'model')}</section>")
+        parts.append(f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>")
     parts.append(_meanings(report, several))
     if program:
         parts.append(f"<footer>{escape(program)}</footer>")
+    return page_of(title, parts)
+
+
+def page_of(title: str, parts: Sequence[str]) -> str:
+    """Return a whole page of parts that are HTML already."""
     return _PAGE.format(title=escape(title), style=style_sheet(), body="\n".join(parts))
 
 
@@ -110,7 +115,7 @@ def _summary(report: Report, several: bool) -> str:
             "-" if figures.phase_left is None else f"{digits(figures.phase_left, 3)}°",
         ]
         rows.append(row + ([digits(log.ratio_to_first)] if several else []))
-    return _table(head, rows, chief=2)
+    return table(head, rows, chief=2)
 
 
 def _segments(report: Report, log: LogReport) -> str:
@@ -127,10 +132,10 @@ def _segments(report: Report, log: LogReport) -> str:
         numbers += [figures.offset if removed else figures.mean, figures.loop_width, figures.lag_left]
         place = f"{part.first_row}–{part.last_row}"
         rows.append([f"{part.number}", place, *(digits(number, 3) for number in numbers)])
-    return f"<h3>By {escape(what)}</h3>{_table(head, rows, chief=2, name='segments')}"
+    return f"<h3>By {escape(what)}</h3>{table(head, rows, chief=2, name='segments')}"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int, name: str = "summary") -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int, name: str = "summary") -> str:
     """Return a table whose cells know their heading, so that a narrow screen can show a row as a card."""
     cells = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     lines = []
@@ -155,7 +160,8 @@ def breakable(name: str) -> str:
     return "<wbr>".join(f'<span class="name">{escape(piece)}</span>' for piece in pieces if piece)
 
 
-def _figures(plots: Sequence[Plot], scope: str) -> str:
+def drawn_figures(plots: Sequence[Plot], scope: str) -> str:
+    """Return figures as part of a page; ``scope`` keeps their ids apart."""
     drawn = []
     for plot in plots:
         image = draw(plot, "inline", scope=scope).decode()

@@ -55,10 +55,10 @@ def to_csv(report: Report) -> str:
     Where there are segments, each log's follow its line, and three columns more tell them: ``segment`` (the
     number; empty for the whole log), ``first_row`` and ``last_row``. No name is a formula to a spreadsheet.
     """
-    unit = {"unit": None if report.unit is None else _no_formula(report.unit)}
+    unit = {"unit": None if report.unit is None else no_formula(report.unit)}
     rows = []
     for log in report.logs:
-        whole = log.record() | {"name": _no_formula(log.name)}
+        whole = log.record() | {"name": no_formula(log.name)}
         rows.append(whole | unit)
         for part in log.segments:
             own = part.record()
@@ -72,7 +72,7 @@ def to_csv(report: Report) -> str:
     return out.getvalue()
 
 
-def _no_formula(name: str) -> str:
+def no_formula(name: str) -> str:
     """Put an apostrophe before a text that a spreadsheet would calculate instead of showing."""
     return f"'{name}" if name[:1] in ("=", "+", "@") or (name[:1] == "-" and len(name) > 1) else name
 
@@ -82,7 +82,7 @@ def to_text(report: Report) -> str:
     parts = ["\n".join(_headline(report)), _error_table(report), _loop_table(report)]
     parts += [_segment_table(report, log) for log in report.logs if log.segments]
     if report.notes:
-        parts.append("\n".join(line for note in report.notes for line in _wrapped(f"Note: {note}")))
+        parts.append("\n".join(line for note in report.notes for line in wrapped(f"Note: {note}")))
     return "\n\n".join(parts) + "\n"
 
 
@@ -114,7 +114,7 @@ def settings_line(report: Report) -> str:
 
 
 def _headline(report: Report) -> list[str]:
-    return _wrapped(settings_line(report))
+    return wrapped(settings_line(report))
 
 
 def _mean_title(report: Report) -> str:
@@ -131,7 +131,7 @@ def _error_table(report: Report) -> str:
         numbers = [figures.rmse, figures.nrmse_percent, figures.p95_abs, figures.max_abs, shown]
         ratio = [digits(log.ratio_to_first)] if several else []
         rows.append([short_name(log.name), str(figures.samples), *map(digits, numbers), *ratio])
-    return _table(head + ["ratio"] * several, rows)
+    return table(head + ["ratio"] * several, rows)
 
 
 def _loop_table(report: Report) -> str:
@@ -152,7 +152,7 @@ def _loop_table(report: Report) -> str:
                 str(record["max_abs_row"]),
             ]
         )
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _segment_table(report: Report, log: LogReport) -> str:
@@ -178,10 +178,10 @@ def _segment_table(report: Report, log: LogReport) -> str:
         )
     what = "cycle" if report.options.segment == "cycles" else f"{report.options.segment:g} s"
     title = f"{short_name(log.name, WIDTH - 24)}, by {what}" if report.options.segment else log.name
-    return f"{title}\n{_table(head, rows)}"
+    return f"{title}\n{table(head, rows)}"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return columns two blanks apart, the first to the left, numbers to the right.
 
     Where that is too wide: one blank, then shorter names.
@@ -221,7 +221,8 @@ def _cells(text: str) -> int:
     return len(text) + wide - sum(unicodedata.combining(sign) > 0 for sign in text)
 
 
-def _wrapped(text: str) -> list[str]:
+def wrapped(text: str) -> list[str]:
+    """Return a text as lines of at most 80 columns, the later ones indented."""
     lines, line = [], ""
     for word in text.split(" "):
         if line and len(line) + 1 + len(word) > WIDTH:

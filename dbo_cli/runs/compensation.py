@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 from dbo_cli.runs.compensation_run import Compensation
-from dbo_cli.runs.learning import Tracked, learned_source
-from dbo_cli.runs.periodic import LoopCompensation
 from dbo_cli.runs.remarks import Remarks
 from dbo_cli.runs.source import Source
+
+if TYPE_CHECKING:
+    from dbo_cli.runs.learning import Tracked
 
 
 def compensation(
@@ -81,26 +83,27 @@ def compensation(
     limits = DriveLimits(low, high, max_slew)
     told, desired = Remarks(), None
     if tracked:
+        from dbo_cli.runs.learning import learned_source
+
         source, desired, lesson = learned_source(model, source, tracked, start, bandwidth, periodic)
         told.note(lesson.notes)
         bandwidth = None
-    make = LoopCompensation if periodic else Compensation
-    run = make(
-        model,
-        source,
-        start=start,
-        limits=limits,
-        refuse_clipping=refuse_clipping,
-        last_row=last_row,
-        why_time=why,
-        bandwidth=bandwidth,
-        condition=condition,
-        desired=desired,
-        remarks_before=told,
-    )
-    if isinstance(run, LoopCompensation):
-        run.passes = passes
-    return run
+    given: dict[str, Any] = {
+        "start": start,
+        "limits": limits,
+        "refuse_clipping": refuse_clipping,
+        "last_row": last_row,
+        "why_time": why,
+        "bandwidth": bandwidth,
+        "condition": condition,
+        "desired": desired,
+        "remarks_before": told,
+    }
+    if periodic:
+        from dbo_cli.runs.periodic import LoopCompensation
+
+        return LoopCompensation(model, source, **given, passes=passes)
+    return Compensation(model, source, **given)
 
 
 def _check_loop(periodic: bool, passes: int, condition: bool) -> None:

@@ -7,36 +7,35 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.addresses import check_format, format_for, parse_output
+from dbo_cli.logs.addresses import (
+    check_document,
+    check_format,
+    format_for,
+    other_file,
+    parse_output,
+    selected_files,
+)
 from dbo_cli.logs.columns import ColumnWish, split_header
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.whole_output import all_or_none, check_output, check_outputs, write_whole
-from dbo_cli.runs.compensation import check_range, compensation
-from dbo_cli.runs.learning import Tracked, tracked_of, tracked_wishes
-from dbo_cli.runs.model import start_of
+from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
+from dbo_cli.relatives.model_file import read_model
 from dbo_cli.runs.model_run import ModelRun, reads_ahead
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import bring_to, quantity_wish
-
-if TYPE_CHECKING:
-    from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import Identified
+from dbo_cli.runs.starts import start_of
 
 
-@dataclass(frozen=True)
-class Destination:
+class Destination(NamedTuple):
     """Where a response goes: the file, the state after it, and the inputs that must not be overwritten.
 
     ``command`` is what an HDF5 output says it was made by.
@@ -48,12 +47,18 @@ class Destination:
     live: bool = False
     command: str = ""
 
+    def beside(self, *selectors: str | None) -> Destination:
+        """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
+        return self._replace(protect=[*self.protect, *selected_files(*selectors)])
+
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
         if list(self.protect).count("-") > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
         parse_output(self.output)
         check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
+        if self.save_state is not None:
+            check_document(self.save_state, "a state", "json")
 
 
 def simulate_log(
@@ -68,122 +73,31 @@ def simulate_log(
     listener: Listener = SILENT,
 ) -> Remarks:
     """Run a model over its input signal; write time (when known), the input column and the result."""
+    destination = destination.beside(column, reading.time)
     destination.check()
-    _check_order(model_file, log_file)
+    check_order(model_file, log_file)
     check_format(reading.format, [log_file, destination.output])
     model = read_model(model_file)
     taken = model.input
     want = {taken.quantity: quantity_wish(taken, column, option="input")}
     ahead = model.direction == "inverse" and reads_ahead(model)
-    with _opened(log_file, want, reading, destination.live, listener, ahead) as log:
-        bring_to(log, taken.quantity, taken, _spoken(model_file))
+    with opened(log_file, want, reading, destination.live, listener, ahead) as log:
+        bring_to(log, taken.quantity, taken, spoken(model_file))
         last = reading.rows[1] if ahead else None
         run = ModelRun(model, log, start_of(state, model), outside, last_row=last)
         given = _column_of(log, taken)
-        return _write(run, log, given, destination, reading, listener)
-
-
-def compensate_trajectory(
-    model_file: str,
-    trajectory: str,
-    destination: Destination,
-    reading: ReadingOptions,
-    *,
-    column: str | None = None,
-    v_min: float | None = None,
-    v_max: float | None = None,
-    max_slew: float | None = None,
-    refuse_clipping: bool = False,
-    state: str = "auto",
-    condition: bool = False,
-    bandwidth: float | None = None,
-    tracked: Sequence[str] = (),
-    voltage: str | None = None,
-    measured: str | None = None,
-    periodic: bool = False,
-    passes: int = 0,
-    listener: Listener = SILENT,
-) -> Remarks:
-    """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
-    check_range(v_min, v_max)
-    destination.check()
-    _check_order(model_file, trajectory)
-    check_format(reading.format, [trajectory, destination.output])
-    model = read_model(model_file)
-    model.require("forward", _spoken(model_file))
-    wanted = model.output
-    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
-    ahead = (reads_ahead(model) or bandwidth is not None) and not (tracked or periodic)
-    recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
-    with _opened(trajectory, want, reading, destination.live, listener, ahead) as log:
-        bring_to(log, wanted.quantity, wanted, _spoken(model_file))
-        run = compensation(
-            model,
-            log,
-            v_min=v_min,
-            v_max=v_max,
-            max_slew=max_slew,
-            refuse_clipping=refuse_clipping,
-            start="auto" if state == "auto" else start_of(state, model),
-            condition=condition,
-            bandwidth=bandwidth,
-            tracked=recordings,
-            periodic=periodic,
-            passes=passes,
-            last_row=reading.rows[1] if ahead else None,
-        )
-        # Not under the name of what will be measured: a drive must not be taken for a recording.
-        given = OutColumn("desired", log.columns[wanted.quantity].unit or wanted.unit, "desired")
-        return _write(run, log, given, destination, reading, listener)
-
-
-def _recorded(
-    address: str,
-    model: ActuatorModel,
-    reading: ReadingOptions,
-    voltage: str | None,
-    measured: str | None,
-    listener: Listener,
-) -> Tracked:
-    """Read the recording of a pass; ``rows`` are the trajectory's."""
-    want = tracked_wishes(model, voltage, measured)
-    with _opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
-        return tracked_of(log, model)
+        return write_response(run, log, given, destination, reading, listener)
 
 
 def invert_model(model_file: str, output: str) -> ActuatorModel:
     """Write the exact inverse of a model."""
+    check_document(output, "a model", "json")
     inverse = read_model(model_file).inverse()
     write_whole(output, model_to_bytes(inverse), protect=[model_file])
     return inverse
 
 
-def write_excitation(
-    output: str,
-    v_min: float,
-    v_max: float,
-    sample_rate: float,
-    duration: float,
-    frequency: float,
-    max_slew: float | None,
-    form: str | None,
-    seed: int = 1,
-    sweep_to: float | None = None,
-    sweep_amplitude: float | None = None,
-) -> int:
-    """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation(
-        v_min, v_max, sample_rate, duration, frequency, max_slew, seed, sweep_to, sweep_amplitude
-    )
-    check_format(form, [output])
-    columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
-    attributes = {"sample_rate": sample_rate}
-    with signal_writer(output, columns, format=format_for(output, form), attributes=attributes) as writer:
-        writer.write(time, voltage)
-    return len(time)
-
-
-def _opened(
+def opened(
     address: str,
     want: Mapping[str, ColumnWish],
     reading: ReadingOptions,
@@ -202,7 +116,7 @@ def _opened(
     return log
 
 
-def _write(
+def write_response(
     run: ModelRun,
     log: SignalLog,
     given: OutColumn,
@@ -254,13 +168,14 @@ def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
     stated = split_header(column.name)[1]
-    name = column.name if column.quantity else taken.quantity
+    named = other_file(column.name)  # the column of another file goes by its own name
+    name = (named[1] if named else column.name) if column.quantity else taken.quantity
     if stated is not None and stated != column.unit:
         name = column.quantity  # converted: the unit in its name is no longer its own
     return OutColumn(name, column.unit or taken.unit, taken.quantity)
 
 
-def _check_order(model_file: str, log_file: str) -> None:
+def check_order(model_file: str, log_file: str) -> None:
     """Recognise a model and a log that were given in each other's place (UsageError)."""
     if not _is_model(model_file) and _is_model(log_file):
         raise UsageError(
@@ -277,30 +192,6 @@ def _is_model(path: str) -> bool:
         return False
 
 
-def _spoken(address: str) -> str:
+def spoken(address: str) -> str:
+    """Return an address as messages call it."""
     return "standard input" if address == "-" else address
-
-
-def identify_logs(
-    logs: Sequence[str],
-    validation: Sequence[str],
-    output: str,
-    reading: ReadingOptions,
-    options: IdentificationOptions,
-    *,
-    voltage: str | None = None,
-    displacement: str | None = None,
-    listener: Listener = SILENT,
-) -> Identified:
-    """Identify a model from logs and write it; ``reading.rows`` are not those of the validation's logs."""
-    from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings, read_recordings
-
-    check_output(output, [*logs, *validation])
-    check_format(reading.format, [*logs, *validation])
-    fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
-    columns = {"voltage": voltage, "displacement": displacement}
-    chosen = {name: column for name, column in columns.items() if column is not None}
-    arguments = arguments_of(logs, validation, chosen_of(options) | reading.chosen() | chosen)
-    found = identify_recordings(fitted, options, checks, arguments)
-    write_whole(output, model_to_bytes(found.model))
-    return found

@@ -133,8 +133,7 @@ def lesson(
     if _rms(believed - desired) > ANOTHER_MOVE * move:
         raise InputError(
             f"{name}: its drive belongs to another trajectory: by the model it asks for something "
-            f"{_rms(believed - desired):.3g}{unit} away from this one (RMS; the move itself has "
-            f"{move:.3g}{unit})"
+            f"{_rms(believed - desired):.3g}{unit} away from this one (RMS; the move has {move:.3g}{unit})"
         )
     cutoff = _trusted(model, believed, desired - error, step) if bandwidth is None else bandwidth
     low_pass = ZeroPhaseLowPass(cutoff, step)

@@ -13,26 +13,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
+from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_file import read_model as read_model_file
+from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Outside
+from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import write_whole
-from dbo_cli.runs.compensation import compensation
-from dbo_cli.runs.learning import Tracked, tracked_of, tracked_wishes
+from dbo_cli.relatives.model_file import read_model as read_model_file
+from dbo_cli.relatives.model_file import read_state
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import DboWarning, Remarks
 from dbo_cli.runs.roles import quantity_wish
 from dbo_cli.runs.source import ArraySource, Source
+from dbo_cli.runs.starts import start_of
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
 if TYPE_CHECKING:
     from dbo_cli.runs.controller import Controller
+    from dbo_cli.runs.learning import Tracked
 
 Floats = NDArray[np.float64]
 Start = StartName | ModelState | str | os.PathLike[str]
@@ -86,7 +88,7 @@ class Model:
     def __repr__(self) -> str:
         """Return what the model turns into what."""
         a, b = self.input, self.output
-        return f"<dbo Model, {self.direction}: {_named(a)} to {_named(b)}, {self.actuator.backlash.n} gears>"
+        return f"<dbo Model, {self.direction}: {_named(a)} to {_named(b)}, {self.actuator.size}>"
 
     @property
     def direction(self) -> str:
@@ -126,13 +128,17 @@ class Model:
 
         Raises
         ------
+        UsageError
+            The name says another format.
         OutputError
             It cannot be written.
         """
+        check_document(os.fspath(path), "a model", "json")
         write_whole(os.fspath(path), self.to_json())
 
     def save_state(self, state: ModelState, path: str | os.PathLike[str]) -> None:
         """Write a state of this model, for a later run to go on from."""
+        check_document(os.fspath(path), "a state", "json")
         write_whole(os.fspath(path), state_to_bytes(state, self.actuator))
 
     def read_state(self, path: str | os.PathLike[str]) -> ModelState:
@@ -264,6 +270,8 @@ class Model:
         LimitError
             A limit was met and ``on_limit`` is ``error``.
         """
+        from dbo_cli.runs.compensation import compensation
+
         role = self.output.quantity
         source = _source(
             wanted, role, quantity_wish(self.output, option="wanted", trajectory=True), time, sample_rate
@@ -350,25 +358,6 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     return Model(actuator, remarks=Remarks(warnings=list(said) if isinstance(said, list) else []))
 
 
-def start_of(state: Start, model: ActuatorModel) -> StartName | ModelState:
-    """Return a start: a name or a state as it is, anything else as a state file.
-
-    Raises
-    ------
-    UsageError
-        There is neither a start nor a file of that name.
-    """
-    if isinstance(state, ModelState):
-        return state
-    path = os.fspath(state)
-    if path in START_NAMES:
-        return path  # type: ignore[return-value]
-    if not os.path.exists(path):
-        names = ", ".join(START_NAMES)
-        raise UsageError(f"`state`: '{path}' is none of {names}, and there is no such file")
-    return read_state(path, model)
-
-
 def _source(data: Any, role: str, want: ColumnWish, time: Any, sample_rate: float | None) -> Source:
     if is_file(data):
         return open_log(os.fspath(data), {role: want}, ReadingOptions(time=time, sample_rate=sample_rate))
@@ -389,6 +378,8 @@ def _tracked(given: Any, model: ActuatorModel) -> list[Tracked]:
 
 
 def _one_tracked(one: Any, number: int, model: ActuatorModel) -> Tracked:
+    from dbo_cli.runs.learning import tracked_of, tracked_wishes
+
     want = tracked_wishes(model)
     if is_file(one):
         with open_log(os.fspath(one), want, ReadingOptions()) as log:

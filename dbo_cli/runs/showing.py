@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from dbo_cli.hysteresis.dynamics import Lag
-from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, PointStage
-from dbo_cli.hysteresis.model_file import read_model, section_values
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
+from dbo_cli.hysteresis.model_file import section_values
 from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.relatives.model_file import read_model
 
 WIDTH = 96  # characters of a line on the screen
 
@@ -19,31 +21,37 @@ def show_model(model_file: str, output: str, form: str | None, figures: str | No
     """Write what is in a model; returns notes (where figures went)."""
     model = read_model(model_file)
     chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    check_document(output, "what is shown", chosen)
+    if figures is not None:
+        from dbo_cli.reports.drawing import check_folder
+
+        folder = check_folder(figures)
     content = contents(model)
     text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
         return []
-    from dbo_cli.reports.drawing import check_folder, save
+    from dbo_cli.reports.drawing import save
     from dbo_cli.reports.model_figures import plots_of_model
 
-    save(plots_of_model(model), check_folder(figures), "model")
+    save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
 
 
 def contents(model: ActuatorModel) -> dict[str, Any]:
     """Return what is in a model as plain values; lengths and voltages in the model's units, times in s."""
     fit, provenance = model.fit, model.provenance
-    backlash = model.backlash
+    backlash = next((stage for stage in model.stages if isinstance(stage, BacklashStage)), None)
     delay = next((abs(s.seconds) for s in model.stages if isinstance(s, DelayStage)), 0.0)
-    relaxation = [] if backlash.relaxation is None else list(backlash.relaxation.tau)
+    relaxation = list(backlash.relaxation.tau) if backlash and backlash.relaxation else []
     return {
         "format": "dbo-show",
         "version": 1,
         "direction": model.direction,
         "input": _quantity(model.input),
         "output": _quantity(model.output),
-        "gears": backlash.n,
+        "gears": backlash.n if backlash else None,
+        "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
         "relaxation_seconds": relaxation,
         "delay_seconds": delay,
@@ -64,14 +72,17 @@ def as_text(content: Mapping[str, Any]) -> str:
     given, made = content["input"], content["output"]
     lines = [
         f"{content['direction']} model: {_range(given)} to {_range(made)}",
-        f"{content['gears']} gears"
+        content["operator"]
         + "".join(f", {count} segments of asymmetry" for count in content["segments"])
         + _lag(content),
     ]
     lines += _moving(content)
     lines += _goodness(content, made["unit"])
     if content["inputs"]:
-        names = ", ".join(f"{one.get('name')} ({one.get('rows'):,} rows)" for one in content["inputs"])
+        names = ", ".join(
+            f"{' and '.join(part['name'] for part in [one, *one.get('joined', ())])} ({one['rows']:,} rows)"
+            for one in content["inputs"]
+        )
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))

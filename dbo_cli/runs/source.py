@@ -65,7 +65,10 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
         It has another shape, no samples, or one that is not a finite number.
     """
     try:
-        signal = np.ascontiguousarray(values, dtype=np.float64)
+        given = np.asarray(values)
+        if np.iscomplexobj(given):
+            raise TypeError
+        signal = np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"`{name}`: is no array of numbers") from None
     if signal.ndim == 0 or signal.size == 0:
@@ -118,6 +121,7 @@ class ArraySource:
         self.name = name
         self.notes: list[str] = []
         self.warnings: list[str] = []
+        self.clock_was_judged = False
         self.values = {role: samples(role, signal) for role, signal in values.items()}
         self.time = None if time is None else samples("time", time)
         first, count = next((role, signal.size) for role, signal in self.values.items())
@@ -171,6 +175,11 @@ class ArraySource:
             check = TimeCheck(self.name, has_lines=False)
             check.feed(self.time, rows, None)
             self.notes.extend(check.notes())
+            if check.repeat.count and not self.clock_was_judged:
+                self.warnings.append(
+                    f"{self.name}: `time` repeats its stamps in {check.repeat.count:,} of {count:,} samples:"
+                    " too few digits for the rate (`sample_rate` HZ gives the time instead)"
+                )
         yield SampleBlock(rows, None, time, self.values)
 
 

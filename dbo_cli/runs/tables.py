@@ -64,6 +64,7 @@ def table_source(
     stamped = None if time is None or isinstance(time, str) else time
     source = ArraySource(values, stamped, given if stamped is None else None, columns, TABLE)
     source.warnings.extend(warnings)
+    source.clock_was_judged = isinstance(time, str) or bool(taken)
     return source
 
 

@@ -1,0 +1,241 @@
+"""The DBO and its relatives, fitted to the same logs and judged alike: one row a model."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dbo_cli.errors import DboError, UsageError
+from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.dynamics import DynamicsStage
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
+from dbo_cli.hysteresis.identification.cleaning import cleaned
+from dbo_cli.hysteresis.identification.evaluation import Residual, residual_of, validation_of
+from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
+from dbo_cli.hysteresis.identification.recordings import (
+    check_recordings,
+    median_cycle_seconds,
+    without_voltage_glitches,
+)
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.relatives.fitting import RELATIVES, Relative, fit
+from dbo_cli.relatives.operators import Floats
+
+NAMES = ("dbo", *(relative.name for relative in RELATIVES))
+OWN_WORDS = "Discrete Backlash Operator"
+TIMED_SAMPLES = {"compiled": 100_000, "python": 2_000}
+TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
+ROUND_TRIP_SAMPLES = 50_000
+EXACT = 1e-9  # of the range: a round trip within it is one to rounding
+
+
+def processor_ns() -> int:
+    """Return the time that this thread has had of the processor (ns), or the clock where it is too coarse."""
+    if time.get_clock_info("thread_time").resolution > 1e-6:
+        return time.perf_counter_ns()
+    return time.thread_time_ns()
+
+
+@dataclass(frozen=True)
+class Row:
+    """What is said of one model; lengths in the displacement's unit, None where there is nothing to say.
+
+    Attributes
+    ----------
+    name, words : str
+        What it is called, and what it is.
+    rmse, expected_rmse, validation_rmse : float
+        On its own logs; expected on new moves; on the logs that took no part.
+    parameters : int
+        Numbers that were fitted.
+    fit_seconds, forward_ns, inverse_ns : float
+        Time to fit; the processor's a sample of the model without delay and dynamics. None: not timed.
+    round_trip : float
+        The largest difference between what is wanted and what the model does with the drive of its inverse.
+    refused : str
+        Why it could not be fitted.
+    model : ActuatorModel
+        The model itself.
+    """
+
+    name: str
+    words: str
+    rmse: float | None = None
+    expected_rmse: float | None = None
+    validation_rmse: float | None = None
+    parameters: int | None = None
+    fit_seconds: float | None = None
+    forward_ns: float | None = None
+    inverse_ns: float | None = None
+    round_trip: float | None = None
+    refused: str | None = None
+    model: ActuatorModel | None = None
+
+    @property
+    def invertible(self) -> bool | None:
+        """Whether its inverse is exact to rounding; None where it could not be fitted."""
+        if self.model is None or self.round_trip is None:
+            return None
+        return self.round_trip <= EXACT * self.model.output.span
+
+
+def compare(
+    recordings: Sequence[Recording],
+    validation: Sequence[Recording] = (),
+    names: Sequence[str] = NAMES,
+    skip_seconds: float = 0.0,
+    timed: bool = True,
+    judged_from: float | None = None,
+) -> list[Row]:
+    """Fit each model to the logs and judge it; one that cannot be fitted has a row that says why.
+
+    ``skip_seconds`` are left out of every log, ``judged_from``, where given, of those of the validation.
+
+    Raises
+    ------
+    FitError
+        Nothing can be fitted to such logs, whatever the model.
+    UsageError
+        A name is none of a model.
+    """
+    for name in names:
+        if name not in NAMES:
+            raise UsageError(f"`models` {name}: there are {', '.join(NAMES)}")
+    check_recordings(recordings)
+    clean, _ = without_voltage_glitches(recordings)
+    logs = [cleaned(log) for log in clean]
+    ready = prepare([one.recording for one in logs], skip_seconds, [one.bad for one in logs])
+    clocked = all(log.seconds() is not None for log in recordings)
+    cycle = median_cycle_seconds(recordings) if clocked else None
+    judged = skip_seconds if judged_from is None else judged_from
+    judge = _Judge([one.recording for one in logs], ready, validation, judged, timed)
+    rows = []
+    for name in dict.fromkeys(names):
+        if name == "dbo":
+            rows.append(judge.row(name, OWN_WORDS, lambda: _own(recordings, skip_seconds)))
+            continue
+        relative = next(one for one in RELATIVES if one.name == name)
+        rows.append(judge.row(name, relative.words, _fitter(relative, ready, judge.recordings, cycle)))
+    return rows
+
+
+def _fitter(
+    relative: Relative, ready: Prepared, recordings: Sequence[Recording], cycle: float | None
+) -> Callable[[], ActuatorModel]:
+    return lambda: fit(relative, ready, recordings, cycle)
+
+
+def _own(recordings: Sequence[Recording], skip_seconds: float) -> ActuatorModel:
+    """Return the model that ``identify`` makes; what it would refuse for being a line is compared, too."""
+    return identify(recordings, IdentificationOptions(skip_seconds=skip_seconds, force=True)).model
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Judges every model in the same way."""
+
+    recordings: Sequence[Recording]
+    ready: Prepared
+    validation: Sequence[Recording]
+    skip_seconds: float
+    timed: bool
+
+    def row(self, name: str, words: str, make: Callable[[], ActuatorModel]) -> Row:
+        """Return the row of one model, or of why there is none."""
+        begun = time.perf_counter()
+        try:
+            model = make()
+        except DboError as problem:
+            return Row(name, words, refused=str(problem))
+        except np.linalg.LinAlgError as problem:
+            return Row(name, words, refused=f"its least-squares problem cannot be solved ({problem})")
+        seconds = time.perf_counter() - begun
+        logs = zip(self.recordings, self.ready.logs, strict=True)
+        rmse = _pooled([residual_of(model, recording, log) for recording, log in logs])
+        checks = [validation_of(model, log, self.skip_seconds) for log in self.validation]
+        expected = model.fit.get("expected_rmse")
+        if expected is None:
+            expected = rmse * float(str(model.fit["left_out_ratio"]))
+        forward, inverse = self._times(model) if self.timed else (None, None)
+        return Row(
+            name,
+            words,
+            rmse,
+            float(str(expected)),
+            _pooled(checks) if checks else None,
+            _parameters(model),
+            seconds if self.timed else None,
+            forward,
+            inverse,
+            self._round_trip(model),
+            None,
+            model,
+        )
+
+    def _step(self) -> float:
+        clock = self.recordings[0].seconds()
+        steps = np.diff(clock) if clock is not None else np.array([1.0])
+        return float(np.median(steps[steps > 0.0]))
+
+    def _wanted(self, still: ActuatorModel, voltage: Floats) -> Floats:
+        step = self._step() if still.needs_time else None
+        return still.simulate(voltage, still.start(float(voltage[0])), time_step=step).y
+
+    def _times(self, model: ActuatorModel) -> tuple[float, float]:
+        """Return nanoseconds a sample, forward and inverse, on the first log's own drive."""
+        still = without_lateness(model)
+        voltage = np.resize(self.recordings[0].voltage, TIMED_SAMPLES[kernel.KIND])
+        forward = self._time(still, voltage)
+        return forward, self._time(still.inverse(), self._wanted(still, voltage))
+
+    def _time(self, model: ActuatorModel, signal: Floats) -> float:
+        step = self._step() if model.needs_time else None
+        start, fastest = model.start(float(signal[0])), math.inf
+        for _ in range(TIMED_RUNS):
+            begun = processor_ns()
+            model.simulate(signal, start, time_step=step)
+            fastest = min(fastest, processor_ns() - begun)
+        return fastest / len(signal)
+
+    def _round_trip(self, model: ActuatorModel) -> float:
+        """Return the largest difference after inverse and model, on what the first log's drive leads to."""
+        still = without_lateness(model)
+        wanted = self._wanted(still, self.recordings[0].voltage[:ROUND_TRIP_SAMPLES])
+        inverse = still.inverse()
+        step = self._step() if still.needs_time else None
+        begun = inverse.start(float(wanted[0]))
+        drive = inverse.simulate(wanted, begun, time_step=step).y
+        done = still.simulate(drive, still.start(float(drive[0])), time_step=step).y
+        return float(np.abs(done - wanted).max())
+
+
+def without_lateness(model: ActuatorModel) -> ActuatorModel:
+    """Return a forward model without delay and dynamics, which are the same whatever the hysteresis is."""
+    stages = tuple(one for one in model.stages if not isinstance(one, DelayStage | DynamicsStage))
+    return dataclasses.replace(model, stages=stages)
+
+
+def _pooled(residuals: Sequence[Residual]) -> float:
+    """Root of the mean square over all logs, weighted by their rows."""
+    values = np.concatenate([one.values for one in residuals])
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _parameters(model: ActuatorModel) -> int:
+    """Return how many numbers were fitted."""
+    fit = model.fit
+    if "parameters" in fit:
+        return int(str(fit["parameters"]))
+    memories = fit.get("relaxation_seconds")
+    count = int(str(fit["different_slopes"])) + max(int(str(fit["points"])) - 1, 0) + 1
+    count += len(memories) if isinstance(memories, list) else 0
+    count += bool(fit.get("drive_bend")) + bool(fit.get("delay_seconds"))
+    if model.dynamics is not None:
+        count += sum(sum(v is not None for v in vars(one).values()) for one in model.dynamics.sections)
+    return count

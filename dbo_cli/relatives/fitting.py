@@ -1,0 +1,360 @@
+"""A relative fitted to prepared logs: bounded least squares on the rows, folds, drift and starts of the DBO.
+
+Each has its best delay searched for, its numbers of plays and of dead zones chosen on cycles left out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.cascade import ScaleStage, Stage
+from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.identification.evaluation import predict
+from dbo_cli.hysteresis.identification.normal_equations import (
+    MAX_STEEPNESS,
+    SLOPE_FLOOR,
+    _bounded,
+    squared_error,
+    squared_error_free_of,
+)
+from dbo_cli.hysteresis.identification.preparation import Prepared
+from dbo_cli.hysteresis.identification.recordings import Recording
+from dbo_cli.hysteresis.identification.regressors import Basis
+from dbo_cli.hysteresis.identification.selection import Score, simplest_of
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows
+from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.hysteresis.operators import DiscretePointOperator
+from dbo_cli.relatives.model import RelativeModel
+from dbo_cli.relatives.operators import Floats, Kind, PlayOperator
+from dbo_cli.relatives.regressors import Design, Products, gather, rates_of
+
+USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
+PLAYS_CHOICES = (12, 25, 50, 100)
+SEGMENT_CHOICES = (1, 2, 4, 8)
+DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
+FINEST_DELAY_STEP = 0.125  # of a sample period
+LONGEST_DELAY = 0.125  # of a cycle, as for the gears
+FINE_INDIFFERENCE = 0.005
+"""A gain in RMSE below this share is not worth more plays or dead zones: as strict as for the gears."""
+ROWS_PER_PLAY = 8  # fewer rows for each unknown weight are not safe, as for the gears
+NOTHING_LEFT = 1e-12  # of the range: an error below it is rounding
+FASTEST_SHARE = 0.999  # of all samples are slower than the rate that the second set of slopes belongs to
+
+
+@dataclass(frozen=True)
+class Relative:
+    """One of the models to compare with: its name, what it is in words, and the kind of its plays."""
+
+    name: str
+    words: str
+    kind: Kind
+    plays: tuple[int, ...] = PLAYS_CHOICES
+    segments: tuple[int, ...] = (1,)
+
+
+RELATIVES = (
+    Relative("line", "straight line", "plays", plays=(1,)),
+    Relative("pi", "Prandtl-Ishlinskii (PI), plays and dead zones [6]", "plays", segments=SEGMENT_CHOICES),
+    Relative("rate", "rate-dependent PI and dead zones [7]", "rate-plays", segments=SEGMENT_CHOICES),
+    Relative(
+        "singularity-free",
+        "singularity-free PI, dead zones [8]",
+        "singular-plays",
+        segments=SEGMENT_CHOICES,
+    ),
+    Relative("asymmetric", "asymmetric PI [9], in the form of Gu et al.", "one-sided-plays"),
+)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The unknowns: slopes (as in ``Design.columns``), the dead zones' knots, drift; all in one vector."""
+
+    slopes: Floats
+    knots: Floats
+    drift: Floats
+    vector: Floats
+
+
+def solve(products: Products, design: Design, gram: Floats) -> Solution:
+    """Minimise the squared equation error under the rules of the kind: a quadratic programme.
+
+    All slopes W_i are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at least 0 (of
+    loops that soften after a turn at most 0); of [8] W_0 is free. The dead zones' slopes are above 0.
+    """
+    total = products.slopes + products.knots + products.drift
+    fixed, bounded, free = np.zeros(total), [], np.zeros((total, 0))
+    n, one_sided = design.plays, design.kind == "one-sided-plays"
+    floor = SLOPE_FLOOR * (1.0 if one_sided else 0.5)
+    for begin, count in _slope_groups(design):
+        rule = np.zeros((total, count))
+        whole = np.ones((count, count))
+        rule[begin : begin + count] = np.triu(whole) if design.falling else np.tril(whole)
+        bounded.append(rule)
+        if not one_sided:
+            fixed[begin : begin + count] = floor
+    if one_sided:
+        fixed[n - 1 : n + 1] = floor
+    if design.kind == "singular-plays" and not design.falling:
+        free, bounded[0] = bounded[0][:, :1], bounded[0][:, 1:]
+        fixed[:] = 0.0
+    at = products.slopes
+    drift = np.zeros((total, products.drift))
+    drift[at + products.knots :] = np.eye(products.drift)
+    tie = None
+    if products.knots:
+        least, wider, spare = _widths(design.segments)
+        fixed[at : at + products.knots] = least
+        tie = sum(part.shape[1] for part in bounded), spare
+        rule = np.zeros((total, design.segments))
+        rule[at : at + products.knots] = wider
+        bounded.append(rule)
+    matrix, right = gram[:total, :total], gram[:total, total]
+    vector = fixed + _bounded(
+        matrix, right - matrix @ fixed, np.hstack(bounded), np.hstack((free, drift)), tie
+    )
+    parts = np.split(vector, [at, at + products.knots])
+    return Solution(parts[0], parts[1], parts[2], vector)
+
+
+def _slope_groups(design: Design) -> list[tuple[int, int]]:
+    """Return (first column, columns) of slopes whose increments are at least 0."""
+    n = design.plays
+    if design.kind == "rate-plays":
+        return [(0, n), (n, n)]
+    if design.kind == "one-sided-plays":  # the plays but the first, then each part of the curve by itself
+        return [(0, n - 1), (n - 1, 1), (n, 1)] if n > 1 else [(0, 1), (1, 1)]
+    return [(0, n)]
+
+
+def _widths(segments: int) -> tuple[Floats, Floats, float]:
+    """Return the knots with all segments at their narrowest, what each wider one adds, and what is to add."""
+    narrowest = 1.0 / (MAX_STEEPNESS * segments)
+    least: Floats = np.arange(1.0, segments) * (narrowest - 1.0 / segments)
+    wider = np.hstack((np.tril(np.ones((segments - 1, segments - 1))), np.zeros((segments - 1, 1))))
+    return least, wider, 1.0 - segments * narrowest
+
+
+def cross_validated(products: Products, design: Design) -> Score:
+    """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
+    errors = []
+    for fold, gram in enumerate(products.grams):
+        rest, _ = products.total(leave_out=fold)
+        vector = solve(products, design, rest).vector
+        left = squared_error_free_of(gram, vector, products.nuisance[fold])
+        errors.append(left / max(products.rows[fold], 1))
+    rows = np.asarray(products.rows, dtype=float)
+    return Score(np.asarray(errors), rows / rows.sum())
+
+
+def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> float:
+    """Return the RMS error on what was left out: whole cycles, or groups of swings where that is worse.
+
+    The groups are those of the DBO's own expectation; its other part, how far models that explain the logs as
+    well go apart, is not looked for here.
+    """
+    from dbo_cli.hysteresis.identification import expectation as own
+
+    worst = cycles**2
+    for _, labels in own._groupings(logs, Basis(1, design.low, design.high)):
+        grouped = [
+            replace(log, fold=np.where(log.used, label, -1)) for log, label in zip(logs, labels, strict=True)
+        ]
+        products = gather(grouped, design)
+        squares, rows = 0.0, 0
+        for group in range(1, len(products.grams)):
+            rest, others = products.total(leave_out=group)
+            mine = products.rows[group]
+            if mine < own.FEWEST_GROUP_ROWS or others < max(own.FEWEST_REST_ROWS, mine / 5):
+                continue
+            vector = solve(products, design, rest).vector
+            left = squared_error_free_of(products.grams[group], vector, products.nuisance[group])
+            squares += min(left, mine * (own.MAX_RATIO * cycles) ** 2)
+            rows += mine
+        worst = max(worst, squares / rows if rows else 0.0)
+    return float(np.sqrt(worst))
+
+
+def best_delay(logs: Sequence[PreparedLog], design: Design, cycle: float | None) -> tuple[float, float]:
+    """Return the delay (s) with the least squared error, and that error; 0 without a clock."""
+    clocks = [log.seconds for log in logs]
+    if cycle is None or any(clock is None for clock in clocks):
+        products = gather(logs, design)
+        gram, _ = products.total()
+        return 0.0, squared_error(gram, solve(products, design, gram).vector)
+    steps = np.concatenate([np.diff(clock) for clock in clocks if clock is not None])
+    period = float(np.median(steps[steps > 0.0]))
+    errors: dict[float, float] = {}
+
+    def attempt(step: float) -> None:
+        products = gather(logs, replace(design, delay=step * period))
+        gram, _ = products.total()
+        errors[step] = squared_error(gram, solve(products, design, gram).vector)
+
+    for step in DELAY_TRIALS:
+        if step * period > LONGEST_DELAY * cycle:
+            break
+        attempt(step)
+        if errors[step] > 1.5 * min(errors.values()):
+            break
+    while True:
+        best = min(errors, key=lambda step: errors[step])
+        below = max((step for step in errors if step < best), default=best)
+        above = min((step for step in errors if step > best), default=best)
+        between = [0.5 * (best + step) for step in (below, above) if abs(step - best) > FINEST_DELAY_STEP]
+        if not between:
+            return best * period, errors[best]
+        for step in between:
+            attempt(step)
+
+
+def fit(
+    relative: Relative, prepared: Prepared, recordings: Sequence[Recording], cycle: float | None
+) -> RelativeModel:
+    """Fit one relative to prepared logs.
+
+    Parameters
+    ----------
+    relative : which
+    prepared : the logs as the identification of gears prepares them
+    recordings : the same logs in their units
+    cycle : median duration of a cycle (s), None without a clock
+
+    Raises
+    ------
+    FitError
+        It cannot be fitted to these logs; the message says why.
+    """
+    logs = fewer_rows(prepared.logs)
+    plays = USUAL_PLAYS if USUAL_PLAYS in relative.plays else relative.plays[0]
+    design = Design(relative.kind, plays, prepared.low, prepared.high, segments=relative.segments[-1])
+    if relative.kind == "rate-plays":
+        design = replace(design, fastest=_fastest(logs, design))
+    falls = (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
+    ways = [(*best_delay(logs, replace(design, falling=fall), cycle), fall) for fall in falls]
+    delay, _, falling = min(ways, key=lambda way: way[1])
+    design = replace(design, delay=delay, falling=falling)
+    design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
+    usable = sum(int(log.used.sum()) for log in logs)
+    counts = [count for count in relative.plays if count * ROWS_PER_PLAY <= usable] or relative.plays[:1]
+    design = _simplest(logs, [replace(design, plays=count) for count in counts])
+    products = gather(logs, design)
+    score = cross_validated(products, design)
+    gram, rows = products.total()
+    error = float(np.sqrt(squared_error(gram, solve(products, design, gram).vector) / rows))
+    products = gather(prepared.logs, design)
+    solution = solve(products, design, products.total()[0])
+    model = _model_of(solution, design, prepared, recordings[0])
+    model = _levelled(model, prepared.logs[0], recordings[0])
+    error = max(error, NOTHING_LEFT)
+    ratio = _held_out(logs, design, max(score.rmse, error)) / error
+    figures = {"method": relative.name, "operator": relative.words, "plays": design.plays,
+               "points": design.segments if design.segments > 1 else 0, "delay_seconds": design.delay,
+               "parameters": _parameters(design), "left_out_ratio": ratio}  # fmt: skip
+    return dataclasses.replace(model, fit=figures)
+
+
+def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
+    """Return the first of several designs, simplest first, that predicts what was left out as well as any."""
+    if len(designs) == 1:
+        return designs[0]
+    scores = [cross_validated(gather(logs, one), one) for one in designs]
+    return designs[simplest_of(scores, FINE_INDIFFERENCE, max_standard_error=0.0)]
+
+
+def _fastest(logs: Sequence[PreparedLog], design: Design) -> float:
+    """Return the fastest rate of the scaled drive (1/s), the wildest samples aside."""
+    if any(log.seconds is None for log in logs):
+        raise FitError("the rate needs a clock: name the time column (`time`) or give `sample_rate`")
+    rates = np.concatenate([rates_of(design.scaled(log.voltage), log.seconds) for log in logs])
+    fastest = float(np.quantile(rates, FASTEST_SHARE))
+    if not fastest > 0.0:
+        raise FitError("the drive stands still almost everywhere, so that its rate says nothing")
+    return fastest
+
+
+def _parameters(design: Design) -> int:
+    """Return how many numbers were fitted: weights, knots, an offset, and the delay where there is one."""
+    slopes = 1 if design.plays == 1 and design.kind == "plays" else design.slopes
+    return slopes + design.segments - 1 + 1 + (design.delay > 0.0)
+
+
+def operator_of(slopes: Floats, design: Design) -> PlayOperator:
+    """Return the plays with the slopes that were found.
+
+    Raises
+    ------
+    FitError
+        The slopes leave no operator that can be inverted.
+    """
+    n = design.plays
+    radii = np.arange(n) / n
+    if design.kind == "one-sided-plays":
+        weights = np.concatenate(([0.0], np.diff(slopes[: n - 1], prepend=0.0)))
+        falling, rising = slopes[n - 1 :]
+        cubic, linear = float(rising - falling) / 3.0, float(falling)
+        return _built(lambda: PlayOperator(design.kind, radii, weights, cubic=cubic, linear=linear))
+    weights = np.diff(slopes[:n], prepend=0.0)
+    if design.kind != "rate-plays":
+        return _built(lambda: PlayOperator(design.kind, radii, weights))
+    faster = np.diff(slopes[n:], prepend=0.0)
+    return _built(lambda: PlayOperator(design.kind, radii, weights, faster - weights, design.fastest))
+
+
+def _built(make: Callable[[], PlayOperator]) -> PlayOperator:
+    from dbo_cli.errors import ModelError
+
+    try:
+        return make()
+    except ModelError as problem:
+        raise FitError(f"what fits best has no inverse ({problem})") from None
+
+
+def _model_of(solution: Solution, design: Design, prepared: Prepared, recording: Recording) -> RelativeModel:
+    """Return the model in the logs' units."""
+    operator = operator_of(solution.slopes, design)
+    width = (1.0 - operator.low) / (prepared.high - prepared.low)
+    origin = float(solution.drift[0])
+    stages: list[Stage] = [ScaleStage(width, operator.low - width * prepared.low), operator]
+    offset = prepared.offset
+    if design.segments > 1:
+        corners = np.arange(design.segments + 1) / design.segments
+        corners[1:-1] += solution.knots
+        height = np.full(design.segments, 1.0 / design.segments)
+        stages += [ScaleStage(1.0, origin), DiscretePointOperator(np.diff(corners), height)]
+    else:
+        offset += prepared.scale * origin
+    stages.append(ScaleStage(prepared.scale, offset))
+    if design.delay > 0.0:
+        stages.append(DelayStage(design.delay))
+    return _ranged(stages, prepared.low, prepared.high, recording)
+
+
+def _ranged(stages: Sequence[Stage], low: float, high: float, recording: Recording) -> RelativeModel:
+    """Return the model with the range that its output reaches slowly."""
+    source = Quantity("voltage", recording.voltage_unit, low, high)
+    anything = Quantity("displacement", recording.displacement_unit, 0.0, 1.0)
+    still = RelativeModel(
+        "forward", source, anything, tuple(one for one in stages if not isinstance(one, DelayStage))
+    )
+    ends = still.simulate([low, high, high, low], still.start(low, "empty"), time_step=1e9).y[1:]
+    reach = dataclasses.replace(anything, minimum=float(ends.min()), maximum=float(ends.max()))
+    return RelativeModel("forward", source, reach, tuple(stages))
+
+
+def _levelled(model: RelativeModel, log: PreparedLog, recording: Recording) -> RelativeModel:
+    """Return the model with the offset that the first log's displacement asks for."""
+    left = (recording.displacement - predict(model, recording, log.start))[log.used]
+    offset = float(np.linalg.lstsq(log.drift[log.used], left, rcond=None)[0][0])
+    stages = list(model.stages)
+    place = max(k for k, stage in enumerate(stages) if isinstance(stage, ScaleStage))
+    last = stages[place]
+    assert isinstance(last, ScaleStage)
+    stages[place] = ScaleStage(last.gain, last.offset + offset)
+    drive = model.input
+    return _ranged(stages, drive.minimum, drive.maximum, recording)

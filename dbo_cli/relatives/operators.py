@@ -1,0 +1,322 @@
+"""The Prandtl-Ishlinskii operator and its descendants: weighted sums of plays, forward and inverse.
+
+All of them are y = g(x) + Σ w_i z_i with z_i = max(x − r_i, min(x + r_i, z_i)) (one-sided: max(x − r_i,
+min(x, z_i))), on a drive scaled to the operator's range (−1 to 1; one-sided 0 to 1). Sources, numbered as in
+Aye and Ang (2018); what is marked * was written from memory of the literature and not checked against it:
+
+- [6] Kuhnen (2003): plays, w_i ≥ 0, and the inverse in closed form, w'_0 = 1/w_0, w'_i = −w_i/(W_i W_{i−1}),
+  r'_i = Σ_{j≤i} w_j (r_i − r_j), z'_i = W_i z_i + Σ_{j>i} w_j z_j, W_i = Σ_{j≤i} w_j.
+- [7] Ang, Khosla and Riviere (2007): W_i(ẋ) = W_i(0) + c_i |ẋ|. *The magnitude (a signed rate would make
+  rising and falling branches differ) and weights that stay beyond the fastest rate are this program's own.
+- [8] Tan et al. (2009): where slopes W_i of the first plays are not above 0, z = y + c x, c > −min W_i, is
+  inverted and x recovered. *Here x = Γ_c⁻¹(y + c x) is carried to its limit: from where the drive stands it
+  goes towards the wanted y until that is reached (see ``dbo_plays.c``), the same for every such c.
+- [9] Jiang et al. (2010) use one-sided operators; their equations were not to be had. In their place *Gu et
+  al. (2014): y = a₁ x³ + a₂ x + Σ p_i F_i, F_i one-sided plays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.cascade import OtherHysteresis
+from dbo_cli.hysteresis.operators import BacklashState
+from dbo_cli.hysteresis.plays_kernel import LANES
+
+Floats = NDArray[np.float64]
+Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+NOTHING: Floats = np.empty(0)
+MOST_PLAYS = 100_000
+FLATTEST = 1e-9  # of the largest weight, where a slope must be above 0 for an inverse
+HALVINGS = 200
+
+
+@dataclass(frozen=True)
+class PlayState(BacklashState):
+    """Where the plays stand, in the scaled drive; play 0 is the last input.
+
+    Attributes
+    ----------
+    plays : tuple of float
+        z_i.
+    inverse_plays : tuple of float, or None
+        z'_i of the inverse in closed form, while one runs, so that going on changes no bit.
+    wanted : float, or None
+        The last output that an inverse was asked for; its rate is taken from there.
+    """
+
+    plays: tuple[float, ...] = ()
+    inverse_plays: tuple[float, ...] | None = None
+    wanted: float | None = None
+
+    def to_json_dict(self) -> dict[str, object]:
+        """Return the state as plain JSON values."""
+        inverse = None if self.inverse_plays is None else list(self.inverse_plays)
+        return {"places": list(self.plays), "inverse_places": inverse, "wanted": self.wanted}
+
+
+class Bounds(NamedTuple):
+    """What the drive may do: its range, its largest change between samples, and what counts as clipped."""
+
+    low: float
+    high: float
+    slack: float
+    step: float | Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PlayOperator(OtherHysteresis):
+    """A weighted sum of plays, one of four kinds.
+
+    Parameters
+    ----------
+    kind : {"plays", "rate-plays", "singular-plays", "one-sided-plays"}
+        [6], [7], [8] and Gu's form of [9].
+    radii : array_like
+        r_i, in the scaled drive: 0 first, growing, below 1.
+    weights : array_like
+        w_i, output per unit of scaled drive.
+    by_rate : array_like, optional
+        Of [7]: what is added to each weight at the fastest rate.
+    fastest : float, optional
+        Of [7]: the rate of the scaled drive (1/s) at which all of ``by_rate`` is added; beyond it no more is.
+    cubic, linear : float
+        Of [9]: a₁ and a₂; beyond the range the curve goes straight on.
+    inverted : bool
+        As it stands in an inverse model.
+
+    Raises
+    ------
+    ModelError
+        The numbers are not finite, not in order, or leave no inverse; the message begins with the key.
+    """
+
+    kind: Kind
+    radii: Floats
+    weights: Floats
+    by_rate: Floats = field(default_factory=lambda: NOTHING)
+    fastest: float = 0.0
+    cubic: float = 0.0
+    linear: float = 0.0
+    inverted: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for key in ("radii", "weights", "by_rate"):
+            values = np.array(getattr(self, key), dtype=np.float64).reshape(-1)
+            values.flags.writeable = False
+            object.__setattr__(self, key, values)
+            for i in np.flatnonzero(~np.isfinite(values))[:1]:
+                raise ModelError(f"{key}[{i}]: {float(values[i])!r} is not a finite number")
+        for key in ("cubic", "linear", "fastest"):
+            if not np.isfinite(getattr(self, key)):
+                raise ModelError(f"{key}: {getattr(self, key)!r} is not a finite number")
+        self._check_lengths()
+        self._check_slopes()
+
+    def _check_lengths(self) -> None:
+        radii, n = self.radii, self.radii.size
+        if n == 0 or n > MOST_PLAYS:
+            raise ModelError(f"radii: has {n:,} entries, and there must be 1 to {MOST_PLAYS:,}")
+        if radii[0] != 0.0 or not (np.diff(radii) > 0.0).all() or not radii[-1] < 1.0:
+            raise ModelError("radii: must begin with 0, grow, and stay below 1")
+        if self.weights.size != n:
+            raise ModelError(f"weights: has {self.weights.size} entries where radii has {n}")
+        if self.by_rate.size != (n if self.kind == "rate-plays" else 0):
+            raise ModelError(f"by_rate: has {self.by_rate.size} entries where radii has {n}")
+        if self.kind == "rate-plays" and not self.fastest > 0.0:
+            raise ModelError(f"fastest: {self.fastest!r} is not a rate above 0")
+
+    def _check_slopes(self) -> None:
+        """Refuse what has no inverse: W_i must be above 0, with [8] the last one alone."""
+        least = FLATTEST * float(np.abs(self.weights).max())
+        ends = (self.linear, 3.0 * self.cubic + self.linear)
+        slopes = np.cumsum(self.weights) + min(ends)
+        slopes = np.minimum(slopes, slopes + np.cumsum(self.by_rate)) if self.by_rate.size else slopes
+        if self.kind == "singular-plays":
+            slopes = slopes[-1:]
+        if not (slopes > least).all():
+            raise ModelError(f"weights: the slope is {float(slopes.min())!r} somewhere, and must be above 0")
+
+    @property
+    def n(self) -> int:
+        """Number of plays."""
+        return int(self.radii.size)
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether the plays give way on one side alone."""
+        return self.kind == "one-sided-plays"
+
+    @property
+    def low(self) -> float:
+        """Lower end of the scaled drive; the upper one is 1."""
+        return 0.0 if self.one_sided else -1.0
+
+    def inverse(self) -> PlayOperator:
+        """Return the same operator as it stands in a model of the other direction."""
+        return PlayOperator(
+            self.kind, self.radii, self.weights, self.by_rate, self.fastest, self.cubic, self.linear,
+            not self.inverted,
+        )  # fmt: skip
+
+    def file_values(self) -> dict[str, Any]:
+        """Return the stage as the model file has it (docs/model-file.md)."""
+        values: dict[str, Any] = {
+            "type": self.kind,
+            "radii": self.radii.tolist(),
+            "weights": self.weights.tolist(),
+        }
+        if self.kind == "rate-plays":
+            values |= {"by_rate": self.by_rate.tolist(), "fastest": self.fastest}
+        if self.one_sided:
+            values |= {"cubic": self.cubic, "linear": self.linear}
+        return values
+
+    @cached_property
+    def table(self) -> Floats:
+        """The kernel's rows: up, down, weight and by_rate, padded to whole groups of lanes."""
+        down = np.zeros(self.n) if self.one_sided else self.radii
+        rows = [self.radii, down, self.weights] + ([self.by_rate] if self.by_rate.size else [])
+        table = np.zeros((len(rows), -(-self.n // LANES) * LANES))
+        table[:2] = np.inf
+        table[:, : self.n] = rows
+        return table
+
+    @cached_property
+    def curve(self) -> Floats:
+        """The kernel's (cubic, linear), or nothing."""
+        return np.array([self.cubic, self.linear]) if self.one_sided else NOTHING
+
+    def settled(self, x: float) -> Floats:
+        """Return the plays after an oscillation that decays from the whole range to ``x``."""
+        up, down = self.table[0, : self.n], self.table[1, : self.n]
+        plays: Floats = np.clip(x + 0.5 * (down - up), self.low + down, 1.0 - up)
+        return plays
+
+    def after(self, x: float) -> Floats:
+        """Return the plays after the drive came to ``x``, an end of its range, from the other one."""
+        up, down = self.table[0, : self.n], self.table[1, : self.n]
+        return x + down if x <= self.low else x - up
+
+    def _padded(self, plays: ArrayLike) -> Floats:
+        z = np.zeros(self.table.shape[1])
+        z[: self.n] = plays
+        return z
+
+    def run(self, x: Floats, plays: Floats, share: Floats = NOTHING) -> tuple[Floats, Floats]:
+        """Return the output for a block of scaled drive, and the plays after it; ``share`` of ``by_rate``."""
+        z, y = self._padded(plays), np.empty_like(x)
+        kernel.CHOSEN.plays_run(self.n, self.table, self.curve, z, x, y, share)
+        return y, z[: self.n]
+
+    def rows(self, x: Floats, plays: Floats) -> tuple[Floats, Floats]:
+        """Return the plays in every sample, shape (samples, n), and after the block."""
+        z, out = self._padded(plays), np.empty((x.size, self.n))
+        kernel.CHOSEN.plays_rows(self.n, self.table, z, x, out)
+        return out, z[: self.n]
+
+    def solve(
+        self,
+        y: Floats,
+        plays: Floats,
+        share: Floats = NOTHING,
+        bounds: Bounds | None = None,
+        last: float | None = None,
+    ) -> tuple[Floats, Floats, tuple[int, int]]:
+        """Return the scaled drive whose output is ``y``, the plays after it, and what was clipped.
+
+        Exact for every kind; ``run`` of the result with the same ``share`` gives ``y`` back to rounding.
+        """
+        z, x = self._padded(plays), np.empty_like(y)
+        bound = bounds or Bounds(0.0, 0.0, 0.0)
+        step = NOTHING if bound.step is None else np.array(bound.step, dtype=np.float64).reshape(-1)
+        clipped = kernel.CHOSEN.plays_solve(
+            self.n, self.table, self.curve, z, y, x, share, bounds is not None, bound.low, bound.high,
+            bound.slack, step, np.nan if last is None else last,
+        )  # fmt: skip
+        return x, z[: self.n], clipped
+
+    def output_of(self, plays: Floats, share: float = 0.0) -> float:
+        """Return the output with the plays where they stand."""
+        some = np.array([share]) if self.by_rate.size else NOTHING
+        return float(self.run(np.array([plays[0]]), plays, some)[0][0])
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """The slow output at the ends of the drive's range, each come to from the other."""
+        return self.output_of(self.after(self.low)), self.output_of(self.after(1.0))
+
+    def settled_at(self, y: float) -> float:
+        """Return the drive whose own settled state gives the output ``y``, by halving."""
+        below, above = self.low - 1.0, 2.0
+        for _ in range(HALVINGS):
+            if self._settled_output(below) <= y:
+                break
+            below -= 2.0 * (above - below)
+        for _ in range(HALVINGS):
+            if self._settled_output(above) >= y:
+                break
+            above += 2.0 * (above - below)
+        for _ in range(HALVINGS):
+            middle = below + 0.5 * (above - below)
+            if not below < middle < above:
+                break
+            if self._settled_output(middle) < y:
+                below = middle
+            else:
+                above = middle
+        return above
+
+    def _settled_output(self, x: float) -> float:
+        some = np.zeros(1) if self.by_rate.size else NOTHING
+        return float(self.run(np.array([x]), self.settled(x), some)[0][0])
+
+    @cached_property
+    def closed_inverse(self) -> ClosedInverse:
+        """The inverse of [6] in closed form; of plays of the first kind alone."""
+        sums = np.cumsum(self.weights)
+        primed = np.append(1.0 / sums[0], -self.weights[1:] / (sums[1:] * sums[:-1]))
+        reach = sums * self.radii - np.cumsum(self.weights * self.radii)
+        table = np.zeros((3, self.table.shape[1]))
+        table[:2] = np.inf
+        table[:, : self.n] = reach, reach, primed
+        return ClosedInverse(self.weights, sums, table)
+
+
+class ClosedInverse(NamedTuple):
+    """The inverse of [6]: again plays, with r'_i, w'_i, and states z'_i on the side of the output."""
+
+    weights: Floats
+    sums: Floats
+    table: Floats
+
+    def states_of(self, plays: Floats) -> Floats:
+        """Return z'_i = W_i z_i + Σ_{j>i} w_j z_j."""
+        beyond = np.append(np.cumsum((self.weights * plays)[::-1])[::-1][1:], 0.0)
+        states: Floats = self.sums * plays + beyond
+        return states
+
+    def plays_of(self, states: Floats) -> Floats:
+        """Return the z_i of states z'_i."""
+        plays = np.empty(states.size, dtype=np.float64)
+        beyond = 0.0
+        for i in range(states.size - 1, -1, -1):
+            plays[i] = (float(states[i]) - beyond) / float(self.sums[i])
+            beyond += float(self.weights[i] * plays[i])
+        return plays
+
+    def run(self, y: Floats, states: Floats) -> tuple[Floats, Floats]:
+        """Return the scaled drive for a block of output, and the states after it."""
+        z, x = np.zeros(self.table.shape[1]), np.empty_like(y)
+        z[: states.size] = states
+        kernel.CHOSEN.plays_run(states.size, self.table, NOTHING, z, y, x, NOTHING)
+        return x, z[: states.size]

@@ -1,0 +1,81 @@
+"""The comparison of models: logs in, one table, figures and the models themselves out."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.logs.addresses import check_format
+from dbo_cli.logs.provenance import program_version_string
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
+from dbo_cli.relatives.comparison import NAMES, compare
+from dbo_cli.reports.drawing import check_folder, save
+from dbo_cli.reports.model_comparison import ModelComparison
+from dbo_cli.runs.identifying import read_recordings
+from dbo_cli.runs.remarks import SILENT, Listener, Remarks
+from dbo_cli.runs.reporting import ENDINGS
+
+
+@dataclass(frozen=True)
+class ComparisonOptions:
+    """What to compare and how; ``names`` None: all models; not ``timed``: same input, same bytes."""
+
+    names: tuple[str, ...] | None = None
+    skip_seconds: float = 0.0
+    timed: bool = True
+    form: str | None = None
+    figures: str | None = None
+    models_folder: str | None = None
+
+
+@all_or_none()
+def compare_logs(
+    logs: Sequence[str],
+    validation: Sequence[str],
+    output: str,
+    reading: ReadingOptions,
+    options: ComparisonOptions,
+    *,
+    voltage: str | None = None,
+    displacement: str | None = None,
+    listener: Listener = SILENT,
+) -> Remarks:
+    """Fit every model to the logs and write the table; ``reading.rows`` are those of ``logs`` alone."""
+    named = ENDINGS.get(Path(output).suffix.lower())
+    if options.form is not None and named not in (None, options.form):
+        raise UsageError(f"{output}: `format` {options.form} contradicts this name: leave one of them out")
+    inputs = [*logs, *validation]
+    check_output(output, inputs)
+    check_format(reading.format, inputs)
+    for folder in (options.figures, options.models_folder):
+        if folder is not None:
+            with contextlib.suppress(OutputError):  # check_folder words it
+                make_folder(folder)
+            check_folder(folder)
+    fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
+    recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
+    rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)
+    unit = recordings[0].displacement_unit
+    names = [tuple(one.name for one in some) for some in (recordings, others)]
+    shown = ModelComparison(tuple(rows), unit, names[0], names[1])
+    if options.figures is not None:
+        save(shown.plots(), Path(options.figures), "models")
+    if options.models_folder is not None:
+        for row in rows:
+            if row.model is not None:
+                path = os.path.join(options.models_folder, f"{row.name}.json")
+                write_whole(path, model_to_bytes(row.model), protect=inputs)
+    program = program_version_string()
+    provenance = {"program": program, "inputs": [dict(one.record) for one in [*fitted, *checks]]}
+    content = shown.rendered(options.form or named or "text", provenance, program)
+    write_whole(output, content, protect=inputs)
+    remarks = Remarks()
+    for one in [*fitted, *checks]:
+        remarks.add(one.remarks)
+    return remarks

@@ -1,0 +1,120 @@
+"""Drives written to files: compensation of a trajectory, and the drive that identifies well."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.addresses import check_format, format_for
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.relatives.model_file import read_model
+from dbo_cli.runs.compensation import check_range, compensation
+from dbo_cli.runs.files import Destination, check_order, opened, spoken, write_response
+from dbo_cli.runs.model_run import reads_ahead
+from dbo_cli.runs.remarks import SILENT, Listener, Remarks
+from dbo_cli.runs.roles import bring_to, quantity_wish
+from dbo_cli.runs.starts import start_of
+
+if TYPE_CHECKING:
+    from dbo_cli.runs.learning import Tracked
+
+
+def compensate_trajectory(
+    model_file: str,
+    trajectory: str,
+    destination: Destination,
+    reading: ReadingOptions,
+    *,
+    column: str | None = None,
+    v_min: float | None = None,
+    v_max: float | None = None,
+    max_slew: float | None = None,
+    refuse_clipping: bool = False,
+    state: str = "auto",
+    condition: bool = False,
+    bandwidth: float | None = None,
+    tracked: Sequence[str] = (),
+    voltage: str | None = None,
+    measured: str | None = None,
+    periodic: bool = False,
+    passes: int = 0,
+    listener: Listener = SILENT,
+) -> Remarks:
+    """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
+    check_range(v_min, v_max)
+    destination = destination.beside(column, voltage, measured, reading.time)
+    destination.check()
+    check_order(model_file, trajectory)
+    check_format(reading.format, [trajectory, destination.output])
+    model = read_model(model_file)
+    model.require("forward", spoken(model_file))
+    wanted = model.output
+    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
+    ahead = (reads_ahead(model) or bandwidth is not None) and not (tracked or periodic)
+    recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
+    with opened(trajectory, want, reading, destination.live, listener, ahead) as log:
+        bring_to(log, wanted.quantity, wanted, spoken(model_file))
+        run = compensation(
+            model,
+            log,
+            v_min=v_min,
+            v_max=v_max,
+            max_slew=max_slew,
+            refuse_clipping=refuse_clipping,
+            start="auto" if state == "auto" else start_of(state, model),
+            condition=condition,
+            bandwidth=bandwidth,
+            tracked=recordings,
+            periodic=periodic,
+            passes=passes,
+            last_row=reading.rows[1] if ahead else None,
+        )
+        # Not under the name of what will be measured: a drive must not be taken for a recording.
+        given = OutColumn("desired", log.columns[wanted.quantity].unit or wanted.unit, "desired")
+        return write_response(run, log, given, destination, reading, listener)
+
+
+def _recorded(
+    address: str,
+    model: ActuatorModel,
+    reading: ReadingOptions,
+    voltage: str | None,
+    measured: str | None,
+    listener: Listener,
+) -> Tracked:
+    """Read the recording of a pass; ``rows`` are the trajectory's."""
+    from dbo_cli.runs.learning import tracked_of, tracked_wishes
+
+    want = tracked_wishes(model, voltage, measured)
+    with opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
+        return tracked_of(log, model)
+
+
+def write_excitation(
+    output: str,
+    v_min: float,
+    v_max: float,
+    sample_rate: float,
+    duration: float,
+    frequency: float,
+    max_slew: float | None,
+    form: str | None,
+    seed: int = 1,
+    sweep_to: float | None = None,
+    sweep_amplitude: float | None = None,
+) -> int:
+    """Write the drive that identifies well; returns its rows."""
+    from dbo_cli.hysteresis.excitation import excitation
+
+    time, voltage = excitation(
+        v_min, v_max, sample_rate, duration, frequency, max_slew, seed, sweep_to, sweep_amplitude
+    )
+    check_format(form, [output])
+    columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
+    attributes = {"sample_rate": sample_rate}
+    with signal_writer(output, columns, format=format_for(output, form), attributes=attributes) as writer:
+        writer.write(time, voltage)
+    return len(time)
