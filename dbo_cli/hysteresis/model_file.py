@@ -188,9 +188,7 @@ def read_model(
         note.check_notes(_NOTE_DEPTH)
     source, result = _quantity(root.node("input")), _quantity(root.node("output"))
     carried = {key: note.values for key, note in notes.items()}
-    model: ActuatorModel = root.build(
-        lambda: make(direction, source, result, cascade, **carried)
-    )
+    model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
     return model
 
 

@@ -118,10 +118,10 @@ def with_dynamics(
 
 
 def _sharpened(signals: Sequence[Signals], chosen: Candidate, highest: float) -> Candidate:
-    """Return the dynamics refined, with the form of the lag that leaves less."""
+    """Return the dynamics refined, with an exact lag where that of the stage does not earn its place."""
     forms = [dataclasses.replace(chosen.structure, sampled_lag=sampled) for sampled in (False, True)]
-    tried = [fitted(signals, [chosen.parameters], structure, highest) for structure in forms]
-    return min(tried, key=lambda one: one.left_out)
+    exact, sampled = [fitted(signals, [chosen.parameters], structure, highest) for structure in forms]
+    return sampled if sampled.left_out <= EARNED * exact.left_out else exact
 
 
 def _without_sensor(part: FastPart, options: IdentificationOptions) -> FastPart:
