@@ -2,10 +2,11 @@
 
     python benchmarks/dynamics_round_trip.py [--trials N] [--seed N] [--speed]
 
-Random cascades of 1 to 1,152 gears, half of them with relaxation, with points, with a delay of whole samples,
-with a lag; one or two resonances of damping 0.002 to 0.9, some with an antiresonance, 6 to 400 samples a
-period of the highest. The trajectory is a random move between two rests, a swing in 2 to 6 periods of the
-lowest resonance. It goes through the inverse whole and in random blocks, and the drive through the model.
+Random cascades of 1 to 1,152 gears, half of them with relaxation, with points, with a delay of whole
+samples, with a lag behind the gears, with one before them; one or two resonances of damping 0.002 to 0.9,
+some with an antiresonance, 6 to 400 samples a period of the highest. The trajectory is a random move
+between two rests, a swing in 2 to 6 periods of the lowest resonance. It goes through the inverse whole and
+in random blocks, and the drive through the model.
 Exits 1 where an error of a sample exceeds 1e-9 of the range, or a bit depends on the blocks or on the kernel.
 ``--speed`` prints instead what dynamics cost a sample beside the gears, in one run.
 """
@@ -67,6 +68,8 @@ def random_model(rng: np.random.Generator, step: float) -> ActuatorModel:
     stages.append(DynamicsStage(tuple(random_sections(rng))))
     if rng.random() < 0.5:
         stages.append(DelayStage(step * int(rng.integers(1, 40))))
+    if rng.random() < 0.5:
+        stages.insert(0, DynamicsStage((Lag(log_uniform(rng, 1e-5, 1e-2)),)))
     return ActuatorModel(
         "forward", Quantity("v", "V", *gears.x_range), Quantity("x", "um", bottom, top), tuple(stages)
     )

@@ -23,7 +23,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import dbo_cli as dbo
-from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
+from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.hysteresis.sweep import sweep
@@ -37,6 +37,12 @@ PARTS = (1000, 100, 30, 10, 5)
 BOUNDS = {1000: 0.05, 100: 0.05, 30: 0.05, 10: 0.1, 5: 0.5}
 NAMES = ("line", "without", "dynamics", "oracle")
 SLOW_RATE = 2_000.0  # Hz, of the slow log
+SLOW_SECONDS = 60.0
+"""Its length: creep of 8 s is not to be seen in 15 s.
+
+Mean error at f_r/1000 after 15, 30, 60 s, in % of the move: -0.12, -0.05, -0.04; what remains is the model's
+creep, which follows the drive, not the displacement.
+"""
 SHAPES = ("sine", "triangle")
 
 
@@ -63,11 +69,17 @@ def wave(shape: str, frequency: float, rate: float) -> tuple[Floats, slice]:
 
 
 def true_dynamics(p: PositionerParameters, model: Model) -> Model:
-    """Return the model with the stage's own resonance and lag; of two modes, the first."""
-    frequency, damping, _ = p.modes[0]
-    stage = DynamicsStage((Lag(p.amplifier_lag), Resonance(frequency, damping)))
+    """Return the model with the stage's own resonances, antiresonance and lag."""
+    sections = [Resonance(frequency, damping) for frequency, damping, _ in p.modes]
+    if len(p.modes) == 2:  # a/A + b/B = (a B + b A)/(A B), A and B being 1 + 2ζs/ω + s²/ω²
+        (first, zeta, share), (second, eta, other) = p.modes
+        square = share / second**2 + other / first**2
+        linear = share * 2.0 * eta / second + other * 2.0 * zeta / first
+        at = square**-0.5
+        sections[1] = Resonance(second, eta, Antiresonance(at, 0.5 * linear * at))
     actuator = model.actuator
-    stages = tuple(stage if isinstance(one, DynamicsStage) else one for one in actuator.stages)
+    between = [one for one in actuator.stages if not isinstance(one, DynamicsStage)]
+    stages = (DynamicsStage((Lag(p.amplifier_lag),)), *between, DynamicsStage(tuple(sections)))
     return Model(dataclasses.replace(actuator, stages=stages))
 
 
@@ -75,7 +87,7 @@ def models_of(p: PositionerParameters, rate: float) -> tuple[dict[str, Model], l
     """Return the models to compare, and what identification said."""
     highest = min(1.25 * max(mode[0] for mode in p.modes), rate / 10.0)
     stage = VirtualPositioner(p)
-    _, slow = excitation(p.v_min, p.v_max, SLOW_RATE, 15.0, 1.0)
+    _, slow = excitation(p.v_min, p.v_max, SLOW_RATE, SLOW_SECONDS, 1.0)
     fast = sweep(p.v_min, p.v_max, rate, highest)
     logs = [
         pd.DataFrame(

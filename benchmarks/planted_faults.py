@@ -185,7 +185,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/statistics.py",
         IDENTIFICATION,
-        ("slice(begin if alone else end - log.stretches, end)", "slice(begin, end)",
+        ("slice(begin if len(mine) < 2 else end - log.stretches, end)", "slice(begin, end)",
          "a fold left out has its log's offset in common with the others"),
     ),
     *_faults(

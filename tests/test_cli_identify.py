@@ -52,6 +52,21 @@ def test_model_with_its_origin(dbo: Any, small_log: Path) -> None:
     assert (origin["name"], origin["rows"], len(origin["sha256"])) == ("log.csv", 480, 64)
 
 
+def test_what_was_wanted_is_no_measurement(dbo: Any, small_log: Path) -> None:
+    lines = small_log.read_text().splitlines()
+    Path("drive.csv").write_text("\n".join(["time_s,voltage_V,desired_um", *lines[1:]]) + "\n")
+    refused = dbo("identify", "drive.csv", *QUICK, "-o", "model.json")
+    assert refused.code == 1
+    assert refused.err == (
+        "dbo: error: drive.csv: no column is recognised as the displacement: 'desired_um' is what was wanted, not what "
+        "was measured (play the drive and record the sensor beside it): it has 1 time_s, 2 voltage_V, 3 desired_um "
+        "(choose with --displacement NAME or NUMBER)\n"
+    )
+    named = dbo("identify", "drive.csv", *QUICK, "--displacement", "desired_um", "-o", "model.json")
+    assert named.code == 0
+    assert "warning: drive.csv: column 'desired_um' is what was wanted, by its name, not what was measured" in named.err
+
+
 def test_the_same_log_and_options_give_the_same_bytes(dbo: Any, small_log: Path, tmp_path: Path) -> None:
     dbo("identify", "log.csv", *QUICK, "-o", "a.json")
     elsewhere = tmp_path / "elsewhere"

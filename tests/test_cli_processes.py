@@ -165,3 +165,54 @@ def test_a_full_disk_behind_a_redirection_is_said(folder: Path) -> None:
         )
     assert done.returncode == 1
     assert done.stderr == b"dbo: error: standard output: the disk is full: nothing was written\n"
+
+
+@posix
+@pytest.mark.parametrize("module", ["dbo_cli.cli.app", "dbo_cli.cli.typer_adapter", "numpy"])
+def test_an_interrupt_while_modules_are_imported(module: str, folder: Path) -> None:
+    """The signal comes at the import itself: before the program has begun to work, or right after."""
+    script = (
+        "import os, runpy, signal, sys\n"
+        "class Signalling:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            sys.meta_path.remove(self)\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Signalling())\n"
+        "sys.argv[1:] = ['simulate', 'model.json', 'none.csv']\n"
+        "runpy.run_module('dbo_cli', run_name='__main__')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        cwd=folder,
+        env=environment(),
+        preexec_fn=hear_interrupts,
+        check=False,
+    )
+    said = b"" if module == "dbo_cli.cli.app" else b"dbo: interrupted\n"
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", said)
+
+
+@posix
+def test_two_interrupts_end_like_one(folder: Path) -> None:
+    script = (
+        "import os, signal\n"
+        "from dbo_cli.cli import app\n"
+        "def interrupted(words):\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "def say(text, saying=app._say):\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    saying(text)\n"
+        "app._dispatch, app._say = interrupted, say\n"
+        "app.run()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        cwd=folder,
+        env=environment(),
+        preexec_fn=hear_interrupts,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"dbo: interrupted\n")

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,12 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app
+from dbo_cli.cli.messages import Progress, Voice
 from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
+from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.runs.identifying import identify_logs
 
 ROOT = Path(__file__).resolve().parent.parent
 LIST = "identify, show, invert, simulate, compensate, report, excite, export, compare"
@@ -232,3 +238,49 @@ def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     told = json.loads(dbo("show", old, "--format", "json", "--figures", "curves").out)
     assert (told["gears"], told["output"]["unit"], told["delay_seconds"]) == (40, "um", pytest.approx(0.001))
     assert {path.suffix for path in Path("curves").iterdir()} == {".png", ".svg"}
+
+
+class Terminal(io.StringIO):
+    """Standard error as a person sees it."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_fit_counts_its_seconds_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(Progress, "PATIENCE", 0.001)
+    progress = Progress(Voice(), "read")
+    progress.working("fitting 5 rows")
+    while "fitting 5 rows" not in screen.getvalue():  # the thread comes to it sooner or later
+        time.sleep(0.001)
+    progress.finished()
+    said = screen.getvalue()
+    assert said.startswith("\r\x1b[Kdbo: fitting 5 rows, 0 s") and said.endswith("\r\x1b[K")
+    quiet = Progress(Voice(quiet=True), "read")
+    quiet.working("fitting")
+    quiet.finished()
+    assert screen.getvalue() == said
+
+
+def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> None:
+    class Ear:
+        def __init__(self) -> None:
+            self.heard: list[object] = []
+
+        def __getattr__(self, name: str) -> Any:
+            return lambda *words: self.heard.append((name, *words))
+
+    ear: Any = Ear()
+    asked = IdentificationOptions(gears=8, points=0, relaxation=(), delay=0.0)
+    log = str(ROOT / "sample_data" / "identification.csv")
+    identify_logs([log], [], str(tmp_path / "m.json"), ReadingOptions(block_rows=4000), asked, listener=ear)
+    assert [one for one in ear.heard if one[0] != "opened"] == [
+        ("progressed", 4000), ("progressed", 1786), ("working", "fitting 5,786 rows"), ("finished",),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_has_an_example(dbo: Any, command: str) -> None:
+    assert f"Example: dbo {command} " in " ".join(dbo(command, "--help").out.split())

@@ -172,6 +172,12 @@ BAD_USE = {
     "simulate model.json drive.csv --state warm": "--state: 'warm' is none of auto, empty, full, settled, and "
     "there is no such file",
     "simulate model.json drive.csv --rows 3:2": "--rows 3:2: ",
+    "compensate model.json wanted.csv --condition --max-slew 1e-9": "--condition: the sweep at --max-slew 1e-09 "
+    "takes 3.142e+10 s, 3.142e+11 rows, more than the 100,000,000 that are written at most (another --max-slew)",
+    "compensate model.json wanted.csv --condition --max-slew 1e-308": "--condition: the sweep at --max-slew 1e-308 "
+    "takes inf s, inf rows, more than the 100,000,000 that are written at most (another --max-slew)",
+    "compensate model.json loop.csv --periodic --passes 99999999999": "--passes 99999999999: 399,999,999,996 rows "
+    "are more than the 100,000,000 that are written at most",
     "compensate model.json wanted.csv --condition --state empty": "--condition and --state empty exclude each "
     "other: the sweep makes its own state",
 }
@@ -188,6 +194,7 @@ def bench(dbo: Any, model_file: Path) -> Any:
     """Return the runner inside a folder with good and bad inputs."""
     write("drive.csv", DRIVE)
     write("wanted.csv", "time_s,displacement_um\n0,2\n0.1,5\n")
+    write("loop.csv", "time_s,displacement_um\n0,2\n0.1,5\n0.2,8\n0.3,5\n")
     write("empty.csv", "")
     write("bare.csv", "0\n5\n")
     write("back.csv", "time_s,voltage_V\n0,0\n0.1,1\n0.05,2\n")

@@ -497,6 +497,23 @@ def test_dynamics_at_a_fixed_step(direction: Any, tmp_path: Path) -> None:
     assert f"Read {inverter.ahead / RATE + 0.003!r} s" in summary.notes[1]
 
 
+def test_a_lag_before_the_gears_is_exported_behind_them_and_said(tmp_path: Path) -> None:
+    plain = resonant_model()
+    first = DynamicsStage((Lag(0.001),))
+    model = ActuatorModel("forward", plain.input, plain.output, (first, *plain.stages))
+    moved = model.with_lag_behind()
+    assert moved.drive_lag is None and moved.dynamics is not None
+    assert moved.dynamics.sections == (Lag(0.001), *plain.dynamics.sections)  # type: ignore[union-attr]
+    turned, other = model.inverse().with_lag_behind(), moved.inverse()
+    assert list(map(type, turned.stages)) == list(map(type, other.stages))
+    assert turned.dynamics == other.dynamics
+    told = export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE).notes[0]
+    assert told.startswith("The model's lag before the gears is exported among the dynamics behind them")
+    expected = export_model(moved, str(tmp_path / "moved"), name="x", sample_rate=RATE)
+    assert (tmp_path / "out" / "x.c").read_bytes() == (tmp_path / "moved" / "x.c").read_bytes()
+    assert expected.notes[0] != told
+
+
 def test_steep_gears_are_beyond_q31(tmp_path: Path) -> None:
     base = made_model(1, terms=0, points=0, bend=False)
     gears = DiscreteBacklashOperator([1.0, 1e-7], [1e-7, 1.0], 0.0, 0.0)

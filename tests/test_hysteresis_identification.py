@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -358,6 +359,44 @@ def test_creep_is_no_drift_and_drift_no_creep() -> None:
     assert held_out(warm, actuator()) < 0.1
 
 
+def test_a_warm_up_is_no_creep() -> None:
+    creep = Relaxation(0.0, (0.3, 4.0), (0.01, 0.01))
+    rng = np.random.default_rng(8)
+    turns = np.concatenate(([0.0, 10.0, 0.0], 10.0 * rng.random(40)))
+    steps = [np.linspace(a, b, 60, endpoint=False) for a, b in itertools.pairwise(turns)]
+    truth, voltage = actuator(relaxation=creep), np.concatenate(steps)
+    length = 0.25 * len(voltage)
+
+    def warming(y: Floats) -> Floats:
+        return y + 1.5 * (1.0 - np.exp(-np.arange(len(y)) / length))
+
+    cold = identify([record(truth, voltage)])
+    assert cold.fit["logs"][0]["drift"] == 0.0  # type: ignore[index]
+    warm = identify([record(truth, voltage, change=warming)])
+    assert warm.fit["logs"][0]["drift"] == pytest.approx(1.5, rel=0.15)  # type: ignore[index]
+    assert held_out(warm, truth) < 2.0 * held_out(cold, truth)
+
+
+def test_gears_are_fine_though_the_log_turns_at_few_levels() -> None:
+    phase = 2.0 * np.pi * np.arange(150) / 150
+    voltage = np.concatenate([h * (0.5 - 0.5 * np.cos(phase)) for h in [10.0] * 4 + [5.0] * 4])
+    widths = np.full(4000, 0.0025)
+    slopes = 0.05 + 1.3 * np.sqrt(np.minimum(np.arange(4000) / 800.0, 1.0))
+    model = replace(actuator(), stages=(BacklashStage(widths, widths * slopes), ScaleStage(4.0, 3.0)))
+    assert held_out(identify([record(model, voltage)], STATIC), model) < 0.03
+
+
+def test_a_lag_is_found_behind_a_saturating_curve() -> None:
+    heights = np.tanh(np.linspace(-2.4, 2.4, 200))
+    gears = actuator(relaxation=Relaxation(0.0, (0.03,), (0.3,))).stages[0]
+    assert isinstance(gears, BacklashStage)
+    total = gears.dy.sum() + 0.3 * 10.0
+    points = PointStage(np.full(199, total / 199), np.diff(heights) * 10.0)
+    truth = replace(actuator(), stages=(gears, points, ScaleStage(4.0, 3.0)))
+    result = identify([record(truth, nested(12, 150))])
+    assert result.fit["lag_seconds"] == pytest.approx(0.03 * 0.3 / (total / 10.0), rel=0.35)
+
+
 def test_the_expected_error_is_what_comes_on_new_moves() -> None:
     truth = actuator(relaxation=Relaxation(0.0, (0.03, 2.0), (0.08, 0.04)))
     many = identify([record(truth, nested(12, 150))])
@@ -372,6 +411,15 @@ def test_the_expected_error_is_what_comes_on_new_moves() -> None:
     assert str(many.fit["expected_from"]).startswith("amplitudes and levels")
     assert str(one.fit["expected_from"]).startswith("nothing but whole cycles could be left out")
     assert any(line.startswith("expected on new moves inside the range: ") for line in many.summary)
+
+
+def test_what_cannot_be_expected_is_said_and_not_invented() -> None:
+    once = identify([record(actuator(), np.repeat(nested(3)[:150], 2))])
+    assert (once.fit["expected_rmse"], once.fit["expected_percent"]) == (None, None)
+    assert once.summary[1] == (
+        "what error to expect on new moves cannot be told: the logs go up and down less than twice, so "
+        "nothing could be left out: record more"
+    )
 
 
 def test_the_sensors_part_of_the_lag_is_not_the_models() -> None:

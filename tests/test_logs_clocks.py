@@ -76,6 +76,18 @@ def test_an_unknown_unit_is_refused(header: str, unit: str, tmp_path: Path) -> N
     assert "(10us)" in log.reading_line()
 
 
+@pytest.mark.parametrize("header", ["t_nano#seconds", "time nano seconds", "Time_nano-Seconds"])
+def test_a_unit_in_two_words(header: str, tmp_path: Path) -> None:
+    assert steps(read(tmp_path, header, lambda k: 1e9 * STEP * k)[1]) == pytest.approx(STEP)
+
+
+def test_a_stated_unit_that_makes_a_step_of_hours_is_doubted(tmp_path: Path) -> None:
+    log, _ = read(tmp_path, "time_s", lambda k: 4000 * k)
+    [warning] = log.warnings
+    assert "is stated in s, but its usual step would be 4e+03 s (`time_unit` says what it counts)" in warning
+    assert read(tmp_path, "time_s", lambda k: 60 * k)[0].warnings == []
+
+
 def test_the_time_unit_goes_before_the_header(tmp_path: Path) -> None:
     assert steps(read(tmp_path, "time_s", lambda k: 2 * k, time_unit="ms")[1]) == pytest.approx(STEP)
     with pytest.raises(UsageError, match=r"`time_unit` fortnights: give s, ms, us"):

@@ -44,6 +44,9 @@ from dbo_cli.logs.units import normalise_unit
         ("u", "u", None),
         ("temperature (°C)", "temperature", "degC"),
         ("load (furlong)", "load", "furlong"),
+        ("drive milli volts", "drive", "mV"),
+        ("Time / milli seconds", "Time", "ms"),
+        ("pos_micro_meters", "pos", "um"),
     ],
 )
 def test_headers(header: str, quantity: str, unit: str | None) -> None:

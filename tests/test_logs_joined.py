@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import h5py
 import pytest
 
+from dbo_cli.cli.app import main
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from tests.shapes.format_files import D, T, V
 from tests.shapes.instrument_files import _TEK, TEK_T, TEK_V, beside, rows
+
+MODEL = Path(__file__).parent / "old_files" / "model-v1.json"
 
 
 def write(path: Path, header: str, *columns: tuple[float, ...]) -> Path:
@@ -115,6 +119,72 @@ def test_an_hdf5_dataset_beside_a_text_file(tmp_path: Path) -> None:
     for path in ("/run/a/voltage", "/run/a::voltage"):
         with joined(first, f"{tmp_path}/drive.h5::{path}") as log:
             assert log.read().values["voltage"].tolist() == list(V)
+
+
+@pytest.mark.parametrize("block_rows", [1, 3, 100])
+@pytest.mark.parametrize("where", ["drive", "clock"])
+def test_the_time_lies_in_another_file(where: str, block_rows: int, tmp_path: Path) -> None:
+    first = write(tmp_path / "sensor.csv", "displacement_um", D)
+    if where == "drive":
+        other = clock = write(tmp_path / "drive.csv", "n,stamps,CH1 (V)", range(4), [1000 * t for t in T], V)
+    else:
+        other = write(tmp_path / "drive.csv", "CH1 (V)", V)
+        clock = write(tmp_path / "clock.csv", "stamps", [1000 * t for t in T])
+    said = {"time": f"{clock}::stamps", "time_unit": "ms", "block_rows": block_rows}
+    with joined(first, f"{other}::CH1", **said) as log:
+        block = log.read()
+        record, read = log.record(), log.reading_record()
+    assert block.time is not None and block.time.tolist() == list(T)
+    assert block.values["voltage"].tolist() == list(V)
+    assert [one["name"] for one in record["joined"]] == list(dict.fromkeys([other.name, clock.name]))
+    assert record["joined"][0]["sha256"] == hashlib.sha256(other.read_bytes()).hexdigest()
+    assert read["time"]["column"] == f"{clock.name}::stamps"  # without the folder
+    assert read["columns"]["voltage"]["column"] == "drive.csv::CH1 (V)"
+
+
+def test_a_unit_of_time_where_only_the_other_file_has_a_clock(tmp_path: Path) -> None:
+    first = write(tmp_path / "sensor.csv", "displacement_um", D)
+    other = write(tmp_path / "drive.csv", "time,voltage", [1000 * t for t in T], V)
+    with joined(first, f"{other}::voltage", time_unit="ms") as log:
+        block = log.read()
+    assert block.time is not None and block.time.tolist() == list(T)
+
+
+@pytest.mark.parametrize(
+    ("selector", "said"),
+    [
+        ("none.csv::t", "none.csv: no such file (`time` FILE::COLUMN takes a column of another file)"),
+        ("drive.csv::q", "drive.csv: there is no column 'q': it has 1 voltage_V"),
+    ],
+)
+def test_a_time_that_is_not_there(selector: str, said: str, tmp_path: Path) -> None:
+    first = write(tmp_path / "sensor.csv", "displacement_um", D)
+    other = write(tmp_path / "drive.csv", "voltage_V", V)
+    with pytest.raises(InputError) as raised:
+        joined(first, f"{other}::voltage", time=f"{tmp_path}/{selector}")
+    assert str(raised.value) == f"{tmp_path}/{said}"
+
+
+def test_no_output_over_a_file_that_a_column_comes_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "sensor.csv", "displacement_um", D)
+    write(tmp_path / "drive", "voltage_V", V)
+    before = (tmp_path / "drive").read_bytes()
+    said = "drive: this output is also an input: write to another file"
+    for words in (
+        ["identify", "sensor.csv", "--voltage", "drive::voltage"],
+        ["simulate", str(MODEL), "sensor.csv", "--input", "drive::voltage"],
+        ["compensate", str(MODEL), "sensor.csv", "--displacement", "drive::voltage"],
+        ["report", "sensor.csv", "--desired", "drive::voltage"],
+    ):
+        assert main([*words, "-o", "drive"]) == 2
+        assert capsys.readouterr().err == f"dbo: error: {said}\n"
+    assert (tmp_path / "drive").read_bytes() == before
+    words = ["simulate", str(MODEL), "sensor.csv", "--input", "drive::voltage", "--sample-rate", "1000"]
+    assert main(words) == 0
+    assert capsys.readouterr().out.startswith("time_s,voltage_V,")  # not the file's name
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.output_files import check_outputs, descriptor_of, identity_of
 from dbo_cli.logs.partial_files import partial_path, remove_orphans
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
@@ -305,6 +306,9 @@ def test_replacing_joins_a_set(tmp_path: Path) -> None:
         ("x.parquet", "csv", ".parquet files are not written"),
         ("x.csv.xz", None, ".xz files are not written"),
         ("x.csv", "h5", "`format` h5 contradicts this name: leave one of them out"),
+        ("x.lvm", None, "LabVIEW's own files are not written: call it .txt"),
+        ("x.json", None, ".json files are not written"),
+        ("x.npy.gz", None, ".npy files are not written"),
         ("x.h5", "csv", "`format` csv contradicts this name: leave one of them out"),
         ("x.tsv", "csv", "`format` csv contradicts this name"),
         ("x.csv.gz", "tsv", "`format` tsv contradicts this name"),
@@ -316,6 +320,32 @@ def test_a_file_is_what_it_is_called(tmp_path: Path, name: str, format: str | No
             pass
     assert said in str(raised.value)
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "said"),
+    [
+        ("model.csv", "json", "a model is written as JSON, not as .csv: call it model.json"),
+        ("model.json.gz", "json", "a model is written as JSON, not as .gz: call it model.json"),
+        ("M.H5", "json", "not as .h5: call it M.json"),
+        ("model.xlsx", "json", "not as .xlsx: call it model.json"),
+        ("report.pdf", "text", "a model is written as text, not as .pdf: call it report.txt"),
+        ("report.csv.gz", "csv", "written as CSV, not as .gz: call it report.csv"),
+        ("report.json", "html", "written as HTML, not as .json: call it report.html"),
+        ("model.txt.gz", "text", "not as .gz: call it model.txt"),
+    ],
+)
+def test_a_document_is_what_it_is_called(name: str, form: str, said: str) -> None:
+    with pytest.raises(UsageError) as raised:
+        check_document(name, "a model", form)
+    assert said in str(raised.value)
+
+
+def test_a_document_may_have_any_name_that_says_nothing() -> None:
+    for name in ("-", "model.json", "model", "model.v2", "model.txt", "/dev/fd/3", "a.csv/model"):
+        check_document(name, "a model", "json")
+    check_document("r.htm", "a report", "html")
+    check_document("r.csv", "a report", "csv")
 
 
 def test_a_name_that_says_nothing_takes_any_format(tmp_path: Path) -> None:

@@ -61,6 +61,8 @@ def table(header: str, rows: int = 30) -> str:
         ("desired_um,measured_um,voltage_V", ("trajectory",), "desired_um"),
         ("q", ("trajectory",), "q"),
         ("Voltage (measured),Position (actual)", IDENTIFY, "Voltage (measured)|Position (actual)"),
+        ("V,um", IDENTIFY, "V|um"),
+        ("volts,microns", IDENTIFY, "volts|microns"),
     ],
 )
 def test_columns_are_told_apart(header: str, roles: tuple[str, ...], taken: str, tmp_path: Path) -> None:
@@ -81,12 +83,20 @@ def test_columns_are_told_apart(header: str, roles: tuple[str, ...], taken: str,
         ("drive (degC),position (um)", IDENTIFY, "no column is recognised as the voltage"),
         ("drive (V),position (Hz)", IDENTIFY, "no column is recognised as the displacement"),
         ("drive (V),sensor (A)", IDENTIFY, "no column is recognised as the displacement"),
-        ("desired_um,voltage_V", IDENTIFY, "no column is recognised as the displacement"),
+        (
+            "desired_um,voltage_V",
+            IDENTIFY,
+            "no column is recognised as the displacement: 'desired_um' is what was wanted, not what was ",
+        ),
         ("sensor voltage (V),position (um)", IDENTIFY, "no column is recognised as the voltage"),
         ("voltage", ("trajectory",), "no column is recognised as the trajectory"),
         ("displacement_um", ("voltage",), "no column is recognised as the voltage"),
         ("Snsor voltage (V),Piezo votage (mV),position (um)", IDENTIFY, "which column is the voltage"),
         ("voltage,x,positionmm", IDENTIFY, "'x' or 'positionmm'?"),
+        ("voltage,um,nm", IDENTIFY, "'um' or 'nm'?"),
+        ("V,m", IDENTIFY, "no column is recognised as the displacement"),
+        ("voltage,Sensor voltage (V),Wegµm", IDENTIFY, "'Sensor voltage (V)' or 'Wegµm'?"),
+        ("voltage,position 2,Posi)tion [um]", IDENTIFY, "'position 2' or 'Posi)tion [um]'?"),
     ],
 )
 def test_what_may_be_meant_is_asked_about(
@@ -96,6 +106,19 @@ def test_what_may_be_meant_is_asked_about(
         opened(tmp_path, table(header), roles)
     assert told in str(raised.value)
     assert str(raised.value).endswith(" NAME or NUMBER)")
+
+
+def test_a_first_column_in_a_unit_of_time_is_the_clock(tmp_path: Path) -> None:
+    """As oscilloscopes write it: "Source,CH1,CH2" above "Second,Volt,Volt"."""
+    path = tmp_path / "log.csv"
+    path.write_text("Source,CH1\nSecond,Volt\n" + "".join(f"{0.25 * k},{k % 5}\n" for k in range(9)))
+    with open_log(str(path), {"voltage": wish("voltage", "CH1", option="voltage")}) as log:
+        block = log.read()
+    assert block.time is not None
+    assert block.time.tolist() == [0.25 * k for k in range(9)]
+    path.write_text("a (s),b (ms),voltage\n" + "".join(f"{0.25 * k},{k},{k % 5}\n" for k in range(9)))
+    with pytest.raises(InputError, match="which column is the time, 'a \\(s\\)' or 'b \\(ms\\)'"):
+        open_log(str(path), {"voltage": wish("voltage", option="voltage")})
 
 
 def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
@@ -110,8 +133,7 @@ def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         column("2")
     assert str(raised.value) == (
-        f"{path}: `voltage` 2: column 2, '1', or column 3, which is named '2'? "
-        "(`voltage` number=2 or name=2)"
+        f"{path}: `voltage` 2: column 2, '1', or column 3, which is named '2'? (`voltage` number=2 or name=2)"
     )
     assert (column("number=2"), column("name=2"), column("3"), column("name=time_s")) == (2, 3, 3, 1)
 
@@ -267,3 +289,11 @@ def test_changed_headers_are_read_right_or_something_is_said(seed: int, tmp_path
     assert fuzz.failures == []
     assert set(fuzz.outcomes) == {"right", "refused", "warned", "said in the line"}
     assert fuzz.outcomes["right"] > 120
+
+
+def test_a_header_with_one_name_too_few_is_not_taken_apart_at_its_words(tmp_path: Path) -> None:
+    path = tmp_path / "log.tsv"
+    rows = "".join(f"{k}.5\t{k}.25\t{k}.75\t{k}.125\n" for k in range(9))
+    path.write_text(f"Desired (um)\ty/micron\tu/volts\n{rows}")
+    with pytest.raises(InputError, match=r":2: 4 cells where the header names 3 columns"):
+        open_log(str(path), {"voltage": wish("voltage")})

@@ -211,13 +211,22 @@ def test_dynamics_that_are_none_do_not_fit(tmp_path: Path, sections: object) -> 
         read_model(write(tmp_path, with_dynamics(sections)))
 
 
-def test_dynamics_stand_once(tmp_path: Path) -> None:
+def test_dynamics_stand_once_on_either_side_of_the_gears(tmp_path: Path) -> None:
     values = with_dynamics([LAG])
     at = [stage["type"] for stage in values["stages"]].index("dynamics")
     values["stages"].insert(at, values["stages"][at])
-    assert not CHECK.is_valid(values)
     with pytest.raises(DboError, match="and once"):
         read_model(write(tmp_path, values))
+    values["stages"].insert(at, values["stages"][at])
+    assert not CHECK.is_valid(values)
+    first = with_dynamics([RESONANCE])
+    first["stages"].insert(0, {"type": "dynamics", "sections": [LAG]})
+    CHECK.validate(first)
+    model = read_model(write(tmp_path, first))
+    assert model.drive_lag is not None
+    held = ModelState(BacklashState(1), drive_lag=((1.0, 0.0, 1.0),))
+    CHECK.validate(json.loads(state_to_bytes(held, model)))
+    CHECK.validate(json.loads(model_to_bytes(model.inverse())))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_runs_repeated import actuator, move
 from virtual_actuator import PRESETS, VirtualActuator, measure, read_drive, write_table
+
+from dbo_cli.hysteresis.model_file import model_to_bytes
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -21,11 +24,11 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def makefile_of_the_readme() -> str:
-    """Return the indented block of the README that defines NAMES."""
+def makefile_of_the_readme(variable: str = "NAMES") -> str:
+    """Return the indented block of the README that defines a variable."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"(?:^(?:    .*)?\n)+", text, re.MULTILINE)
-    [block] = [block for block in blocks if "NAMES :=" in block]
+    [block] = [block for block in blocks if f"{variable} :=" in block]
     return re.sub(r"^    ", "", block, flags=re.MULTILINE)
 
 
@@ -50,7 +53,7 @@ def bench(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def make(folder: Path) -> subprocess.CompletedProcess[str]:
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     # These tests may themselves run under make, of which the inner one must know nothing.
     outer = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     environment = outer | {
@@ -58,7 +61,7 @@ def make(folder: Path) -> subprocess.CompletedProcess[str]:
         "PYTHONPATH": str(ROOT),
     }
     return subprocess.run(
-        ["make", "-j3"], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        ["make", "-j3", *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
 
 
@@ -104,3 +107,22 @@ def test_a_bad_log_stops_its_own_branch_only_and_leaves_no_output(bench: Path) -
     assert "dbo: error: logs/b.csv:3: column 'voltage_V' is not a number: 'OVLD'" in done.stderr
     assert not (bench / "models" / "b.json").exists()
     assert not list((bench / "models").glob(".*"))
+
+
+def test_five_passes_learn_a_move(bench: Path) -> None:
+    (bench / "Makefile").write_text(makefile_of_the_readme("PLAY"))
+    plant, wrong = actuator(loop=0.45), actuator(loop=0.36)
+    (bench / "plant.json").write_bytes(model_to_bytes(plant))
+    (bench / "model.json").write_bytes(model_to_bytes(wrong))
+    rate, count = 20_000.0, 6_000
+    wanted = {"time_s": (np.arange(count) / rate, ""), "displacement_um": (move(), "")}
+    write_table(str(bench / "trajectory.csv"), wanted)
+    done = make(bench, "PLAY=dbo simulate plant.json")
+    assert done.returncode == 0, done.stderr
+    errors = []
+    for number in range(1, 6):
+        measured = np.loadtxt(bench / f"pass{number}.csv", delimiter=",", skiprows=1, usecols=2)
+        errors.append(float(np.sqrt(np.mean((measured - move()) ** 2))))
+    assert errors[1] < 0.2 * errors[0]
+    assert errors[4] < 0.05 * errors[0]
+    assert done.stdout.count("--tracked") == 4

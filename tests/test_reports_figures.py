@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import OutputError
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.logs.plain_text import cleaned
@@ -437,3 +438,52 @@ print(len(data))
         with matplotlib.rc_context({"lines.linewidth": 9.0, "axes.spines.top": True, "font.size": 30.0}):
             assert draw(plot, "svg") == before
             assert matplotlib.rcParams["font.size"] == 30.0
+
+
+def swept_log(to: float) -> tuple[Report, FigureData]:
+    """Return a report by cycles of a sweep from 1 Hz whose error grows with the square of the frequency."""
+    time = np.arange(20_000) / 1000.0
+    frequency = np.geomspace(1.0, to, time.size)
+    desired = 10.0 * np.sin(2.0 * np.pi * np.cumsum(frequency) / 1000.0)
+    figure_data = FigureData(None)
+    block = PairBlock(range(time.size), desired, desired * (1.0 + 1e-3 * frequency**2), time, None)
+    options = ReportOptions(segment="cycles")
+    log = evaluate("sweep.csv", [block], options, figure_data=figure_data)
+    return Report.of([log], options, "um"), figure_data
+
+
+def test_the_error_is_drawn_against_frequency_where_segments_differ_in_it() -> None:
+    report, data = swept_log(20.0)
+    log = report.logs[0]
+    found = [(part.figures.frequency, part.figures.rmse) for part in log.segments[1:-1]]
+    for frequency, rmse in found:
+        assert frequency is not None
+        assert rmse == pytest.approx(1e-3 * frequency**2 * 10.0 / np.sqrt(2.0), rel=0.2)
+    plots = {plot.key: plot for plot in plots_of_log(report, log, data)}
+    assert b"<svg" in draw(plots["frequency"], "svg")
+    assert "frequency_hz" in report.logs[0].segments[0].record()
+    report, data = swept_log(1.2)
+    assert "frequency" not in {plot.key for plot in plots_of_log(report, report.logs[0], data)}
+
+
+def test_the_response_of_a_model_with_dynamics_is_drawn_with_what_was_measured() -> None:
+    gears = DiscreteBacklashOperator([1.0, 1.0], [1.0, 2.0], 0.0, 0.0)
+    quantities = Quantity("voltage", "V", 0.0, 2.0), Quantity("displacement", "um", 0.0, 3.0)
+    lag, mode = DynamicsStage((Lag(1e-3),)), DynamicsStage((Resonance(100.0, 0.05),))
+    response = {
+        "frequency": [10.0, 99.0, 150.0],
+        "gain": [2.0, 18.0, 1.6],
+        "phase_degrees": [-5.0, -100, -190],
+    }
+    for fit in ({}, {"dynamics": {"response": response}, "trusted_hz": 70.0}, {"dynamics": {"response": 3}}):
+        model = ActuatorModel("forward", *quantities, (lag, gears, mode), fit)
+        for one in (model, model.inverse()):
+            plots = {plot.key: plot for plot in plots_of_model(one)}
+            shown = {key: draw(plots[key], "inline").decode() for key in ("bode", "bode-phase")}
+            for text in shown.values():
+                assert "model" in text and ("trusted up to" in text) == ("trusted_hz" in fit)
+                assert ("measured" in re.sub(r"<title.*?</title>|aria-label=\"[^\"]*\"", "", text)) == (
+                    "trusted_hz" in fit
+                )
+    bare = ActuatorModel("forward", *quantities, (gears,))
+    assert "bode" not in {plot.key for plot in plots_of_model(bare)}

@@ -83,7 +83,8 @@ def test_json_keys_are_a_contract():
     assert content["compared"] == ["desired", "measured"]
     assert list(content["logs"][0]) == LOG_KEYS
     part = content["logs"][0]["segments"][0]
-    assert list(part) == ["number", "first_row", "last_row", *LOG_KEYS[1:16], "offset_removed", "loop_noise"]
+    assert list(part) == ["number", "first_row", "last_row", *LOG_KEYS[1:16], "offset_removed", "loop_noise",
+                          "frequency_hz"]  # fmt: skip
     assert content["logs"][0]["rmse"] == 1.0
     assert [log["ratio_to_first"] for log in content["logs"]] == [1.0, 0.25]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -89,6 +90,28 @@ def test_a_report_has_the_numbers_of_the_command(dbo: Any, sample_model: Path) -
     assert report.to_html().startswith("<!")
 
 
+def test_a_report_of_several_logs_has_their_errors_in_one_figure(dbo: Any, tmp_path: Path) -> None:
+    logs, tables = [], []
+    for number in (1, 2):
+        wanted = np.sin(np.arange(300) / 20.0)
+        measured = wanted + 0.01 * number * np.random.default_rng(number).normal(size=300)
+        columns = {"time_s": np.arange(300) / 100.0, "desired_um": wanted, "measured_um": measured}
+        tables.append(pd.DataFrame(columns))
+        logs.append(tmp_path / f"pass{number}.csv")
+        tables[-1].to_csv(logs[-1], index=False)
+    done = dbo("report", *logs, "--format", "json", "--figures", "shell")
+    several = dbo_api.report(logs)
+    assert several.to_json() == done.out
+    several.figures("api")
+    names = {path.name for path in Path("api").iterdir()}
+    assert names == {path.name for path in Path("shell").iterdir()}
+    assert {"all-logs-errors.svg", "all-logs-errors.png", "pass1-error.svg", "pass2-error.svg"} <= names
+    page = several.to_html()
+    assert page.index("Error of all logs against time") < page.index("Error against time")
+    rmse = [log.figures.rmse for log in several.report.logs]
+    assert [log.figures.rmse for log in dbo_api.report(tables).report.logs] == rmse
+
+
 def test_compensate_from_arrays_reads_ahead_by_the_models_delay(tmp_path: Path) -> None:
     document = json.loads(json.dumps(SMALL_MODEL))
     document["stages"].append({"type": "delay", "seconds": 0.02})
@@ -121,6 +144,47 @@ def test_what_must_be_said_is_data_or_a_warning(small: dbo_api.Model) -> None:
         small.simulate([0.0, 12.0])
     with pytest.raises(dbo_api.LimitError, match=r"\(`on_limit` clip goes on\)$"):
         small.compensate([2.0, 20.0], on_limit="error")
+
+
+def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model: Path) -> None:
+    expected = json.loads(sample_model.read_text())["fit"]["expected_rmse"]
+    model = dbo_api.read_model(sample_model)
+    table = dbo_api.read_log(TRAJECTORY)
+    moved = float(np.ptp(table["displacement"]))
+    told = f"expected error of the move {expected:.3g} um RMS ({100.0 * expected / moved:.2g} % of the move)"
+    assert f"trajectory.csv: {told}\n" in dbo("compensate", sample_model, TRAJECTORY, "-o", "drive.csv").err
+    swept = model.compensate(table, details=True, condition=True)
+    assert any(note.endswith(told) for note in swept.notes)
+    loop = 6.0 + 4.0 * np.cos(2.0 * np.pi * np.arange(500) / 500.0)
+    settled = model.compensate(loop, sample_rate=500.0, periodic=True, details=True)
+    assert any(f"({12.5 * expected:.2g} % of the move)" in note for note in settled.notes)
+    far = model.output.maximum * 1.2
+    drive = model.input.maximum
+    beyond = model.compensate([6.0, far, 6.0], sample_rate=10.0, v_max=2.0 * drive, details=True)
+    assert any("cannot be told: the drive goes from" in note for note in beyond.notes)
+    clipped = model.compensate([*table["displacement"][:200], far], sample_rate=500.0, details=True)
+    assert any(note.endswith("of the move), clipped samples aside") for note in clipped.notes)
+
+
+def test_a_drive_faster_than_the_logs_is_warned_of(sample_model: Path) -> None:
+    model = dbo_api.read_model(sample_model)
+    log = dbo_api.read_log(LOG)
+    rate = 1.0 / float(np.median(np.diff(log["time"])))
+    told = "more than 2 times as fast as the logs of the identification did"
+    for times, warned in ((1.0, False), (1.9, False), (6.0, True)):
+        run = model.simulate(log["voltage"], sample_rate=times * rate, details=True)
+        assert any(told in warning for warning in run.warnings) == warned
+    wanted = 6.0 + 4.0 * np.sin(np.arange(400) / 10.0)
+    sent = model.compensate(wanted, sample_rate=10_000.0, state="settled", details=True)
+    assert any(told in warning for warning in sent.warnings)
+
+
+def test_no_error_is_expected_of_a_model_that_does_not_know(small: dbo_api.Model) -> None:
+    assert not any("expect" in note for note in small.compensate([2.0, 3.0], details=True).notes)
+    fit = {"expected_rmse": None, "expected_from": "nothing could be left out"}
+    untold = dbo_api.Model(dataclasses.replace(small.actuator, fit=fit))
+    notes = untold.compensate([2.0, 3.0], details=True).notes
+    assert notes[-1].endswith("what error to expect cannot be told: nothing could be left out")
 
 
 def test_a_slew_limit_holds_from_the_first_sample_on(small: dbo_api.Model) -> None:
@@ -162,8 +226,8 @@ def test_a_table_without_the_columns_is_refused() -> None:
     with pytest.raises(dbo_api.InputError) as raised:
         dbo_api.identify(pd.DataFrame({"a": [1.0], "b": [2.0]}))
     assert str(raised.value) == (
-        "the table: no column is recognised as the voltage: it has 1 a, 2 b (choose with `voltage` NAME or "
-        "NUMBER)"
+        "the table: no column is recognised as the voltage nor as the displacement: it has 1 a, 2 b (choose "
+        "with `voltage` and `displacement` NAME or NUMBER)"
     )
 
 

@@ -273,6 +273,8 @@ def test_the_commands_give_the_bits_of_the_library(dbo: Any) -> None:
     Path("loop.csv").write_text(loop.replace("np.float64(", "").replace(")", ""))
     once = dbo("compensate", "small.json", "loop.csv", "--periodic", "-n", "1")
     assert once.code == 0 and once.out.count("\n") == 201 and "settles in 2 passes" in once.err
+    alone = dbo("compensate", "small.json", "loop.csv", "--periodic")
+    assert "depends on the past" in alone.err and "--condition" not in alone.err  # which loops do not take
 
 
 def test_show_tells_the_dynamics(dbo: Any) -> None:
@@ -302,7 +304,5 @@ def test_dynamics_survive_the_model_file_and_stand_where_they_must(tmp_path: Pat
         assert again.dynamics == one.dynamics
         assert again.digest == model.digest
     early = (model.stages[2], *model.stages[:2])
-    with pytest.raises(
-        ModelError, match=r"stages\[0\]: dynamics stand after all stages but a delay, and once"
-    ):
+    with pytest.raises(ModelError, match=r"stages\[0\].sections: one lag alone may stand first"):
         dataclasses.replace(model, stages=early)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import SMALL_MODEL
 from test_cli_signals import lagging_model
 
 SAMPLES = 240
@@ -106,3 +107,26 @@ def test_a_model_with_dynamics_goes_on_as_one_run(dbo: Any, command: str, kind: 
             joined += body(part.out)
             state = state_out
         assert joined == body(whole.out), cut
+
+
+@pytest.mark.parametrize("begin", ["full", "empty"])
+def test_a_log_that_was_identified_from_is_simulated_as_the_fit_began(dbo: Any, begin: str) -> None:
+    heights = (0.3, 0.5, 0.8, 1.0)
+    away = 5.0 if begin == "empty" else -5.0
+    turns = np.concatenate([5.0 + away * h * np.sin(np.arange(150) / 75.0 * np.pi) for h in heights])
+    heights_of_gears = (0.1 + 0.3 * np.sqrt(np.arange(40) / 39.0)).tolist()
+    gears = {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [0.25] * 40, "dy": heights_of_gears}
+    Path("model.json").write_text(json.dumps(SMALL_MODEL | {"stages": [gears]}))
+    table = ["voltage_V", *map(repr, turns.tolist())]
+    Path("drive.csv").write_text("\n".join(table) + "\n")
+    assert dbo("simulate", "model.json", "drive.csv", "--state", begin, "-o", "grow.csv").code == 0
+    found = ["--gears", "40", "--points", "0", "-o", "found.json"]
+    assert dbo("identify", "grow.csv", *found).code == 0
+    note = f"grow.csv: starts {begin}, as the identification found\n"
+    for asked in ("auto", begin):
+        done = dbo("simulate", "found.json", "grow.csv", "--state", asked, "-o", f"{asked}.csv")
+        assert (done.code, note in done.err) == (0, asked == "auto")
+    assert Path("auto.csv").read_bytes() == Path(f"{begin}.csv").read_bytes()
+    assert note not in dbo("simulate", "found.json", "drive.csv", "-o", "other.csv").err
+    again, log = (np.loadtxt(f"{name}.csv", delimiter=",", skiprows=1)[:, 1] for name in ("auto", "grow"))
+    assert np.abs(again - log).max() < 0.02 * np.ptp(log)

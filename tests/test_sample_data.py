@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -106,7 +107,9 @@ def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
     """From the sample log to a compensated move: at most 0.06 of the straight line's error."""
     log, trajectory = SAMPLES / "identification.csv", SAMPLES / "trajectory.csv"
     assert dbo("identify", log, "-o", "model.json", "-q").code == 0
-    assert dbo("compensate", "model.json", trajectory, "-o", "drive.csv") == (0, "", "")
+    done = dbo("compensate", "model.json", trajectory, "-o", "drive.csv")
+    assert (done.code, done.out) == (0, "")
+    assert re.fullmatch(r"dbo: \S+: expected error of the move 0\.00\d+ um RMS \(.* %.*\)\n", done.err)
     line = [sys.executable, str(SAMPLES / "straight_line.py"), str(log), str(trajectory), "-o", "line.csv"]
     subprocess.run(line, check=True)
     for name, seed in (("line", "1"), ("drive", "2")):

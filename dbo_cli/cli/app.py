@@ -30,7 +30,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say("interrupted")
         return INTERRUPTED
-    except Exception as problem:
+    except SystemExit:
+        raise
+    except BaseException as problem:  # a library's panic is no Exception
         if "--debug" in words:
             import traceback
 
@@ -45,12 +47,16 @@ def run() -> None:
     The garbage collector seldom finds anything in this program and looks often while modules are imported,
     and taking the interpreter apart at the end changes nothing any more: together a tenth of a second.
     """
+    import signal
+
     try:
-        code = _run_process()
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is work to undo
+        os._exit(_run_process())
     except KeyboardInterrupt:  # while starting up, or in the last flush
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough
         _say("interrupted")
-        code = INTERRUPTED
-    os._exit(code)
+        os._exit(INTERRUPTED)
 
 
 def _run_process() -> int:
@@ -95,7 +101,7 @@ def _dispatch(words: list[str]) -> int:
     return run_command(words)
 
 
-def _tell(problem: Exception, words: list[str]) -> int:
+def _tell(problem: BaseException, words: list[str]) -> int:
     """Say in one line what went wrong and return the exit code that belongs to it."""
     if isinstance(problem, DboError):
         _say(f"error: {problem}")
@@ -130,10 +136,11 @@ def _where_to_look(words: list[str]) -> str:
 
 def _say(text: str) -> None:
     """Print one line on stderr, whatever line breaks the text came with."""
-    from dbo_cli.cli.messages import shell_line
+    from dbo_cli.cli.messages import Progress, shell_line
 
     try:
-        print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
+        begin = Progress.ERASE if sys.stderr.isatty() else ""  # over what a long run has shown so far
+        print(begin + "dbo: " + shell_line(text), file=sys.stderr, flush=True)
     except OSError:
         pass  # stderr is gone: the exit code still says it
 

@@ -35,6 +35,8 @@ def export(
     C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
     q31 (32-bit fixed point) come with a derived bound on their error. The folder holds NAME.h, NAME.c,
     NAME_test.c, the kernel, build files and README.md; it appears whole or not at all.
+
+    Example: dbo export model.json -o firmware --sample-rate 10000
     """
     from dbo_cli.export import export_model
     from dbo_cli.relatives.model_file import read_model

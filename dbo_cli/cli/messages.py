@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import threading
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -77,7 +78,7 @@ def refuse_terminal(output: str) -> None:
 
 
 class Progress:
-    """Tells of a run: how a log was understood to who asked, the rows done to a terminal in a long run.
+    """Tells of a run: how a log was understood to who asked, the rows or the seconds to a terminal.
 
     The number of rows of a stream is not known beforehand, so it counts instead of drawing a bar.
     """
@@ -92,6 +93,8 @@ class Progress:
         self.rows = 0
         self.last = time.monotonic()
         self.shown = False
+        self._done = threading.Event()
+        self._ticking: threading.Thread | None = None
 
     def opened(self, what: str) -> None:
         """Say how a log was understood."""
@@ -106,11 +109,29 @@ class Progress:
         self.rows += rows
         if self.active and time.monotonic() - self.last > self.PATIENCE:
             self.last = time.monotonic()
-            self.shown = True
-            print(f"{self.ERASE}dbo: {self.rows:,} rows {self.verb}", end="", file=sys.stderr, flush=True)
+            self._show(f"{self.rows:,} rows {self.verb}")
+
+    def working(self, what: str) -> None:
+        """Count the seconds of something that gives no rows, until it is finished."""
+        if self.active:
+            self._done.clear()
+            self._ticking = threading.Thread(target=self._tick, args=(what, time.monotonic()), daemon=True)
+            self._ticking.start()
+
+    def _tick(self, what: str, begin: float) -> None:
+        while not self._done.wait(self.PATIENCE):
+            self._show(f"{what}, {time.monotonic() - begin:.0f} s")
+
+    def _show(self, text: str) -> None:
+        self.shown = True
+        print(f"{self.ERASE}dbo: {text}", end="", file=sys.stderr, flush=True)
 
     def finished(self) -> None:
         """Take the line away, so that what is said next starts at the margin."""
+        if self._ticking is not None:
+            self._done.set()
+            self._ticking.join()
+            self._ticking = None
         if self.shown:
             print(self.ERASE, end="", file=sys.stderr, flush=True)
             self.shown = False

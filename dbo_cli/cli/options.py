@@ -97,7 +97,7 @@ Time = Annotated[
     _reading(
         "--time",
         COLUMN,
-        "Time, as every column a header name, a dataset path, or a number counted from 1; guessed by name.",
+        "Time. Every column: a header name, a dataset path, a number from 1, or FILE::COLUMN; else guessed.",
     ),
 ]
 
@@ -301,7 +301,8 @@ State = Annotated[
         "--state",
         "auto|empty|full|settled|FILE",
         "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
-        "away there), auto (empty at the lower end, else settled), or a saved state.",
+        "away there), auto (empty at the lower end, else settled; for a log that the model was identified "
+        "from, as the fit found it), or a saved state.",
         default="auto",
     ),
 ]

@@ -176,7 +176,7 @@ def run(words: Sequence[str]) -> int:
     return 0
 
 
-def complaint(problem: Exception) -> tuple[str, int] | None:
+def complaint(problem: BaseException) -> tuple[str, int] | None:
     """Return text and exit code of the library's own complaints, whatever their class is called."""
     wording = getattr(problem, "format_message", None)
     if wording is None:

@@ -16,7 +16,7 @@ from dbo_cli.hysteresis.gear_table import CROSSING_TOLERANCE
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
 
 StartName = Literal["auto", "empty", "full", "settled"]
-START_NAMES = ("auto", "empty", "full", "settled")
+START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
 
 
 class DriveStart(NamedTuple):

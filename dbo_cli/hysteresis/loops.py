@@ -108,11 +108,15 @@ def settled_output(
 
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
     """Return the settled period of a repeated drive, and the state at its end."""
+    others = (model.dynamics, model.delay, model.drive_lag)
     inner = dataclasses.replace(
-        model, stages=tuple(stage for stage in model.stages if stage not in (model.dynamics, model.delay))
+        model, stages=tuple(stage for stage in model.stages if not any(stage is other for other in others))
     )
     time_step = step if inner.needs_time else None
-    begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
+    begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None, drive_lag=None)
+    lagging = None
+    if model.drive_lag is not None:
+        drive, lagging = model.drive_lag.loop(drive, step)
     for _ in range(3):  # one pass for the gears, one for the memory of the drive, one to see it
         done = inner.simulate(drive, begun, time_step=time_step)
         begun = _periodic(inner, begun, done.state, drive.size * step)
@@ -120,5 +124,5 @@ def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelSt
     y, sections = done.y, None
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)
-    after = dataclasses.replace(done.state, dynamics=sections)
+    after = dataclasses.replace(done.state, dynamics=sections, drive_lag=lagging)
     return done._replace(y=shifted(y, -model.delay_seconds / step), state=after)

@@ -1,9 +1,10 @@
 """The model of an actuator: a cascade of stages, its inverse, its states, simulation and compensation.
 
 displacement = Y0 + K · S(Γ(v − X0)): Γ the backlash operator, S the point operator, K and Y0 a scale stage.
-Dynamics stand behind them, and a delay last, on the output. Beyond the paper, points may also stand before Γ:
-an asymmetry that acts on the drive. The inverse (17)-(18) inverts every stage and reverses their order;
-started in the same state, model and inverse compose to the identity, to rounding.
+Dynamics stand behind them, and a delay last, on the output. Beyond the paper, points may also stand before
+Γ: an asymmetry that acts on the drive; and a lag before all, that of the amplifier. The inverse (17)-(18)
+inverts every stage and reverses their order; started in the same state, model and inverse compose to the
+identity, to rounding.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis import drive_lag
 from dbo_cli.hysteresis.cascade import (
     CoveredGears,
     MemoryFree,
@@ -32,9 +34,16 @@ from dbo_cli.hysteresis.cascade import (
     through,
 )
 from dbo_cli.hysteresis.delay import DelayStage
-from dbo_cli.hysteresis.dynamics import DynamicsStage
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.initial_states import StartName, start_drive, start_state
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity, Simulated
+from dbo_cli.hysteresis.model_state import (
+    NEGLIGIBLE,
+    DriveLimits,
+    ModelState,
+    OutsideError,
+    Quantity,
+    Simulated,
+)
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     Counts,
@@ -46,6 +55,7 @@ from dbo_cli.hysteresis.operators import (
 from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
+    "NEGLIGIBLE",
     "ActuatorModel",
     "BacklashStage",
     "DelayStage",
@@ -67,9 +77,6 @@ Direction = Literal["forward", "inverse"]
 BacklashStage = DiscreteBacklashOperator
 PointStage = DiscretePointOperator
 
-NEGLIGIBLE = 1e-9
-"""Clipping, and missing a first value, count from this fraction of the range on."""
-
 
 @dataclass(frozen=True)
 class ActuatorModel:
@@ -79,7 +86,7 @@ class ActuatorModel:
     ----------
     direction : {"forward", "inverse"}
         Forward: one backlash stage, points and scales around it, then dynamics and a delay, each once at
-        most.
+        most; dynamics of one lag may also stand first.
         Inverse: the mirror image.
     input, output : Quantity
         What goes in and comes out; the output's range is what the model reaches slowly.
@@ -131,18 +138,47 @@ class ActuatorModel:
                     raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
 
     def _check_dynamics(self) -> None:
-        """Refuse dynamics that do not stand behind all but a delay; the direction tells how they act."""
+        """Refuse dynamics in another place than theirs; the direction tells how they act."""
         forward = self.direction == "forward"
         for place, stage in enumerate(self.stages):
             if not isinstance(stage, DynamicsStage):
+                continue
+            if (place < self._place) == forward:
+                end = "first" if forward else "last"
+                if place != (0 if forward else len(self.stages) - 1):
+                    raise ModelError(f"stages[{place}]: dynamics on the drive's side stand {end}, and once")
+                if not (len(stage.sections) == 1 and isinstance(stage.sections[0], Lag)):
+                    raise ModelError(f"stages[{place}].sections: one lag alone may stand {end}")
+                self._turn(stage)
                 continue
             outer = self.stages[place + 1 :] if forward else self.stages[:place]
             if not all(isinstance(other, DelayStage) for other in outer):
                 where = "after all stages but a delay" if forward else "before all stages but a delay"
                 raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
-            if stage.inverted == forward:
-                stages = tuple(s.inverse() if s is stage else s for s in self.stages)
-                object.__setattr__(self, "stages", stages)
+            self._turn(stage)
+
+    def _turn(self, stage: DynamicsStage) -> None:
+        """Let dynamics act, or be undone, as the direction tells."""
+        if stage.inverted == (self.direction == "forward"):
+            stages = tuple(s.inverse() if s is stage else s for s in self.stages)
+            object.__setattr__(self, "stages", stages)
+
+    def with_lag_behind(self) -> ActuatorModel:
+        """Return the model with a lag before its gears moved among the dynamics behind them.
+
+        The same for small moves; in large fast ones the gears then see turns that are not rounded.
+        """
+        if self.drive_lag is None:
+            return self
+        sections = self.drive_lag.sections + (self.dynamics.sections if self.dynamics else ())
+        moved = DynamicsStage(sections, self.direction == "inverse")
+        rest = [s for s in self.stages if s is not self.drive_lag and s is not self.dynamics]
+        outermost = self.delay is not None
+        if self.direction == "forward":
+            rest.insert(len(rest) - outermost, moved)
+        else:
+            rest.insert(int(outermost), moved)
+        return dataclasses.replace(self, stages=tuple(rest))
 
     def require(self, direction: Direction, place: str = "the model") -> None:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
@@ -201,8 +237,21 @@ class ActuatorModel:
 
     @cached_property
     def dynamics(self) -> DynamicsStage | None:
-        """The dynamics as they stand in this model, or None."""
-        return next((stage for stage in self.stages if isinstance(stage, DynamicsStage)), None)
+        """The dynamics behind the gears (of a forward model) as they stand in this model, or None."""
+        side = slice(self._place, None) if self.direction == "forward" else slice(self._place)
+        return next((stage for stage in self.stages[side] if isinstance(stage, DynamicsStage)), None)
+
+    @cached_property
+    def drive_lag(self) -> DynamicsStage | None:
+        """The lag on the drive's side of the gears as it stands in this model, or None."""
+        side = slice(self._place) if self.direction == "forward" else slice(self._place, None)
+        return next((stage for stage in self.stages[side] if isinstance(stage, DynamicsStage)), None)
+
+    @cached_property
+    def without_drive_lag(self) -> ActuatorModel:
+        """The same model for a drive that has passed the lag."""
+        lag = self.drive_lag
+        return dataclasses.replace(self, stages=tuple(s for s in self.stages if s is not lag))
 
     @property
     def delay(self) -> DelayStage | None:
@@ -220,6 +269,7 @@ class ActuatorModel:
         return (
             self.backlash.relaxation is not None
             or self.dynamics is not None
+            or self.drive_lag is not None
             or (self.direction == "forward" and self.delay_seconds > 0.0)
         )
 
@@ -323,6 +373,20 @@ class ActuatorModel:
         if limits is not None:
             self.require("inverse")
         signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        if self.drive_lag is not None:
+            return self._simulate_lagging(signal, state, time_step, outside, limits)
+        return self._simulate_prompt(signal, state, time_step, outside, limits)
+
+    def _simulate_prompt(
+        self,
+        x: Floats,
+        state: ModelState,
+        time_step: float | ArrayLike | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+    ) -> Simulated:
+        """Return what ``simulate`` does, for a model without a lag before its gears."""
+        signal = x
         for stage in self._head:
             signal = stage.run(signal)
         if outside == "hold":
@@ -330,10 +394,10 @@ class ActuatorModel:
         steps = self._steps(time_step, signal.size, state, limits)
         inner = None if limits is None else self._inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
-        counts = self._with_uncovered(np.reshape(x, -1), counts)
+        counts = self._with_uncovered(x, counts)
         if outside == "error" and counts.outside:
             first = counts.first_outside
-            raise OutsideError(first, float(np.reshape(x, -1)[first]), *self._covered)
+            raise OutsideError(first, float(x[first]), *self._covered)
         for stage in self._tail:
             y = stage.run(y)
         if limits is not None and self._tail:
@@ -344,6 +408,31 @@ class ActuatorModel:
             if steps is not None and (self._delay or self.dynamics):
                 y, after = self._lagging(y, after, steps, state)
         return Simulated(y, after, *counts, missed)
+
+    def _simulate_lagging(
+        self,
+        signal: Floats,
+        state: ModelState,
+        time_step: float | ArrayLike | None,
+        outside: Outside,
+        limits: DriveLimits | None,
+    ) -> Simulated:
+        """Return what ``simulate`` does, for a model with a lag before its gears."""
+        steps = self._steps(time_step, signal.size, state, limits)
+        assert steps is not None
+        assert self.drive_lag is not None
+        rest = self.without_drive_lag
+        done = drive_lag.simulate(self.drive_lag, rest, signal, state, steps, outside, limits)
+        if self.direction == "inverse":
+            return done
+        counts = self._with_uncovered(signal, Counts(done.outside_count, done.first_outside))
+        if outside == "error" and counts.outside:
+            raise OutsideError(counts.first_outside, float(signal[counts.first_outside]), *self._covered)
+        return done._replace(outside_count=counts.outside, first_outside=counts.first_outside)
+
+    def outer_drive(self, drive: float) -> float:
+        """Return the voltage of an inverse model for a drive at its backlash stage."""
+        return float(through(self._tail, np.array([drive]))[0])
 
     def _lagging(
         self, y: Floats, after: ModelState, steps: float | Floats, before: ModelState

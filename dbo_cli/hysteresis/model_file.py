@@ -460,6 +460,8 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     }
     if state.dynamics is not None or state.undoing is not None:
         values["dynamics"] = _dynamics_values(state)
+    if state.drive_lag is not None:
+        values["drive_lag"] = {"sections": [list(one) for one in state.drive_lag]}
     return _to_bytes(values)
 
 
@@ -479,7 +481,7 @@ def read_state(
     timed = root.values["version"] > 1
     root.only(
         ("format", "version", "model", key, *(("time",) if timed else ()), "drive", "delay"),
-        ("dynamics",) if timed else (),
+        ("dynamics", "drive_lag") if timed else (),
     )
     if root.text("model") != model.digest:
         raise root.refuse("model", "the state belongs to another model (save it again with this one)")
@@ -516,6 +518,12 @@ def _dynamics_values(state: ModelState) -> Json:
 
 def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> ModelState:
     """Return a state with that of the dynamics, where the file holds one."""
+    if "drive_lag" in root.values:
+        node = root.node("drive_lag")
+        node.only(("sections",))
+        if model.drive_lag is None:
+            raise root.refuse("drive_lag", "the model has none")
+        state = replace(state, drive_lag=_section_states(node, 1))
     if "dynamics" not in root.values:
         return state
     node = root.node("dynamics")

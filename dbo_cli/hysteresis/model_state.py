@@ -17,6 +17,9 @@ from dbo_cli.hysteresis.operators import BacklashState
 
 Floats = NDArray[np.float64]
 
+NEGLIGIBLE = 1e-9
+"""Clipping, and missing a first value, count from this fraction of the range on."""
+
 
 class OutsideError(InputError):
     """A sample lies outside the model's range, and that was to be refused.
@@ -104,6 +107,8 @@ class ModelState:
         (p, q, u) of each section of the dynamics; None: at rest at the sample to come.
     undoing : InverseMemory, or None
         What the inverse of the dynamics remembers, after a compensation.
+    drive_lag : tuple, or None
+        (p, q, u) of the lag before the gears; None: at rest at the sample to come.
     """
 
     backlash: BacklashState
@@ -113,6 +118,7 @@ class ModelState:
     time: float | None = None
     dynamics: SectionStates | None = None
     undoing: InverseMemory | None = None
+    drive_lag: SectionStates | None = None
 
 
 class Simulated(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from dbo_cli.errors import UsageError
@@ -19,14 +19,20 @@ _NOT_WRITTEN = {
     ".h5.gz": "HDF5 is compressed inside: leave out .gz",
     ".hdf5.gz": "HDF5 is compressed inside: leave out .gz",
     ".hdf.gz": "HDF5 is compressed inside: leave out .gz",
+    ".lvm": "LabVIEW's own files are not written: call it .txt",
 } | {
     ending: f"{ending} files are not written: .csv, .tsv, .txt, .dat (also with .gz) and .h5 are"
     for ending in (
-        ".xlsx", ".xls", ".ods", ".parquet", ".feather", ".arrow", ".npy", ".npz", ".json", ".zip", ".bz2",
-        ".xz", ".zst", ".7z", ".tdms", ".nc", ".cdf", ".wav", ".pkl", ".sqlite", ".db", ".xml", ".html",
-        ".pdf", ".png", ".svg",
+        ".xlsx", ".xls", ".xlsm", ".xlsb", ".ods", ".parquet", ".pq", ".feather", ".arrow", ".ipc", ".orc",
+        ".avro", ".npy", ".npz", ".pkl", ".pickle", ".tdms", ".tdm", ".nc", ".nc4", ".netcdf", ".cdf",
+        ".fits", ".zarr", ".wav", ".bin", ".raw", ".sqlite", ".db", ".dta", ".sav", ".rds", ".rdata",
+        ".msgpack", ".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".toml", ".xml", ".html", ".htm", ".pdf",
+        ".doc", ".docx", ".tex", ".png", ".svg", ".jpg", ".zip", ".tar", ".tgz", ".tar.gz", ".bz2", ".xz",
+        ".zst", ".lz4", ".7z",
     )
 }  # fmt: skip
+# What a model, a state or a report is written as; every other ending that is known says something else.
+_DOCUMENTS = {"json": (".json",), "csv": (".csv",), "html": (".html", ".htm"), "text": ()}
 FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hdf5", "hdf5": "hdf5"}
 
 
@@ -94,11 +100,45 @@ def parse_output(text: str, format: str | None = None) -> Address:
     target = parse_address(text, format)
     lower = target.path.lower()
     for ending, reason in _NOT_WRITTEN.items():
-        if lower.endswith(ending):
+        if lower.endswith((ending, ending + ".gz")):
             raise UsageError(f"{target.path}: {reason}")
     if format is not None and contradicts(text, format):
         raise UsageError(f"{target.path}: `format` {format} contradicts this name: leave one of them out")
     return target
+
+
+def check_document(address: str, what: str, form: str) -> None:
+    """Refuse a name that says another format than that of a model, a state or a report.
+
+    Parameters
+    ----------
+    address
+        Where it goes; a stream and a name that says nothing are good.
+    what
+        How messages call it: ``a model``.
+    form
+        What it is written as: ``json``, ``csv``, ``html`` or ``text``.
+
+    Raises
+    ------
+    UsageError
+        The name ends in what belongs to another format.
+    """
+    own = _DOCUMENTS[form]
+    path = parse_address(address).path
+    known = {".csv", ".tsv", ".gz", *HDF5_ENDINGS, *_NOT_WRITTEN} - set(own)
+    said = _longest_ending(path, known)
+    if said:
+        stem = path
+        while ending := _longest_ending(stem, known | {*own, ".txt"}):
+            stem = stem[: -len(ending)]
+        kind = "text" if form == "text" else form.upper()
+        better = stem + (own[0] if own else ".txt")
+        raise UsageError(f"{path}: {what} is written as {kind}, not as {said}: call it {better}")
+
+
+def _longest_ending(path: str, endings: Collection[str]) -> str:
+    return max((one for one in endings if path.lower().endswith(one)), key=len, default="")
 
 
 def contradicts(text: str, format: str) -> bool:
@@ -139,3 +179,28 @@ def check_format(named: str | None, addresses: Sequence[str]) -> None:
 def format_for(address: str, named: str | None) -> str | None:
     """Return the format that was asked for where an address's own name does not tell it, else None."""
     return named if named is not None and parse_address(address).kind is None else None
+
+
+def other_file(selector: str | None) -> tuple[str, str] | None:
+    """Take ``FILE::COLUMN`` or ``FILE::GROUP::COLUMN`` apart; None for a plain column name."""
+    if selector is None or "::" not in selector:
+        return None
+    path, _, rest = selector.partition("::")
+    if not os.path.isfile(path):
+        return None
+    inner, separator, column = rest.rpartition("::")
+    return (f"{path}::{inner}", column) if separator else (path, rest)
+
+
+def selected_files(*selectors: str | None) -> list[str]:
+    """List the files that ``FILE::COLUMN`` names: no output may overwrite them."""
+    named = [other_file(selector) for selector in selectors]
+    return [found[0].partition("::")[0] for found in named if found is not None]
+
+
+def without_folder(selector: str) -> str:
+    """Take the folder off ``FILE::COLUMN``: it differs between machines."""
+    if other_file(selector) is None:
+        return selector
+    path, _, rest = selector.partition("::")
+    return f"{os.path.basename(path)}::{rest}"

@@ -13,6 +13,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_table import ColumnSource, ColumnTable, brief
 from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.library_noise import contained
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
 
@@ -29,7 +30,7 @@ def open_parquet(address: Address, selectors: Sequence[str], options: ReadingOpt
     """
     import polars
 
-    return _open(address, "Parquet", polars.scan_parquet, _parquet_metadata(address.path))
+    return _open(address, "Parquet", polars.scan_parquet, _parquet_metadata)
 
 
 def open_feather(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
@@ -42,7 +43,7 @@ def open_feather(address: Address, selectors: Sequence[str], options: ReadingOpt
     """
     import polars
 
-    return _open(address, "Feather", polars.scan_ipc, {})
+    return _open(address, "Feather", polars.scan_ipc, lambda path: {})
 
 
 def open_old_feather(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
@@ -52,27 +53,31 @@ def open_old_feather(address: Address, selectors: Sequence[str], options: Readin
     )
 
 
-def _open(address: Address, kind: str, scan: Callable[..., Any], metadata: dict[str, str]) -> ColumnTable:
+def _open(
+    address: Address, kind: str, scan: Callable[..., Any], metadata_of: Callable[[str], dict[str, str]]
+) -> ColumnTable:
     import polars
 
     keep_interrupts()
     place = address.text
     damaged = (polars.exceptions.PolarsError, polars.exceptions.PanicException, OSError, ValueError)
     try:
-        frame = scan(address.path)
-        schema = frame.collect_schema()
-        length = int(frame.select(polars.len()).collect().item())
-        attributes = _pandas_attributes(metadata)
-        units = attributes.get("units")
-        reader = _Reader(frame)
-        sources = []
-        for name, kind_of in schema.items():
-            source = _column(reader, name, kind_of, length)
-            if source is not None:
-                unit = units.get(name) if isinstance(units, dict) else None
-                sources.append(replace(source, unit=source.unit or (str(unit) if unit else None)))
+        with contained(place, kind):
+            metadata = metadata_of(address.path)
+            frame = scan(address.path)
+            schema = frame.collect_schema()
+            length = int(frame.select(polars.len()).collect().item())
     except damaged as problem:
         raise InputError(f"{place}: damaged {kind}: {brief(problem)}") from None
+    attributes = _pandas_attributes(metadata)
+    units = attributes.get("units")
+    reader = _Reader(frame, place, kind)
+    sources = []
+    for name, kind_of in schema.items():
+        source = _column(reader, name, kind_of, length)
+        if source is not None:
+            unit = units.get(name) if isinstance(units, dict) else None
+            sources.append(replace(source, unit=source.unit or (str(unit) if unit else None)))
     if not sources:
         listed = ", ".join(f"{name} ({kind_of})" for name, kind_of in schema.items()) or "nothing"
         raise InputError(f"{place}: no columns of numbers: it holds {listed}")
@@ -82,8 +87,8 @@ def _open(address: Address, kind: str, scan: Callable[..., Any], metadata: dict[
 class _Reader:
     """Reads stretches of a file for all its columns, keeping the last one of each."""
 
-    def __init__(self, frame: Any) -> None:
-        self._frame = frame
+    def __init__(self, frame: Any, place: str, kind: str) -> None:
+        self._frame, self._place, self._kind = frame, place, kind
         self._kept: dict[str, tuple[int, Any]] = {}
 
     def fetch(self, name: str, start: int, stop: int) -> Any:
@@ -107,7 +112,8 @@ class _Reader:
         column = polars.col(name)
         kind = self._frame.collect_schema()[name]
         physical = column.to_physical() if kind.is_temporal() else column.cast(polars.Float64)
-        return self._frame.slice(base, _ROWS).select(physical).collect().to_series().to_numpy()
+        with contained(self._place, self._kind):
+            return self._frame.slice(base, _ROWS).select(physical).collect().to_series().to_numpy()
 
 
 def _column(reader: _Reader, name: str, kind: Any, length: int) -> ColumnSource | None:
@@ -135,7 +141,7 @@ def _parquet_metadata(path: str) -> dict[str, str]:
     read = getattr(polars, "read_parquet_metadata", None)  # newer than the oldest polars that is supported
     try:
         return {str(key): str(value) for key, value in read(path).items()} if read is not None else {}
-    except Exception:
+    except (Exception, polars.exceptions.PanicException):
         return {}  # a damaged file is complained about when its columns are looked up
 
 

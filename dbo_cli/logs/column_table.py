@@ -23,6 +23,8 @@ from dbo_cli.logs.stated_clock import Statement, agreed_rate
 Fetch = Callable[[int, int], Any]
 """Gives the stored values of rows start..stop (from 0, stop not included)."""
 
+GAVE_UP = "the library that reads it gave up"
+
 
 @dataclass(frozen=True)
 class ColumnSource:
@@ -229,7 +231,9 @@ def describe_column(source: ColumnSource, number: int) -> ColumnInfo:
     return replace(column_info(source.label.rsplit("/", 1)[-1], number, source.unit), name=source.label)
 
 
-def brief(problem: Exception) -> str:
+def brief(problem: BaseException) -> str:
     """Keep the reason in brackets of a library's message, or its first line."""
+    if type(problem).__name__ == "PanicException":  # tells of the library's own lines
+        return GAVE_UP
     text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
     return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text

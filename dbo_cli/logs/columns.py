@@ -8,7 +8,7 @@ columns that may be meant are asked about, never taken by their order.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from dbo_cli.errors import InputError, UsageError
@@ -19,6 +19,10 @@ from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
 _SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
+
+_PREFIXED = re.compile(
+    r"(?P<quantity>.+?)[_ /-](?P<prefix>milli|micro|nano|pico|kilo|mega|centi)", re.IGNORECASE
+)
 
 _INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
 _BESIDES = frozenset(
@@ -37,6 +41,7 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
+_NAMING = ("length", "angle")  # a column called "um" is in um; "m" and "Volts" may be anything
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
 
@@ -80,8 +85,12 @@ def split_header(header: str) -> tuple[str, str | None]:
         found = pattern.match(text)
         if found is None or found["unit"].strip("[](){}<>") != found["unit"]:  # half a bracket is no unit
             continue
-        if is_known_unit(found["unit"]) and found["quantity"].lower() not in _LETTERED:
-            return found["quantity"].strip(), normalise_unit(found["unit"])
+        quantity, unit = found["quantity"].strip(), found["unit"]
+        apart = _PREFIXED.fullmatch(quantity)
+        if apart is not None:  # milli volts
+            quantity, unit = apart["quantity"].rstrip(" /"), apart["prefix"] + unit
+        if is_known_unit(unit) and quantity.lower() not in _LETTERED:
+            return quantity, normalise_unit(unit)
     return text, None
 
 
@@ -98,6 +107,8 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
     if not header:
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
     quantity, own = split_header(header)
+    if own is None and header != "m" and kind_of_unit(normalise_unit(header)) in _NAMING:
+        own = normalise_unit(header)
     return ColumnInfo(header, normalise_unit(unit or "") or own, quantity, number)
 
 
@@ -254,10 +265,22 @@ def _suspects(
     return [
         column
         for column in fitting
-        if any(name in column.quantity.lower() for name in long_names)  # positionmm
+        if any(name in _letters(column) for name in long_names)  # positionmm, Posi)tion
+        or _runs_into_unit(column, wish)
         or set(_words(column.quantity)) & set(wish.letters)
         or (not sure and column.unit is None and _is_unknown(column, wish))
     ]
+
+
+def _letters(column: ColumnInfo) -> str:
+    return "".join(re.findall(r"[^\W_]+", column.quantity.lower()))
+
+
+def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether a name and a unit of the right kind stand without anything between them: Wegµm."""
+    word = _letters(column)
+    ends = [word[len(name) :] for name in (*wish.guesses, *wish.letters) if word.startswith(name)]
+    return any(kind_of_unit(normalise_unit(end)) in wish.channel_kinds for end in ends if end)
 
 
 def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -281,7 +304,9 @@ def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
     words = set(_words(column.quantity))
     if words & set(wish.by_unit) and not words & {"monitor", "mon"}:  # a monitor has a scale of its own
         return True
-    return "ch" in wish.by_unit and bool(_CHANNEL.fullmatch(column.quantity.strip()))
+    if "ch" not in wish.by_unit:
+        return False
+    return bool(_CHANNEL.fullmatch(column.quantity.strip())) or normalise_unit(column.quantity) == column.unit
 
 
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -303,6 +328,7 @@ def choose_columns(
     columns: Sequence[ColumnInfo],
     want: Mapping[str, ColumnWish],
     taken: Sequence[ColumnInfo] = (),
+    timed: bool = True,
 ) -> dict[str, ColumnInfo]:
     """Give every wished role its column.
 
@@ -316,6 +342,8 @@ def choose_columns(
         Role to wish; a role that is not required and not found is left out.
     taken
         Columns that are not to be guessed (the time column).
+    timed
+        Whether the samples' time is known; else the remedy names a time column, too.
 
     Raises
     ------
@@ -326,6 +354,7 @@ def choose_columns(
     for role, wish in want.items():
         if wish.selector is not None:
             chosen[role] = find_column(place, columns, wish.selector, wish.option)
+    missing: dict[str, list[ColumnInfo]] = {}
     for role, wish in want.items():
         if wish.selector is None:  # the only column left is what is meant
             used = {column.number for column in [*taken, *chosen.values()]}
@@ -337,15 +366,51 @@ def choose_columns(
             if len(found) == 1:
                 chosen[role] = found[0]
             elif found or wish.required:
-                raise InputError(_not_unique(place, role, columns, found, wish.option))
+                missing[role] = found
+    if missing:
+        used = {column.number for column in [*taken, *chosen.values()]}
+        raise InputError(_not_unique(place, columns, want, missing, used, timed))
     return {role: chosen[role] for role in want if role in chosen}
 
 
 def _not_unique(
-    place: str, role: str, columns: Sequence[ColumnInfo], found: Sequence[ColumnInfo], option: str
+    place: str,
+    columns: Sequence[ColumnInfo],
+    want: Mapping[str, ColumnWish],
+    missing: Mapping[str, Sequence[ColumnInfo]],
+    used: Collection[int],
+    timed: bool,
 ) -> str:
-    if found:
-        names = " or ".join(f"'{column.name}'" for column in found)
-        return f"{place}: which column is the {role}, {names}? (choose with `{option}` NAME or NUMBER)"
-    there = list_columns(columns)
-    return f"{place}: no column is recognised as the {role}: {there} (choose with `{option}` NAME or NUMBER)"
+    """Say of every role at once which columns may be meant, or that none is, and how to choose."""
+    calls = {role: f"{role} signal" if role in ("desired", "measured") else role for role in missing}
+    free = [column.number for column in columns if column.number not in used]
+    if not any(column.quantity for column in columns) and len(free) >= len(missing):
+        options = [want[role].option for role in missing]
+        options = ["time", *options] if not timed and len(free) > len(missing) else options
+        example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
+        which = ", which the ".join(calls.values())
+        return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
+    told, absent = [], []
+    for role, found in missing.items():
+        called = calls[role]
+        if found:
+            names = " or ".join(f"'{column.name}'" for column in found)
+            told.append(f"which column is the {called}, {names}?")
+            continue
+        wanted = [one for one in columns if is_order(one, want[role])]
+        absent.append(called)
+        if wanted:
+            absent[-1] += (
+                f": '{wanted[0].name}' is what was wanted, not what was measured (play the drive and record "
+                "the sensor beside it)"
+            )
+    if absent:
+        told.append(f"no column is recognised as the {' nor as the '.join(absent)}: {list_columns(columns)}")
+    options = [f"`{want[role].option}`" for role in missing]
+    return f"{place}: {' '.join(told)} (choose with {' and '.join(options)} NAME or NUMBER)"
+
+
+def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
+    """Tell whether a column says what was wanted, where what was measured is looked for."""
+    unit_fits = wish.kinds is None or column.unit is None or kind_of_unit(column.unit) in wish.kinds
+    return "desired" in wish.contrary and unit_fits and bool(wish.contrary & set(_words(column.name)))

@@ -16,6 +16,7 @@ from dbo_cli.logs.cell_grammar import is_number
 from dbo_cli.logs.column_table import brief
 from dbo_cli.logs.extras import import_extra
 from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.library_noise import contained
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.text_logs import TextTable
 
@@ -35,12 +36,13 @@ def open_excel(address: Address, selectors: Sequence[str], options: ReadingOptio
     place = address.text
     fastexcel = import_extra("fastexcel", "excel", place)
     try:
-        book = fastexcel.read_excel(address.path)
-        name = _choose(place, address, book)
-        content = _as_text(book, name)
-    except InputError:
+        with contained(place, "workbook"):
+            book = fastexcel.read_excel(address.path)
+            name = _choose(place, address, book)
+            content = _as_text(book, name)
+    except (InputError, KeyboardInterrupt, SystemExit):
         raise
-    except Exception as problem:  # the library raises whatever the damaged bytes lead to
+    except BaseException as problem:  # whatever the damaged bytes lead to; a panic is no Exception
         raise InputError(f"{place}: damaged workbook: {brief(problem)}") from None
     plain = replace(options, delimiter="tab", encoding=None)
     return TextTable(address, plain, content=content)

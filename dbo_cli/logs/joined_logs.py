@@ -6,15 +6,14 @@ the files must be equally long.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.addresses import other_file, parse_address
 from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
 from dbo_cli.logs.file_kinds import open_table
@@ -37,20 +36,26 @@ class _Other:
     clock: TimeColumn | None = None
 
 
-def other_file(selector: str | None) -> tuple[str, str] | None:
-    """Take ``FILE::COLUMN`` or ``FILE::GROUP::COLUMN`` apart; None for a plain column name."""
-    if selector is None or "::" not in selector:
-        return None
-    path, _, rest = selector.partition("::")
-    if not os.path.isfile(path):
-        return None
-    inner, separator, column = rest.rpartition("::")
-    return (f"{path}::{inner}", column) if separator else (path, rest)
+class Joined(NamedTuple):
+    """The files of a log as one.
+
+    Attributes
+    ----------
+    table
+        All columns; the first file itself where there is no other.
+    want, options
+        As they were asked for, the columns of other files by their numbers in ``table``.
+    others
+        The addresses of the other files.
+    """
+
+    table: Table
+    want: dict[str, ColumnWish]
+    options: ReadingOptions
+    others: list[str]
 
 
-def join_files(
-    table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions
-) -> tuple[Table, dict[str, ColumnWish]]:
+def join_files(table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions) -> Joined:
     """Open the other files that wishes name, and put their columns behind those of the first.
 
     Parameters
@@ -60,7 +65,7 @@ def join_files(
     want
         Role to wish; those of the form ``FILE::COLUMN`` are replaced by column numbers of the joined log.
     options
-        How all files are to be read; ``time`` names a column of the first.
+        How all files are to be read; ``time`` names a column of the first, or of another file.
 
     Raises
     ------
@@ -70,29 +75,34 @@ def join_files(
     others: dict[str, _Other] = {}
     columns = list(table.columns)
     wishes = dict(want)
+    there = replace(options, format=None, time=None)
+
+    def number_of(wish: ColumnWish) -> str | None:
+        named = other_file(wish.selector)
+        if named is None:
+            _refuse_missing(table, wish)
+            return wish.selector
+        address, selector = named
+        if address not in others:
+            opened = open_table(parse_address(address), there, False, False, [selector])
+            others[address] = _Other(opened, {})
+        found = find_column(others[address].table.place, others[address].table.columns, selector, wish.option)
+        _append(columns, others[address], found)
+        return f"number={len(columns)}"
+
     try:
         for role, wish in want.items():
-            named = other_file(wish.selector)
-            if named is None:
-                _refuse_missing(table, wish)
-                continue
-            address, selector = named
-            if address not in others:
-                there = replace(options, format=None)
-                opened = open_table(parse_address(address), there, False, False, [selector])
-                others[address] = _Other(opened, {})
-            other = others[address]
-            found = find_column(other.table.place, other.table.columns, selector, wish.option)
-            _append(columns, other, found)
-            wishes[role] = replace(wish, selector=f"number={len(columns)}")
+            wishes[role] = replace(wish, selector=number_of(wish))
+        if options.time is not None:
+            options = replace(options, time=number_of(ColumnWish(options.time, option="time")))
         _find_clocks(table, columns, list(others.values()), options)
     except BaseException:
         for other in others.values():
             other.table.close()
         raise
-    if not others:
-        return table, wishes
-    return _JoinedTable(table, list(others.values()), columns, options), wishes
+    if others:
+        table = _JoinedTable(table, list(others.values()), columns, options)
+    return Joined(table, wishes, options, list(others))
 
 
 def _append(columns: list[ColumnInfo], other: _Other, found: ColumnInfo) -> None:
@@ -106,7 +116,8 @@ def _find_clocks(
     """Find the other files' clocks; where the first file has none, another's becomes that of the log."""
     if options.sample_rate is not None:
         return  # the clocks are replaced
-    own = find_time_column(table.place, list(table.columns), options, [])
+    mine = columns if options.time is not None else list(table.columns)
+    own = find_time_column(table.place, list(mine), options, [])
     for other in others:
         wanted = list(other.columns.values())
         plain = replace(options, time=None)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import TypedDict
+from collections.abc import Sequence
+from typing import NotRequired, TypedDict
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import parse_address
@@ -12,11 +13,12 @@ from dbo_cli.version import __version__
 
 
 class InputRecord(TypedDict):
-    """What a model says about one of its inputs."""
+    """What a model says about one of its inputs; ``joined`` are the other files that columns came from."""
 
     name: str
     sha256: str
     rows: int
+    joined: NotRequired[list[InputRecord]]
 
 
 def program_version_string() -> str:
@@ -41,11 +43,17 @@ def file_sha256(path: str) -> str:
         raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
 
 
-def input_record(address: str, rows: int, sha256: str | None = None) -> InputRecord:
+def input_record(
+    address: str, rows: int, sha256: str | None = None, others: Sequence[str] = ()
+) -> InputRecord:
     """Record an input: its name without folders (they differ between machines), its digest and the rows used.
 
-    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``).
+    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``); ``others``
+    are the addresses of further files of the same log.
     """
     parsed = parse_address(address)
     name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
-    return InputRecord(name=cleaned(name), sha256=sha256 or file_sha256(parsed.path), rows=rows)
+    record = InputRecord(name=cleaned(name), sha256=sha256 or file_sha256(parsed.path), rows=rows)
+    if others:
+        record["joined"] = [input_record(other, rows) for other in others]
+    return record

@@ -7,7 +7,7 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.addresses import other_file, parse_address, selected_files, without_folder
 from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
@@ -59,9 +59,11 @@ class SignalLog:
         options: ReadingOptions,
         scales: Mapping[str, Scale] | None = None,
         start_time: float = 0.0,
+        others: Sequence[str] = (),
     ) -> None:
         self.name = table.place
         self._address = address
+        self._others = others
         self._picks = dict(columns)
         self._scales = dict(scales or {})
         scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in self._scales.items()}
@@ -124,7 +126,11 @@ class SignalLog:
 
     def reading_record(self) -> dict[str, Any]:
         """Give what ``reading_line`` says as plain values, for a model's provenance."""
-        return self._summary(self.rows_read).record()
+        record = self._summary(self.rows_read).record()
+        if self._others:
+            for column in [record.get("time", {}), *record["columns"].values()]:
+                column.update({"column": without_folder(column["column"])} if column else {})
+        return record
 
     def _summary(self, rows: int | None) -> ReadingSummary:
         rate, even, seconds = self.sample_rate, True, None
@@ -210,7 +216,7 @@ class SignalLog:
 
     def record(self) -> InputRecord:
         """Record this log for a model's provenance, once it has been read (a stream: with ``digest``)."""
-        return input_record(self._address, self.rows_read, self._table.sha256)
+        return input_record(self._address, self.rows_read, self._table.sha256, self._others)
 
     def _as_recorded(self) -> Iterator[SampleBlock]:
         clock = self._clock
@@ -304,36 +310,31 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    named, elsewhere = _named(want)
-    if options.time:
+    elsewhere = selected_files(options.time, *(wish.selector for wish in want.values()))
+    named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
+    if options.time and other_file(options.time) is None:
         named.append(options.time)
     table = open_table(parse_address(address, options.format), options, live, digest, named)
+    others: list[str] = []
     try:
-        if elsewhere:
+        if elsewhere or any("::" in one for one in named):
             from dbo_cli.logs.joined_logs import join_files
 
-            table, want = join_files(table, want, options)
+            table, want, options, others = join_files(table, want, options)
         found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
-        columns = choose_columns(table.place, table.columns, want, found.taken)
+        if found.clock is None and options.time_unit is not None:
+            raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")
+        timed = found.clock is not None or options.sample_rate is not None
+        columns = choose_columns(table.place, table.columns, want, found.taken, timed)
         rate, start = options.sample_rate, 0.0
         if rate is None and found.clock is None:
             rate, start = table.even_clock(columns.values())
         scales = _scales_by_role(options, want, columns)
         table.notes.extend(found.notes)
-        return SignalLog(address, table, columns, found.clock, rate, options, scales, start)
+        return SignalLog(address, table, columns, found.clock, rate, options, scales, start, others)
     except BaseException:
         table.close()
         raise
-
-
-def _named(want: Mapping[str, ColumnWish]) -> tuple[list[str], bool]:
-    """List the columns wished for by name, and tell whether some may be in other files (``FILE::COLUMN``)."""
-    named = [wish.selector for wish in want.values() if wish.selector]
-    if not any("::" in one for one in named):
-        return named, False
-    from dbo_cli.logs.joined_logs import other_file
-
-    return [one for one in named if other_file(one) is None], True
 
 
 def _named_columns(table: Table, want: Mapping[str, ColumnWish]) -> list[ColumnInfo]:

@@ -86,6 +86,9 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         raise InputError(f"{place}: no data rows: no line holds numbers")
     best = max(shape.score for shape in shapes)
     tied = [shape for shape in shapes if shape.score >= best - 1e-12]
+    # Single tabs read as blanks, too; a header with one name too few must not be taken apart at its words.
+    tabs = {shape.width for shape in tied if shape.delimiter == "\t"}
+    tied = [shape for shape in tied if shape.delimiter != BLANKS or shape.width not in tabs]
     layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
     chosen = max(range(len(tied)), key=lambda number: (layouts[number].fits, -number))
     shape, layout = tied[chosen], layouts[chosen]
@@ -280,11 +283,13 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
     """Split a header line in the way that gives as many cells as the data have columns."""
     ways = [split_cells(text, mark) for mark in ("\t", ";", ",", "|") if mark in text]
     ways.append(split_cells(text, shape.delimiter))
-    if shape.delimiter != BLANKS and shape.delimiter in text:
-        ways = ways[-1:]  # taken apart at blanks instead, one name too few would shift all the others
+    certain = shape.delimiter != BLANKS and shape.delimiter in text
+    if certain:
+        ways = ways[-1:]
     ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t+", text)])
-    ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)])
-    ways.append(text.split())
+    if not certain:  # else, taken apart at blanks, a header with one name too few would shift all the others
+        ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)])
+        ways.append(text.split())
     for cells in ways:
         if (
             len(cells) == shape.width

@@ -19,7 +19,7 @@ from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time
+from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
@@ -60,6 +60,8 @@ _DATE_WORDS = ("date", "datum", "timestamp", "datetime", "serial", "datenum", "e
 
 # A loop takes seconds and holds hundreds of samples: whoever logs one each second or slower says so.
 LONG_STEP = 1.0
+# No loop is recorded at less than a sample an hour, whatever the header states.
+LONGEST_STEP = 3600.0
 # 1e8 s are three years; a clock that counts seconds of a run never gets there.
 LATEST_STAMP = 1e8
 # A piezo under load does not pass its range in a millisecond: figures that end before count hours or days.
@@ -216,16 +218,18 @@ class TimeColumn:
                 "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
             )
         if self.column.written == "numbers" and not self.bare and not self.given:
-            told.append(self._of_stated(called))
+            told.append(self._of_stated(called, check.step))
         return [text for text in told if text]
 
-    def _of_stated(self, called: str) -> str:
+    def _of_stated(self, called: str, step: float) -> str:
         """Say why figures can hardly be in the unit that is stated."""
         first, last = (float(self.stated.factor) * (value or 0.0) for value in (self._first, self._final))
         if abs(last) > _CALENDARS[0].high:
             told = f"its stamps would be {last:.3g} s"
         elif self._count > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
             told = f"the whole log would last {abs(last - first):.3g} s"
+        elif LONGEST_STEP < step < np.inf:
+            told = f"its usual step would be {step:.3g} s"
         else:
             return ""
         return f"{called} is stated in {self.stated.unit}, but {told} (`time_unit` says what it counts)"
@@ -346,8 +350,6 @@ def find_time_column(
         names = " or ".join(f"'{column.name}'" for column in found)
         raise InputError(f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
     if not found:
-        if options.time_unit is not None:
-            raise InputError(f"{place}: no column is recognised as the time (`time` COLUMN names it)")
         return FoundTime(None, [], [])
     clock = time_column(place, found[0], columns, options.time_unit)
     return FoundTime(clock, list(clock.picks.values()), [])
@@ -365,4 +367,6 @@ def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
             stamps = [column for column in some if column.written in writings]
             if stamps:
                 return stamps
+    if not found and columns and columns[0].written == "numbers" and time_unit(columns[0].unit or ""):
+        return [one for one in columns if time_unit(one.unit or "")]  # an oscilloscope's "Source" in Second
     return found

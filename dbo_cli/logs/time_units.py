@@ -112,7 +112,7 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     if column.unit is None and is_torn(column.quantity):
         raise InputError(_unknown(place, column, column.quantity))
     words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
-    units = {_UNIT_OF[word] for word in words if word in _WORDS}
+    units = _named_units(words)
     behind = _behind(column.quantity)
     units |= {unit for word in behind if (unit := time_unit(word))}
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
@@ -135,6 +135,15 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     if counted:
         raise InputError(_unknown(place, column, counted[0]))
     return StatedTime(None)
+
+
+def _named_units(words: list[str]) -> set[str]:
+    """Find the units among the words of a name, ``nano seconds`` in two words, too."""
+    units = set()
+    for before, word in zip(["", *words], words, strict=False):
+        if word in _WORDS:
+            units.add(_UNIT_OF.get(before + word, _UNIT_OF[word]))
+    return units
 
 
 def _behind(quantity: str) -> list[str]:

@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dbo_cli.errors import OutputError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.reports import drawing_library as library
@@ -89,11 +89,22 @@ def _saved(figure: Figure, kind: Kind) -> bytes:
     return out.getvalue()
 
 
+_PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".eps")
+
+
+def refuse_picture(folder: str) -> None:
+    """Refuse the name of one picture where a folder for several is meant (UsageError)."""
+    path = Path(folder)
+    if path.suffix.lower() in _PICTURES and not path.is_dir():
+        raise UsageError(f"{folder}: there are several figures: name a folder (`figures` {path.stem})")
+
+
 def check_folder(folder: str) -> Path:
     """Make the folder for figures and prove that files can be written there, before any long work.
 
     Raises OutputError with the folder's name.
     """
+    refuse_picture(folder)
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)

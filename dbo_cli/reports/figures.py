@@ -1,7 +1,7 @@
 """The figures of a log; ``drawing`` turns them into PNG and SVG, nothing is drawn before.
 
 In the numbers of the paper: ``drive`` is Fig. 5, ``tracking`` 6, 8 and 11, ``loop`` 7, ``error`` 9 and 12,
-``output`` 10 and 13.
+``output`` 10 and 13. ``frequency`` is drawn where segments differ in theirs.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dbo_cli.reports import figure_style as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.renderers import digits, short_name
 from dbo_cli.reports.report import LogReport, Report
+from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.thinned_curves import Band, Curve, FigureData, Raster
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.legend import Legend
 
+WIDE_BAND = 1.5  # times the lowest frequency, up to which segments are of one frequency
 LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
 
 
@@ -118,6 +120,9 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
         Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum),
         Plot("drive", "Drive against time", "Drive voltage against time.", wide, view.drive),
     ]
+    if view.by_frequency is not None:
+        words = "RMS error of each segment against the frequency of the desired signal, both logarithmic."
+        plots.append(Plot("frequency", "Error against frequency", words, wide, view.frequency))
     missing = set() if figure_data.has_drive else {"loop", "drive"}
     if figure_data.spectrum.density(1.0) is None:
         missing.add("spectrum")
@@ -132,6 +137,7 @@ class _LogView:
         self._figures = log.figures
         self._figure_data = figure_data
         self._offset = log.figures.offset
+        self.by_frequency = _errors_by_frequency(log)
         known = report.unit is None or report.unit in LENGTH_UNITS
         self._quantity = "Displacement" if known else "Voltage" if report.unit == "V" else "Signal"
 
@@ -216,6 +222,15 @@ class _LogView:
         density = f"{unit}/√Hz" if period else unit
         axes.set_ylabel(f"Error density ({density})" if unit else "Error density")
 
+    def frequency(self, axes: Axes) -> None:
+        assert self.by_frequency is not None
+        at, errors = self.by_frequency
+        look = {"color": style.FIRST, "linestyle": "none", "marker": "o", "markersize": 3.2}
+        axes.loglog(at, np.maximum(errors, errors.max() * 1e-9), **look)
+        axes.xaxis.set_major_formatter(decade)
+        axes.yaxis.set_major_formatter(decade)
+        axes.set(xlabel="Frequency of the desired signal (Hz)", ylabel=self._length("RMS error of a segment"))
+
     def _curve(self, axes: Axes, x: str, y: str, look: dict[str, Any], label: str, shift: float) -> None:
         shape = self._figure_data.against(x, y)
         if isinstance(shape, Curve):
@@ -229,6 +244,15 @@ class _LogView:
 
     def _length(self, quantity: str) -> str:
         return axis_label(quantity, self._report.unit)
+
+
+def _errors_by_frequency(log: LogReport) -> tuple[Floats, Floats] | None:
+    """Return frequency (Hz) and RMS error of the segments; None where they are all about as fast."""
+    found = [(part.figures.frequency, part.figures.rmse) for part in log.segments]
+    known = np.array([pair for pair in found if pair[0] is not None and pair[1] > 0.0], dtype=np.float64)
+    if not known.size or known[:, 0].max() < WIDE_BAND * known[:, 0].min():
+        return None
+    return known[:, 0], known[:, 1]
 
 
 def _against_time(

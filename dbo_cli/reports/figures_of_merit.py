@@ -51,6 +51,13 @@ class TrackingFigures:
     offset: float
     sample_period: float | None
     loop_noise: float | None = None
+    cycles_a_sample: float | None = None
+
+    @property
+    def frequency(self) -> float | None:
+        """The desired signal's frequency in Hz, where it moves back and forth and the clock is known."""
+        cycles, period = self.cycles_a_sample, self.sample_period
+        return None if cycles is None or period is None else cycles / period
 
 
 def percent_of(value: float, whole: float) -> float | None:
@@ -142,7 +149,12 @@ class TrackingMetrics:
             offset=offset,
             sample_period=self._sample_period(),
             loop_noise=loop.noise_floor if loop else None,
+            cycles_a_sample=self._cycles_a_sample(),
         )
+
+    def _cycles_a_sample(self) -> float | None:
+        cycles = self._phase.cycles_a_sample
+        return None if cycles is None else cycles / (self._hold or 1.0)
 
     def _sample_period(self) -> float | None:
         samples = self.distribution.count + self._not_finite

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,11 +14,13 @@ import numpy as np
 
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.dynamics import Resonance
+from dbo_cli.hysteresis.linear_sections import Complexes
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.reports import figure_style as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.figures import axis_label, mark_curves
+from dbo_cli.reports.figures import axis_label, decade, mark_curves
 from dbo_cli.reports.running_statistics import Floats
 
 if TYPE_CHECKING:
@@ -50,7 +53,7 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
             view.slopes,
         ),
     ]
-    return plots + [view.plot_of(place) for place in view.point_places]
+    return plots + [view.plot_of(place) for place in view.point_places] + _bode_plots(model)
 
 
 def loop_of(operator: DiscreteBacklashOperator) -> tuple[Floats, Floats, Floats, Floats]:
@@ -110,6 +113,87 @@ class _ModelView:
         axes.set_ylim(0.0, 1.06 * float(slopes.max()))
         unit = self._model.input.unit if self._input != "Input of the gears" else None
         axes.set(xlabel=axis_label("Input travelled since the turn", unit), ylabel="Slope ΔY/ΔX of the gear")
+
+
+def _bode_plots(model: ActuatorModel) -> list[Plot]:
+    """Return gain and phase of the dynamics; of an inverse model those that it undoes."""
+    stages = [stage for stage in (model.drive_lag, model.dynamics) if stage is not None]
+    if not stages:
+        return []
+    words = "of the dynamics against frequency, both measured and of the model, frequency logarithmic."
+    return [
+        Plot("bode", "Gain of the dynamics", f"Gain {words}", style.WIDE, partial(_paint_gain, model)),
+        Plot(
+            "bode-phase", "Phase of the dynamics", f"Phase {words}", style.WIDE, partial(_paint_phase, model)
+        ),
+    ]
+
+
+def _measured_response(model: ActuatorModel) -> dict[str, Floats]:
+    """Return what the identification kept of the measured response; empty where it kept none."""
+    told = model.fit.get("dynamics")
+    kept = told.get("response") if isinstance(told, Mapping) else None
+    keys = ("frequency", "gain", "phase_degrees")
+    if not isinstance(kept, Mapping) or not all(isinstance(kept.get(key), list) for key in keys):
+        return {}
+    try:
+        found = {key: np.array(kept[key], dtype=np.float64) for key in keys}
+    except (TypeError, ValueError):
+        return {}
+    alike = len({values.shape for values in found.values()}) == 1 and found["frequency"].ndim == 1
+    return found if alike and found["frequency"].size and bool(np.all(found["frequency"] > 0.0)) else {}
+
+
+def _modelled_response(model: ActuatorModel) -> tuple[Floats, Complexes]:
+    """Return frequencies (Hz) around what was swept, or around the resonances, and the response there."""
+    measured = _measured_response(model)
+    stages = [stage for stage in (model.drive_lag, model.dynamics) if stage is not None]
+    sections = [section for stage in stages for section in stage.sections]
+    corners = [s.highest if isinstance(s, Resonance) else 0.5 / (np.pi * s.seconds) for s in sections]
+    low, high = 0.03 * min(corners), 3.0 * max(corners)
+    if measured:
+        low, high = float(measured["frequency"].min()), float(measured["frequency"].max())
+    peaks = [s.frequency for s in sections if isinstance(s, Resonance)]
+    near = [peak * np.linspace(0.9, 1.1, 101) for peak in peaks]  # a peak is narrower than a step elsewhere
+    at = np.unique(np.concatenate([np.geomspace(low, high, 400), *near]))
+    at = at[(at >= low) & (at <= high)]
+    return at, np.prod([stage.response(at) for stage in stages], axis=0)
+
+
+def _paint_gain(model: ActuatorModel, axes: Axes) -> None:
+    at, response = _modelled_response(model)
+    measured = _measured_response(model)
+    if measured:
+        gain = measured["gain"] / measured["gain"][0] * abs(response[0])
+        axes.loglog(measured["frequency"], gain, label="measured", **_POINTS)
+    axes.loglog(at, np.abs(response), label="model", **style.SOLID)
+    _finish_bode(model, axes)
+    axes.yaxis.set_major_formatter(decade)
+    axes.set_ylabel("Gain")
+
+
+def _paint_phase(model: ActuatorModel, axes: Axes) -> None:
+    at, response = _modelled_response(model)
+    phase = np.degrees(np.unwrap(np.angle(response)))
+    measured = _measured_response(model)
+    if measured:
+        shift = 360.0 * np.round((phase[0] - measured["phase_degrees"][0]) / 360.0)
+        axes.semilogx(measured["frequency"], measured["phase_degrees"] + shift, label="measured", **_POINTS)
+    axes.semilogx(at, phase, label="model", **style.SOLID)
+    _finish_bode(model, axes)
+    axes.set_ylabel("Phase (degrees)")
+
+
+def _finish_bode(model: ActuatorModel, axes: Axes) -> None:
+    trusted = model.fit.get("trusted_hz")
+    if isinstance(trusted, int | float) and trusted > 0.0:
+        axes.axvline(trusted, label="trusted up to", color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)))
+    axes.xaxis.set_major_formatter(decade)
+    axes.set_xlabel("Frequency (Hz)")
+    mark_curves(axes)
+
+
+_POINTS = {"color": style.SECOND, "linestyle": "none", "marker": "o", "markersize": 3.2}
 
 
 def slow_loop(model: ActuatorModel, count: int = 1001) -> tuple[Floats, Floats, Floats]:

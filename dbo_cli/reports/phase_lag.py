@@ -31,13 +31,15 @@ class PhaseLag:
     -4 sin(w h/2)^2, the phase left is atan2(-b sin(w h), a) and the lag is the phase over w. For a sine this
     is exact at any amplitude ratio, any length of the log and any lag below half a period; for other signals
     it is right to first order, so a lag of many samples should be taken out first. Hysteresis shows as a
-    phase too; it is part of what is left.
+    phase too; it is part of what is left. After ``lag``, ``cycles_a_sample`` is the frequency of the desired
+    signal.
 
     ``h`` is 1 for a smooth signal. A held, rounded or noisy one says nothing about its slope from one sample
     to the next, so ``h`` grows with its plateaus and its noise; it is chosen on the first batch that moves.
     """
 
     def __init__(self) -> None:
+        self.cycles_a_sample: float | None = None
         self._sums = [CompensatedSum() for _ in range(10)]
         self._count = 0
         self._shift = (0.0, 0.0)
@@ -82,6 +84,7 @@ class PhaseLag:
         across = (sm * dd - dm * ds) / determinant
         step = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(turning / dd)))  # phase in h samples
         phase = math.atan2(-across * math.sin(step), along)
+        self.cycles_a_sample = step / (2.0 * math.pi * self._spacing)
         return phase / step * self._spacing, math.degrees(phase)
 
 

@@ -29,8 +29,9 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
     beforehand), ``lag_s``, ``offset_removed`` (subtracted from the error), ``sample_period_s``,
     ``not_finite`` (rows left out), ``ratio_to_first`` (of the RMSE), ``loop_noise`` (what noise alone would
     show as ``loop_width``), ``segments``: a list of ``number``, ``first_row``, ``last_row``, the keys from
-    ``samples`` to ``desired_max``, ``offset_removed`` (the segment's own) and ``loop_noise``. New keys may
-    come in later releases; none will change its meaning within version 1.
+    ``samples`` to ``desired_max``, ``offset_removed`` (the segment's own), ``loop_noise`` and
+    ``frequency_hz`` (of the desired signal). New keys may come in later releases; none will change its
+    meaning within version 1.
     """
     content: dict[str, Any] = {
         "format": "dbo-report",

@@ -78,6 +78,7 @@ class Segment:
         rows = {"number": self.number, "first_row": self.first_row, "last_row": self.last_row}
         figures = self.figures
         own = {"offset_removed": figures.offset, "loop_noise": figures.loop_noise}
+        own["frequency_hz"] = figures.frequency
         return rows | _record(figures) | own
 
 

@@ -18,7 +18,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.runs.model import Model, read_model
 from dbo_cli.runs.remarks import DboWarning, Remarks
-from dbo_cli.runs.roles import recording_wishes
+from dbo_cli.runs.roles import recording_wishes, short_names
 from dbo_cli.runs.source import ArraySource
 from dbo_cli.runs.tables import is_file, is_table, table_source
 
@@ -194,9 +194,9 @@ def report(
 
     Parameters
     ----------
-    wanted : array_like of shape (samples,), DataFrame or file name
-        The desired displacement beside ``measured``; with ``model`` the drive voltage it predicts from; or a
-        table or log that holds both columns.
+    wanted : array_like of shape (samples,), DataFrame, file name, or a list of tables and file names
+        The desired displacement beside ``measured``; with ``model`` the drive voltage it predicts from; or
+        one or several tables and logs that hold both columns.
     measured : array_like of shape (samples,), optional
         The measured displacement.
     time, sample_rate
@@ -245,22 +245,27 @@ def report(
     labels = ("desired", "measured") if model is None else ("model", "measured")
     how = ReportOptions(_lag(lag), remove_offset, _segment(segment), labels)
     comparison = Comparison(how, predicting, traced=True)
-    if measured is None and (is_file(wanted) or (is_table(wanted) and trajectory is None)):
+    logs = [] if measured is not None else _logs(wanted)
+    if logs and (trajectory is None or all(map(is_file, logs))):
         selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
-        if is_table(wanted):
-            want = comparison_wishes(*selectors, with_model=model is not None)
-            comparison.add(table_source(wanted, want, time, sample_rate), name, count_sweep=count_sweep)
-        else:
-            reading = _reading(time, columns.pop("rows", None), columns | {"sample_rate": sample_rate})
+        want = comparison_wishes(*selectors, with_model=model is not None)
+        names = short_names([os.fspath(one) for one in logs if is_file(one)])
+        rows = columns.pop("rows", None)
+        for number, one in enumerate(logs, 1):
+            if is_table(one):
+                called = name if len(logs) == 1 else f"{name} {number}"
+                comparison.add(table_source(one, want, time, sample_rate), called, count_sweep=count_sweep)
+                continue
+            reading = _reading(time, rows, columns | {"sample_rate": sample_rate})
             add_file(
                 comparison,
-                os.fspath(wanted),
+                os.fspath(one),
                 reading,
                 selectors,
                 trajectory=None if trajectory is None else os.fspath(trajectory),
                 match=match,
                 count_sweep=count_sweep,
-                name=os.path.basename(os.fspath(wanted)),
+                name=names.get(os.fspath(one)),
             )
         return comparison.result()
     if trajectory is not None:
@@ -294,6 +299,14 @@ def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> Rea
                 f"`{name}` says nothing about reading a log; there are: {', '.join(sorted(known))}"
             )
     return ReadingOptions(time=time, rows=ALL_ROWS if rows is None else parse_rows(rows), **options)
+
+
+def _logs(given: Any) -> list[Any]:
+    """Return the tables and files that were given, one or a list of them; none of anything else."""
+    if is_file(given) or is_table(given):
+        return [given]
+    several = isinstance(given, list | tuple) and all(is_file(one) or is_table(one) for one in given)
+    return list(given) if several else []
 
 
 def _listed(logs: Any) -> Sequence[Any]:

@@ -54,7 +54,7 @@ class Controller:
                 f"the model has a delay of {model.delay_seconds:g} s, so the drive depends on what is wanted "
                 "that much later, which a controller does not know (with `ahead` the caller passes it)"
             )
-        if model.dynamics is not None:
+        if model.dynamics is not None or model.drive_lag is not None:
             raise ModelError(
                 "the model has dynamics, so the drive depends on what is wanted after the present sample, "
                 "which a controller does not know (compensate the whole trajectory)"

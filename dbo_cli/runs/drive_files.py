@@ -45,6 +45,7 @@ def compensate_trajectory(
 ) -> Remarks:
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
     check_range(v_min, v_max)
+    destination = destination.beside(column, voltage, measured, reading.time)
     destination.check()
     check_order(model_file, trajectory)
     check_format(reading.format, [trajectory, destination.output])

@@ -15,7 +15,14 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.addresses import check_format, format_for, parse_output
+from dbo_cli.logs.addresses import (
+    check_document,
+    check_format,
+    format_for,
+    other_file,
+    parse_output,
+    selected_files,
+)
 from dbo_cli.logs.columns import ColumnWish, split_header
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -40,12 +47,18 @@ class Destination(NamedTuple):
     live: bool = False
     command: str = ""
 
+    def beside(self, *selectors: str | None) -> Destination:
+        """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
+        return self._replace(protect=[*self.protect, *selected_files(*selectors)])
+
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
         if list(self.protect).count("-") > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
         parse_output(self.output)
         check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
+        if self.save_state is not None:
+            check_document(self.save_state, "a state", "json")
 
 
 def simulate_log(
@@ -60,6 +73,7 @@ def simulate_log(
     listener: Listener = SILENT,
 ) -> Remarks:
     """Run a model over its input signal; write time (when known), the input column and the result."""
+    destination = destination.beside(column, reading.time)
     destination.check()
     check_order(model_file, log_file)
     check_format(reading.format, [log_file, destination.output])
@@ -77,6 +91,7 @@ def simulate_log(
 
 def invert_model(model_file: str, output: str) -> ActuatorModel:
     """Write the exact inverse of a model."""
+    check_document(output, "a model", "json")
     inverse = read_model(model_file).inverse()
     write_whole(output, model_to_bytes(inverse), protect=[model_file])
     return inverse
@@ -153,7 +168,8 @@ def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
     stated = split_header(column.name)[1]
-    name = column.name if column.quantity else taken.quantity
+    named = other_file(column.name)  # the column of another file goes by its own name
+    name = (named[1] if named else column.name) if column.quantity else taken.quantity
     if stated is not None and stated != column.unit:
         name = column.quantity  # converted: the unit in its name is no longer its own
     return OutColumn(name, column.unit or taken.unit, taken.quantity)

@@ -12,7 +12,8 @@ from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.logs.addresses import check_format, format_for
+from dbo_cli.logs.addresses import check_document, check_format, format_for, selected_files, without_folder
+from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
@@ -42,9 +43,13 @@ class Identified:
     remarks: Remarks
 
 
-def recording_of(source: Source, name: str | None = None) -> Recording:
+def recording_of(source: Source, name: str | None = None, listener: Listener = SILENT) -> Recording:
     """Read a source whole."""
-    block = joined(list(source.blocks()))
+    blocks = []
+    for one in source.blocks():
+        blocks.append(one)
+        listener.progressed(len(one))
+    block = joined(blocks)
     rate = source.even_rate
     return Recording(
         name or source.name,
@@ -71,11 +76,18 @@ def read_recordings(
 
     def read(address: str, options: ReadingOptions) -> RecordedLog:
         told = dataclasses.replace(options, format=format_for(address, options.format))
-        with open_log(address, recording_wishes(voltage, displacement), told, digest=True) as log:
+        wishes = recording_wishes(voltage, displacement)
+        with open_log(address, wishes, told, digest=True) as log:
             listener.opened(log.describe())
+            taken = log.columns["displacement"]
+            if is_order(taken, wishes["displacement"]):
+                log.warnings.append(
+                    f"{log.name}: column '{taken.name}' is what was wanted, by its name, not what was "
+                    "measured: what is identified is how the drive was computed, not the actuator"
+                )
             for role, unit in units.items():
                 log.convert(role, unit, "the first log is")
-            recording = recording_of(log, names.get(address))
+            recording = recording_of(log, names.get(address), listener)
             units.update({role: column.unit for role, column in log.columns.items()})
             record = dict(log.record()) | {"read": log.reading_record()}
             return RecordedLog(recording, record, remarks_of(log))
@@ -139,7 +151,7 @@ def arguments_of(logs: Sequence[str], validation: Sequence[str], chosen: Mapping
             words.append("--" + name.replace("_", "-"))
             if one is not True:
                 words.append(_word(one))
-    return [cleaned(word) for word in words]
+    return [cleaned(without_folder(word)) for word in words]
 
 
 def chosen_of(options: IdentificationOptions) -> dict[str, object]:
@@ -176,12 +188,19 @@ def identify_logs(
     listener: Listener = SILENT,
 ) -> Identified:
     """Identify a model from logs and write it; ``reading.rows`` are not those of the validation's logs."""
-    check_output(output, [*logs, *validation])
+    check_document(output, "a model", "json")
+    beside = selected_files(voltage, displacement, reading.time)
+    check_output(output, [*logs, *validation, *beside])
     check_format(reading.format, [*logs, *validation])
     fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
     columns = {"voltage": voltage, "displacement": displacement}
     chosen = {name: column for name, column in columns.items() if column is not None}
     arguments = arguments_of(logs, validation, chosen_of(options) | reading.chosen() | chosen)
-    found = identify_recordings(fitted, options, checks, arguments)
+    rows = sum(len(log.recording.voltage) for log in fitted)
+    listener.working(f"fitting {rows:,} rows")
+    try:
+        found = identify_recordings(fitted, options, checks, arguments)
+    finally:
+        listener.finished()
     write_whole(output, model_to_bytes(found.model))
     return found

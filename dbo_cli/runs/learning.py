@@ -129,20 +129,20 @@ def lesson(
     error = desired - np.mean([one.measured for one in passes], axis=0)
     name = recordings[0].name
     move = float(np.sqrt(np.mean((desired - desired.mean()) ** 2)))
+    unit = f" {model.output.unit}" if model.output.unit else ""
     if _rms(believed - desired) > ANOTHER_MOVE * move:
         raise InputError(
             f"{name}: its drive belongs to another trajectory: by the model it asks for something "
-            f"{_rms(believed - desired):.3g} away from this one (RMS; the move itself has {move:.3g})"
+            f"{_rms(believed - desired):.3g}{unit} away from this one (RMS; the move has {move:.3g}{unit})"
         )
     cutoff = _trusted(model, believed, desired - error, step) if bandwidth is None else bandwidth
     low_pass = ZeroPhaseLowPass(cutoff, step)
     smooth = low_pass.loop if loop else low_pass.whole
     update = smooth(error)
     _refuse_growth(
-        name, smooth(believed - desired), update, low_pass, desired, believed, smooth(desired), move
+        name, unit, smooth(believed - desired), update, low_pass, desired, believed, smooth(desired), move
     )
     span = float(np.ptp(desired))
-    unit = f" {model.output.unit}" if model.output.unit else ""
     of = f", the mean of {len(recordings)} recordings" if len(recordings) > 1 else ""
     notes = [
         f"{name}: the last pass was {_rms(error):.3g}{unit} off (RMS, {100.0 * _rms(error) / span:.2g} % of "
@@ -244,6 +244,7 @@ def _resting_ends(update: FloatArray, per_sample: float) -> FloatArray:
 
 def _refuse_growth(
     name: str,
+    unit: str,
     learned: FloatArray,
     update: FloatArray,
     low_pass: ZeroPhaseLowPass,
@@ -258,9 +259,9 @@ def _refuse_growth(
     if first or _rms(update) <= GROWTH * _rms(learned):
         return
     raise InputError(
-        f"{name}: the error grew: this pass is {_rms(update):.3g} off below {low_pass.cutoff:.4g} Hz (RMS), "
-        f"more than the {_rms(learned):.3g} that the passes before took off (go back to the best pass, with "
-        "a lower `bandwidth` or a better model)"
+        f"{name}: the error grew: this pass is {_rms(update):.3g}{unit} off below {low_pass.cutoff:.4g} Hz "
+        f"(RMS), more than the {_rms(learned):.3g}{unit} that the passes before took off (go back to the "
+        "best pass, with a lower `bandwidth` or a better model)"
     )
 
 

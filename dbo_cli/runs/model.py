@@ -18,6 +18,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Outside
+from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -127,13 +128,17 @@ class Model:
 
         Raises
         ------
+        UsageError
+            The name says another format.
         OutputError
             It cannot be written.
         """
+        check_document(os.fspath(path), "a model", "json")
         write_whole(os.fspath(path), self.to_json())
 
     def save_state(self, state: ModelState, path: str | os.PathLike[str]) -> None:
         """Write a state of this model, for a later run to go on from."""
+        check_document(os.fspath(path), "a state", "json")
         write_whole(os.fspath(path), state_to_bytes(state, self.actuator))
 
     def read_state(self, path: str | os.PathLike[str]) -> ModelState:

@@ -11,7 +11,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.initial_states import StartName
+from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity
 from dbo_cli.hysteresis.operators import Outside
@@ -24,6 +24,11 @@ from dbo_cli.runs.time_steps import TimeSteps
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word
 ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
+FASTER = 2.0
+"""Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess. After
+logs of at most 1.3 ranges a second the error at 3 to 6 ranges a second was twice that at the logs' speeds."""
+
+FAST_PART = 0.05  # of the samples: a few faster ones are not worth a word
 LAG_DEPENDS = "this model's lag, creep or delay depends on it"
 
 
@@ -86,9 +91,12 @@ class ModelRun:
     why_time: str | None = None
     bandwidth: float | None = None
     state: ModelState | None = None
+    found_start: StartName | None = None
+    last_drive: float | None = None
     rows: int = 0
     beyond: Tally = field(default_factory=Tally)
     clipped: Tally = field(default_factory=Tally)
+    fast: Tally = field(default_factory=Tally)
     missed: float = 0.0
     unreachable: int = 0
     assumed: float = 0.0
@@ -181,19 +189,39 @@ class ModelRun:
         self.missed = self.missed or done.first_missed
         if self.refuse_clipping and self.clipped.count:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
+        if steps is not None and self.model.direction == "forward":
+            self._watch_speed(x if self.limits is None else done.y, steps, block)
         return done.y
+
+    @property
+    def may_condition(self) -> bool:
+        """Whether a sweep before the first sample could bring the actuator into the start."""
+        return self.limits is not None
+
+    def _watch_speed(self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock) -> None:
+        """Count the samples whose drive is faster than any that the model was identified from."""
+        fastest = self.model.fit.get("fastest_drive")
+        if not isinstance(fastest, float) or self.model.dynamics is not None:
+            return
+        before = drive[0] if self.last_drive is None else self.last_drive
+        faster = np.abs(np.diff(drive, prepend=before)) > FASTER * fastest * steps
+        self.last_drive = float(drive[-1])
+        if faster.any():
+            self.fast.add(int(np.count_nonzero(faster)), int(np.argmax(faster)), block)
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
         told = remarks_of(self.source)
         told.add(self.prepared.remarks())
+        if self.found_start:
+            told.notes.append(f"{self.source.name}: starts {self.found_start}, as the identification found")
         if self.assumed:
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             told.notes.append(
                 f"{self.source.name}: where it starts, the displacement depends on the past by up to "
-                f"{self.assumed:.3g}{_unit(displacement)}; the actuator is taken to have settled there "
-                f"({'`condition` sweeps it there, ' if self.limits else ''}`state` empty where it comes from "
-                "its lower end)"
+                f"{self.assumed:.3g}{unit_of(displacement)}; the actuator is taken to have settled there "
+                f"({'`condition` sweeps it there, ' if self.may_condition else ''}`state` empty where it "
+                "comes from its lower end)"
             )
         if self.clipped.count:
             told.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
@@ -201,9 +229,15 @@ class ModelRun:
             fate = "held" if self.outside == "hold" else "extended with the last slope"
             counted = self._counted(self.beyond)
             told.warn(f"{counted} outside the range of the model ({self._range()}): {fate}")
+        if self.fast.count > FAST_PART * self.rows:
+            told.warn(
+                f"{self._counted(self.fast)} move the drive more than {FASTER:g} times as fast as the logs "
+                "of the identification did: how late the actuator is there was not seen; identify at the "
+                "speed of use"
+            )
         if self.missed:
             told.warn(
-                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{_unit(self.taken)} off the "
+                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{unit_of(self.taken)} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
         if kernel.KIND == "python" and self.rows >= LONG_WORK:
@@ -212,7 +246,7 @@ class ModelRun:
         if self.limits and (self.limits.v_min < drive.minimum or self.limits.v_max > drive.maximum):
             told.warn(
                 f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}"
-                f"{_unit(drive)}, where the model was identified; it extrapolates there"
+                f"{unit_of(drive)}, where the model was identified; it extrapolates there"
             )
         return told
 
@@ -220,9 +254,9 @@ class ModelRun:
         """Say how much of a trajectory the drive's limits do not allow."""
         assert self.limits is not None
         drive = self.model.input
-        limits = f"{drive.quantity} {self.limits.v_min:.6g} to {self.limits.v_max:.6g}{_unit(drive)}"
+        limits = f"{drive.quantity} {self.limits.v_min:.6g} to {self.limits.v_max:.6g}{unit_of(drive)}"
         if self.limits.max_slew is not None:
-            limits += f", {self.limits.max_slew:.6g}{_unit(drive)}/s"
+            limits += f", {self.limits.max_slew:.6g}{unit_of(drive)}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({limits})"
 
     def _counted(self, tally: Tally) -> str:
@@ -231,18 +265,34 @@ class ModelRun:
 
     def _range(self) -> str:
         taken = self.taken
-        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{_unit(taken)}"
+        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{unit_of(taken)}"
 
     def _begun(self, first: float) -> ModelState:
         if self.limits is None:
-            begun = self.model.start(first, self.start)
+            if self.start == "auto":
+                self.found_start = found_start(self.model, self.source.name, first)
+            begun = self.model.start(first, self.found_start or self.start)
         else:
             begun = self.model.start_compensation(first, self.start, self.limits)
-        if self.start == "auto":
+        if self.start == "auto" and not self.found_start:
             spread = self.model.start_spread(begun, first)
             displacement = self.model.output if self.model.direction == "forward" else self.model.input
             self.assumed = spread if spread > ASSUMED_SPREAD * displacement.span else 0.0
         return begun
+
+
+def found_start(model: ActuatorModel, name: str, first: float) -> StartName | None:
+    """Return the start that the identification found for its log of this name and first voltage."""
+    logs = model.fit.get("logs")
+    if model.direction != "forward" or not isinstance(logs, list):
+        return None
+    for log in logs:
+        told = log if isinstance(log, dict) else {}
+        named = name == told.get("name") or name.endswith(f"/{told.get('name')}")
+        for start in START_NAMES:
+            if named and told.get("begins_at") == first and told.get("start") == start:
+                return start
+    return None
 
 
 def reads_ahead(model: ActuatorModel) -> bool:
@@ -250,5 +300,6 @@ def reads_ahead(model: ActuatorModel) -> bool:
     return model.delay_seconds > 0.0 or model.dynamics is not None
 
 
-def _unit(quantity: Quantity) -> str:
+def unit_of(quantity: Quantity) -> str:
+    """Return a quantity's unit behind a blank, nothing where it has none."""
     return f" {quantity.unit}" if quantity.unit else ""

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dbo_cli.errors import InputError, LimitError
+from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.dynamics import undone
+from dbo_cli.hysteresis.excitation import MOST_SAMPLES
 from dbo_cli.hysteresis.loops import Settled, settled_drive, settled_run, shifted, undone_loop
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
@@ -41,6 +42,11 @@ class LoopCompensation(Compensation):
 
     passes: int = 0
 
+    @property
+    def may_condition(self) -> bool:
+        """A loop is run in instead."""
+        return False
+
     def responses(self) -> Iterator[Response]:
         """Return the run-in, where it is asked for, and one period of the settled drive.
 
@@ -67,6 +73,7 @@ class LoopCompensation(Compensation):
         settled = self._settled(undone_period, step, state)
         drive = settled.done.y
         self._count(settled, whole)
+        self.followed(desired, drive)
         end = settled_run(self.model, drive, step, settled.before)
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(settled.done.state, dynamics=end.state.dynamics, time=time)
@@ -105,6 +112,11 @@ class LoopCompensation(Compensation):
         model, limits = self.model, self.limits
         assert limits is not None
         count = self.passes * asked.size
+        if count > MOST_SAMPLES:
+            raise UsageError(
+                f"`passes` {self.passes}: {count:,} rows are more than the {MOST_SAMPLES:,} that are written "
+                "at most"
+            )
         ahead = int(np.ceil(model.delay_seconds / step)) + 1
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead += 0 if inverter is None else inverter.ahead

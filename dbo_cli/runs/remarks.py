@@ -23,8 +23,11 @@ class Listener(Protocol):
     def progressed(self, rows: int) -> None:
         """Learn that so many rows more are done."""
 
+    def working(self, what: str) -> None:
+        """Learn of something long that gives no rows, such as a fit."""
+
     def finished(self) -> None:
-        """Learn that all rows are done."""
+        """Learn that all rows are done, or the work."""
 
 
 class _Silence:
@@ -37,6 +40,9 @@ class _Silence:
         """Say nothing."""
 
     def progressed(self, rows: int) -> None:
+        """Say nothing."""
+
+    def working(self, what: str) -> None:
         """Say nothing."""
 
     def finished(self) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.addresses import format_for
+from dbo_cli.logs.addresses import check_document, format_for, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.relatives.model_file import read_model
-from dbo_cli.reports.drawing import check_folder
+from dbo_cli.reports.drawing import check_folder, refuse_picture
 from dbo_cli.reports.report import Report, ReportOptions, check_limits
 from dbo_cli.reports.sample_pairs import rows_to_read
 from dbo_cli.runs.comparison import (
@@ -83,9 +83,12 @@ def report_logs(
     labels = ("desired", "measured") if model_file is None else ("model", "measured")
     if form is not None and ENDINGS.get(Path(output).suffix.lower(), form) != form:
         raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
+    check_document(output, "a report", chosen)
     inputs = [*logs, *(name for name in (model_file, trajectory) if name is not None)]
+    inputs += selected_files(desired, measured, voltage, reading.time)
     check_output(output, inputs)
     if figures is not None:
+        refuse_picture(figures)
         with contextlib.suppress(OutputError):  # check_folder words it
             make_folder(figures)
         check_folder(figures)

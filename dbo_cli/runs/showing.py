@@ -6,9 +6,11 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
 from dbo_cli.hysteresis.model_file import section_values
 from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.relatives.model_file import read_model
 
@@ -19,15 +21,20 @@ def show_model(model_file: str, output: str, form: str | None, figures: str | No
     """Write what is in a model; returns notes (where figures went)."""
     model = read_model(model_file)
     chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    check_document(output, "what is shown", chosen)
+    if figures is not None:
+        from dbo_cli.reports.drawing import check_folder
+
+        folder = check_folder(figures)
     content = contents(model)
     text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
         return []
-    from dbo_cli.reports.drawing import check_folder, save
+    from dbo_cli.reports.drawing import save
     from dbo_cli.reports.model_figures import plots_of_model
 
-    save(plots_of_model(model), check_folder(figures), "model")
+    save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
 
 
@@ -49,6 +56,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "relaxation_seconds": relaxation,
         "delay_seconds": delay,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
+        "drive_lag_seconds": _drive_lag(model),
         "fit": {key: fit[key] for key in fit if key not in ("warnings", "logs", "validation")},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
@@ -71,7 +79,10 @@ def as_text(content: Mapping[str, Any]) -> str:
     lines += _moving(content)
     lines += _goodness(content, made["unit"])
     if content["inputs"]:
-        names = ", ".join(f"{one.get('name')} ({one.get('rows'):,} rows)" for one in content["inputs"])
+        names = ", ".join(
+            f"{' and '.join(part['name'] for part in [one, *one.get('joined', ())])} ({one['rows']:,} rows)"
+            for one in content["inputs"]
+        )
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
@@ -79,9 +90,15 @@ def as_text(content: Mapping[str, Any]) -> str:
     return "\n".join(_wrapped(line) for line in lines)
 
 
+def _drive_lag(model: ActuatorModel) -> float | None:
+    sections = model.drive_lag.sections if model.drive_lag else ()
+    return next((one.seconds for one in sections if isinstance(one, Lag)), None)
+
+
 def _moving(content: Mapping[str, Any]) -> list[str]:
     """Return the dynamics, and how fast the model can be trusted."""
-    parts = []
+    before = content["drive_lag_seconds"]
+    parts = [f"a lag of {1e3 * before:.3g} ms before the gears"] if before else []
     for one in content["dynamics"]:
         if "lag" in one:
             parts.append(f"a lag of {1e3 * one['lag']:.3g} ms")

@@ -25,7 +25,7 @@ def start_of(
         return state
     path = os.fspath(state)
     if path in START_NAMES:
-        return path  # type: ignore[return-value]
+        return path
     if not os.path.exists(path):
         names = ", ".join(START_NAMES)
         raise UsageError(f"`state`: '{path}' is none of {names}, and there is no such file")

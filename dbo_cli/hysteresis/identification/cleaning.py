@@ -38,7 +38,7 @@ HUM_OF_DRIVE = 0.03  # power in the voltage, scaled to the displacement: more, a
 MOST_HELD = 0.5  # of the rows: a sensor slower than the log has lines of its own
 MOST_LINES = 4  # the mains and their harmonics
 
-SPIKE_WINDOW = 7
+SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
 SPIKE_SIGMAS = 8.0
 SPIKE_SPREAD = 2.0
 """A spike leaves its neighbours by so many times what they differ among themselves; a turn does not."""
@@ -91,18 +91,21 @@ def even_step(recording: Recording) -> float | None:
     return step if step > 0.0 and float(np.abs(steps - step).max()) <= EVEN * step else None
 
 
-def spiked_rows(displacement: Floats) -> Booleans:
-    """Rows that leave their neighbours and come back, further than these differ among themselves."""
+def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
+    """Rows that leave their neighbours and come back, further than these differ among themselves.
+
+    ``window`` is the odd number of rows that are looked at together; up to a third of them may be spiked.
+    """
     from numpy.lib.stride_tricks import sliding_window_view
 
     spiked = np.zeros(len(displacement), bool)
-    if len(displacement) < 4 * SPIKE_WINDOW:
+    if len(displacement) < 4 * window:
         return spiked
-    half = SPIKE_WINDOW // 2
-    around = np.sort(sliding_window_view(np.pad(displacement, half, mode="edge"), SPIKE_WINDOW), axis=1)
+    half = window // 2
+    around = np.sort(sliding_window_view(np.pad(displacement, half, mode="edge"), window), axis=1)
     away = np.abs(displacement - around[:, half])
     sigma = 1.4826 * float(np.median(away[away > 0.0])) if (away > 0.0).any() else 0.0
-    spread = around[:, -3] - around[:, 2]  # two spikes within a window do not widen it
+    spread = around[:, -1 - window // 3] - around[:, window // 3]
     spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
     spiked &= away > 1e-3 * float(np.subtract(*np.percentile(displacement, [99.0, 1.0])))
     return spiked if spiked.mean() <= MOST_SPIKES else np.zeros(len(displacement), bool)

@@ -1,13 +1,14 @@
-"""Drift of a sensor: a polynomial in time, taken off only where nothing that the actuator does explains it.
+"""Drift of a sensor: taken off only where nothing that the actuator does explains it as well.
 
 A drift that is always fitted eats creep, which then is missing from the model; a drift that is never fitted
-passes a warming sensor for creep. So both are tried beside memories of all time constants.
+passes a warming sensor for creep. So polynomials in time and the exponential of a warm-up are tried beside
+memories of all time constants.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +18,17 @@ from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 
 HIGHEST_ORDER = 4
-"""Follows a warm-up with a time constant of a quarter of the log to a tenth of its size."""
+
+WARM_UPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the log's length: time constants of a sensor that warms up
+ORDERS_OF_A_WARM_UP = 2  # offered where a polynomial of this order is: it has a size and a time constant
+SLOW = 1 / 32  # of the log's length: memories longer than this can stand in for a warm-up
+WARM_UP_GAIN = 1.045
+CREEP_LEFT = 0.7
+"""A warm-up passes for creep with little error more (1.02 to 1.3 times), since most drives begin at rest at
+one end. But where the sensor does warm up, its column takes the creep's place; where it does not, it makes an
+imperfect creep fit better, and the creep beside it mostly grows. On invented recordings, five kinds of
+hysteresis and four of creep after three drives: with a warm-up of 3 % of the range 44 of 60 pass both bounds,
+without any 1 of 60."""
 
 CYCLES_PER_ORDER = 3
 
@@ -53,23 +64,65 @@ def drift_order(shape: DriveShape, has_clock: bool, moving_level: bool) -> int:
 def with_drift_needed(
     logs: Sequence[PreparedLog], low: float, high: float, one_level: bool
 ) -> list[PreparedLog]:
-    """Return the logs with as many drift columns as they ask for.
+    """Return the logs with as many drift columns as they ask for, or with those of a warm-up.
 
     With one mean level of the drive, slow creep after the first cycle cannot be told from drift; the drift
     then stays, since a creep that is none does more harm on the next recording (measured on a warm-up of 3 %:
     0.38 % of the range instead of 0.12).
     """
-    highest = max(log.drift_order for log in logs)
+    highest = max(_order(log) for log in logs)
     if highest == 0 or one_level or any(log.seconds is None for log in logs):
         return list(logs)
-    some = fewer_rows(logs)
-    values = np.concatenate([log.output[log.used] for log in some])
-    bottom, height = float(values.min()), float(np.ptp(values))
-    some = [replace(log, output=(log.output - bottom) / height) for log in some]
-    basis = Basis(TRIAL_SLOPES, low, high, TRIAL_SPLIT, _time_constants(some))
-    errors = [_error([log.with_drift_of(order) for log in some], basis) for order in range(highest + 1)]
-    wanted = next(order for order in range(highest + 1) if errors[order] <= DRIFT_GAIN * min(errors[order:]))
-    return [log.with_drift_of(wanted) for log in logs]
+    basis = Basis(TRIAL_SLOPES, low, high, TRIAL_SPLIT, _time_constants(logs))
+    some = _scaled(fewer_rows(logs))
+    trials = [_trial([_with_drift_of(log, order) for log in some], basis) for order in range(highest + 1)]
+    least = min(trial.error for trial in trials)
+    order = next(k for k, trial in enumerate(trials) if trial.error <= DRIFT_GAIN * least)
+    if highest >= ORDERS_OF_A_WARM_UP:
+        warm = {part: _trial([_with_drift_of(log, 0, part) for log in some], basis) for part in WARM_UPS}
+        part = min(warm, key=lambda one: warm[one].error)
+        if _warms_up(trials[0], warm[part], trials[order]):
+            return [_with_drift_of(log, 0, part) for log in logs]
+    return [_with_drift_of(log, order) for log in logs]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A fit with a drift: its RMS error, and the gains of the slow memories together."""
+
+    error: float
+    creep: float
+
+
+def _warms_up(without: _Trial, warm: _Trial, polynomial: _Trial) -> bool:
+    """Whether a warm-up explains the logs: better than creep alone, in its place, as well as any drift."""
+    return (
+        without.error >= WARM_UP_GAIN * warm.error
+        and warm.creep <= CREEP_LEFT * without.creep
+        and warm.error <= WARM_UP_GAIN * polynomial.error
+    )
+
+
+def _order(log: PreparedLog) -> int:
+    """Order of the polynomial among the columns of drift; 0 for an offset alone."""
+    return int(log.drift.shape[1]) - log.stretches - 1
+
+
+def _with_drift_of(log: PreparedLog, order: int, warm_up: float | None = None) -> PreparedLog:
+    """Return the log with a drift of at most this order and a warm-up; offsets of stretches stay."""
+    own = _order(log) + 1
+    parts = [log.drift[:, : min(order + 1, own)], log.drift[:, own:]]
+    if warm_up is not None and own > ORDERS_OF_A_WARM_UP:
+        parts.insert(1, _warmth(log, warm_up))
+    return replace(log, drift=np.hstack(parts))
+
+
+def _warmth(log: PreparedLog, warm_up: float) -> Floats:
+    """Return exp(-t / tau) about its mean, tau in units of the log's length; shape (samples, 1)."""
+    assert log.seconds is not None
+    left = np.exp(-log.seconds / (warm_up * float(log.seconds.max())))
+    column: Floats = (left - left.mean())[:, None]
+    return column
 
 
 def _time_constants(logs: Sequence[PreparedLog]) -> tuple[float, ...]:
@@ -84,13 +137,24 @@ def _time_constants(logs: Sequence[PreparedLog]) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _error(logs: Sequence[PreparedLog], basis: Basis) -> float:
-    """RMS equation error with all memories, the better of growing and falling slopes."""
+def _scaled(logs: Sequence[PreparedLog]) -> list[PreparedLog]:
+    """Return the logs with outputs from 0 to 1."""
+    values = np.concatenate([log.output[log.used] for log in logs])
+    bottom, height = float(values.min()), float(np.ptp(values))
+    return [replace(log, output=(log.output - bottom) / height) for log in logs]
+
+
+def _trial(logs: Sequence[PreparedLog], basis: Basis) -> _Trial:
+    """Fit with all memories, the better of growing and falling slopes."""
     statistics = gather(logs, basis, TRIAL_SEGMENTS)
     gram, rows = statistics.total()
     everything = tuple(range(len(basis.time_constants)))
-    squares = []
+    longest = max(float(log.seconds.max()) for log in logs if log.seconds is not None)
+    slow = np.asarray(basis.time_constants) > SLOW * longest
+    found = []
     for slopes in ("growing", "falling"):
         structure = Structure(slopes, everything, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS)
-        squares.append(squared_error(gram, solve(gram, statistics.columns, structure, rows).vector) / rows)
-    return float(np.sqrt(min(squares)))
+        solution = solve(gram, statistics.columns, structure, rows)
+        error = float(np.sqrt(squared_error(gram, solution.vector) / rows))
+        found.append(_Trial(error, float(solution.gains[slow].sum())))
+    return min(found, key=lambda trial: trial.error)

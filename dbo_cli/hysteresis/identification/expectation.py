@@ -37,6 +37,7 @@ EXPECTATION_ROWS = 20_000  # the figure is an average; more rows move it by less
 LARGE = 0.75  # of the drive's range: without the swings above, the last gears would never be seen
 SMALL = 0.35  # of the drive's range: divides the swings that can be left out into two amplitudes
 LEVELS = (0.4, 0.6)  # of the drive's range: divide them into low, middle and high
+FEWEST_SWINGS = 4  # twice up and down: of fewer the error that came was up to ten times the one expected
 FEWEST_GROUP_ROWS = 20
 FEWEST_REST_ROWS = 100
 MOVES = 26  # swings of the invented drive: enough that another seed changes the spread by a few per cent
@@ -49,23 +50,29 @@ class Expectation:
     """The expected error and its parts, in the normalised output.
 
     ``held_out`` is the equation error on what was left out, ``fitted`` that on what was fitted, ``spread``
-    how far other models go apart; ``left_out`` names what could be left out.
+    how far other models go apart; ``left_out`` names what was left out; ``swings`` are those of the logs.
     """
 
     held_out: float
     fitted: float
     spread: float
     left_out: tuple[str, ...]
+    swings: int
 
-    def rmse(self, delivered: float) -> float:
+    def rmse(self, delivered: float) -> float | None:
         """Return the expected RMSE of a model whose output error on its own logs is ``delivered``.
 
-        The equation error counts on the wrong side of the asymmetry; their ratio brings it over.
+        None where the logs have no way up and down that another one could predict. The equation error counts
+        on the wrong side of the asymmetry; their ratio brings it over.
         """
+        if self.swings < FEWEST_SWINGS:
+            return None
         return float(np.hypot(delivered * self.held_out / self.fitted, self.spread))
 
     def words(self) -> str:
-        """Say what the figure rests on."""
+        """Say what the figure rests on, or why there is none."""
+        if self.swings < FEWEST_SWINGS:
+            return "the logs go up and down less than twice, so nothing could be left out: record more"
         spread = "how far other models that explain the logs as well go apart"
         if not self.left_out:
             return f"nothing but whole cycles could be left out of the fit, and {spread}"
@@ -95,7 +102,8 @@ def expect(
     fitted = max(float(np.sqrt(squared_error(gram, own.vector) / rows)), 1e-12)
     held_out, left_out = _groups_left_out(some, basis, structure, max(cycles, fitted))
     spread = _spread(some, basis, structure, statistics, own, fitted, delays)
-    return Expectation(held_out, fitted, spread, left_out)
+    swings = sum(len(drive_shape(log.voltage).turns) + 1 for log in logs)
+    return Expectation(held_out, fitted, spread, left_out, swings)
 
 
 # --- what the logs can tell ---

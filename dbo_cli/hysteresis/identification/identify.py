@@ -12,7 +12,6 @@ from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification import diagnostics
 from dbo_cli.hysteresis.identification.assembly import model_of
 from dbo_cli.hysteresis.identification.cleaning import cleaned
-from dbo_cli.hysteresis.identification.dynamics import with_dynamics
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     loop_width_percent,
@@ -21,6 +20,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validation_of,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
+from dbo_cli.hysteresis.identification.fast_parts import split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.paper_method import identify_as_in_paper
 from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
@@ -33,9 +33,12 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.identification.refinement import Fitted, fit
 from dbo_cli.hysteresis.identification.search import Choice, Orders, choose
 from dbo_cli.hysteresis.identification.sensor import Sensor
+from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
+
+FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
 
 
 @dataclass(frozen=True)
@@ -77,12 +80,16 @@ def identify(
         raise UsageError(
             "`delay` and `relaxation` need a clock: name the time column (`time`) or give `sample_rate`"
         )
-    if clocked and options.dynamics != 0:
+    if clocked and (options.dynamics or (options.dynamics is None and split(recordings)[1])):
+        # The signal processing behind it takes half a second to import, and few logs need it.
+        from dbo_cli.hysteresis.identification.dynamics import with_dynamics
+
         moving = with_dynamics(recordings, options, validation, identify)
         if moving is not None:
             return Identification(*moving)
     cycle = median_cycle_seconds(recordings) if clocked else None
     options.sensor.check(cycle)
+    begins = [float(log.voltage[0]) for log in recordings]
     recordings, said = without_voltage_glitches([options.sensor.taken_off(log) for log in recordings])
     logs = [cleaned(log) for log in recordings]
     recordings = [one.recording for one in logs]
@@ -123,7 +130,9 @@ def identify(
         warnings.append(message)
     checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     expected = expect(prepared.logs, choice.basis, choice.structure, choice.score.rmse, choice.delay_interval)
-    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected)
+    figures = _figures(
+        prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
+    )
     summary = said + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
@@ -148,11 +157,15 @@ def _figures(
     line: float,
     cycle: float | None,
     expected: Expectation,
+    begins: Sequence[float],
 ) -> dict[str, object]:
-    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
+    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds.
+
+    ``begins`` is the first voltage of each log.
+    """
     span = abs(prepared.scale)
     cross = rmse * choice.score.rmse / expected.fitted
-    new_moves = span * expected.rmse(rmse / span)
+    new_moves = expected.rmse(rmse / span)
     gears = fitted.basis
     figures: dict[str, object] = {
         "method": "least-squares",
@@ -160,10 +173,11 @@ def _figures(
         "rmse_percent": 100.0 * rmse / span,
         "cross_validated_rmse": cross,
         "cross_validated_percent": 100.0 * cross / span,
-        "expected_rmse": new_moves,
-        "expected_percent": 100.0 * new_moves / span,
+        "expected_rmse": None if new_moves is None else span * new_moves,
+        "expected_percent": None if new_moves is None else 100.0 * new_moves,
         "expected_from": expected.words(),
         "straight_line_rmse": line,
+        "fastest_drive": fastest_drive(prepared.logs),
     }
     if checks:
         value = _pooled([one.rmse for one in checks], checks)
@@ -190,7 +204,8 @@ def _figures(
                 "samples": len(residual.values),
                 "rmse": residual.rmse,
                 "drift": residual.drift_span,
-                "start": log.start,
+                "begins_at": begins[k],
+                "start": None if prepared.transient_rows[k] or log.stretches else log.start,
                 "transient_rows": prepared.transient_rows[k],
                 "outlier_rows": prepared.outlier_rows[k],
                 "clipped_rows": prepared.clipped_rows[k],
@@ -203,6 +218,19 @@ def _figures(
             {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
         ]
     return figures
+
+
+def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:
+    """Rate of the voltage a second that one of the logs exceeds in 2 % of its steps; None without a clock."""
+    found = []
+    for log in logs:
+        if log.seconds is None:
+            return None
+        steps = np.diff(log.seconds)
+        forward = steps > 0.0
+        rates = np.abs(np.diff(log.voltage)[forward]) / steps[forward]
+        found.append(float(np.percentile(rates, FASTEST)) if rates.size else 0.0)
+    return max(found)
 
 
 def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
@@ -246,10 +274,13 @@ def _summary(
         "% of range), offset removed"
         for one in checks
     )
-    lines.append(
-        f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
-        f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
-    )
+    if figures["expected_rmse"] is None:
+        lines.append(f"what error to expect on new moves cannot be told: {figures['expected_from']}")
+    else:
+        lines.append(
+            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+            f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
+        )
     lines.append(
         f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, "
         f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +152,7 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
     free[at + columns.hats :, :] = np.eye(columns.drift)
     tie = None
     if structure.segments > 1:
-        least, widths, spare = _bounded_widths(columns, structure.segments)
+        least, widths, spare = _bounded_widths(columns.segments, structure.segments)
         tie = bounded.shape[1], spare
         bounded = np.hstack((bounded, np.zeros((total, structure.segments))))
         bounded[at : at + columns.hats, tie[0] :] = widths
@@ -166,17 +167,19 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
     )
 
 
-def _bounded_widths(columns: Columns, segments: int) -> tuple[Floats, Floats, float]:
+@lru_cache(maxsize=32)  # a search solves hundreds of problems of a handful of shapes
+def _bounded_widths(fine: int, segments: int) -> tuple[Floats, Floats, float]:
     """Inner knots of an asymmetry whose segments are at least 1 / (MAX_STEEPNESS segments) wide.
 
-    Returns the knots' deviations with all segments at the bound, shape (hats,); what each segment adds per
-    unit of width beyond it, shape (hats, segments), the last one nothing; and what all add up to.
+    Returns the deviations of the inner knots of ``fine`` segments with all segments at the bound, shape
+    (fine - 1,); what each segment adds per unit of width beyond it, shape (fine - 1, segments), the last one
+    nothing; and what all add up to.
     """
     narrowest = 1.0 / (MAX_STEEPNESS * segments)
-    knots = knot_map(columns.segments, segments)
+    knots = knot_map(fine, segments)
     at_bound: Floats = knots @ (np.arange(1, segments) * (narrowest - 1.0 / segments))
     wider = knots @ np.tril(np.ones((segments - 1, segments - 1)))
-    return at_bound, np.hstack((wider, np.zeros((columns.hats, 1)))), 1.0 - segments * narrowest
+    return at_bound, np.hstack((wider, np.zeros((len(wider), 1)))), 1.0 - segments * narrowest
 
 
 def _bounded(
@@ -205,8 +208,8 @@ def _bounded(
         rows = np.vstack((rows, equation))
         goal = np.append(goal, weight * tie[1])
     length = np.linalg.norm(rows, axis=0)
-    rotation, factor = qr(rows / length, mode="economic", check_finite=False)
-    target = rotation.T @ goal
+    rotated = qr(np.column_stack((rows / length, goal)), mode="r", check_finite=False)[0]
+    factor, target = rotated[: len(length), :-1], rotated[: len(length), -1]
     count = free.shape[1]
     corner = factor[count:, count:]
     try:

@@ -31,6 +31,10 @@ Booleans = NDArray[np.bool_]
 FOLDS = 10
 OUTLIER_SIGMAS = 8.0
 MOST_OUTLIERS = 0.02  # more rows than this are no outliers: they are what the actuator does
+RESIDUAL_WINDOW = 21
+"""Rows among which a spike of the residual must stand out: no drive turns in it, so that more of them are
+seen together than in the displacement itself (three spikes among four rows left 0.6 % of the range)."""
+
 CLIPPED_STEEPNESS = 0.35
 """Slope just before the displacement stands still, over the mean one, above which the sensor is to blame: a
 piezo cut off in its upper half has 0.8 to 1.3, a wire that has reached its plateau less than 0.2."""
@@ -360,7 +364,7 @@ def _leave_out_spikes(
         centre = float(np.median(values))
         sigma = 1.4826 * float(np.median(np.abs(values - centre)))
         far = used & (np.abs(residual - centre) > OUTLIER_SIGMAS * max(sigma, 1e-12))
-        far &= spiked_rows(np.where(used, residual, centre))
+        far &= spiked_rows(np.where(used, residual, centre), RESIDUAL_WINDOW)
         if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
             found[place] = int(far.sum())
             notes.append(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     solve,
+    squared_error,
     squared_error_free_of,
 )
 from dbo_cli.hysteresis.identification.statistics import Statistics
@@ -58,6 +59,13 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
         errors.append(left / max(statistics.rows[fold], 1))
     rows_of = np.asarray(statistics.rows, dtype=float)
     return Score(np.asarray(errors), rows_of / rows_of.sum())
+
+
+def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
+    """RMS error over all rows of a fit to all of them."""
+    gram, rows = statistics.total()
+    vector = solve(gram, statistics.columns, structure, rows).vector
+    return float(np.sqrt(squared_error(gram, vector) / rows))
 
 
 def no_worse(

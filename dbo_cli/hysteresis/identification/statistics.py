@@ -41,17 +41,6 @@ class PreparedLog:
     stretches: int = 0
 
     @property
-    def drift_order(self) -> int:
-        """Order of the polynomial among the columns of drift; 0 for an offset alone."""
-        return int(self.drift.shape[1]) - self.stretches - 1
-
-    def with_drift_of(self, order: int) -> PreparedLog:
-        """Return the log with a drift polynomial of at most this order; offsets of stretches stay."""
-        own = self.drift_order + 1
-        kept = [k for k in range(self.drift.shape[1]) if k <= order or k >= own]
-        return replace(self, drift=self.drift[:, kept])
-
-    @property
     def used(self) -> NDArray[np.bool_]:
         """Rows that take part in the fit; shape (samples,)."""
         return self.fold >= 0
@@ -118,8 +107,8 @@ def gather(
     begin = shared
     for log in logs:
         end = begin + log.drift.shape[1]
-        alone = len(np.unique(log.fold[log.used])) < 2
-        picked = np.r_[0:shared, begin:end, size - 1]
+        own = end - begin + shared + 1
+        mine = {int(k): np.zeros((own, own)) for k in np.unique(log.fold[log.used])}
         rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used)
         for first, last, drive in rows_made.blocks():
             fold = log.fold[first:last]
@@ -127,8 +116,11 @@ def gather(
             table = np.hstack((known, log.drift[first:last], target[:, None]))
             for k in np.unique(fold[fold >= 0]):
                 part = table[fold == k]
-                grams[k][np.ix_(picked, picked)] += part.T @ part
+                mine[int(k)] += part.T @ part
                 rows[k] += len(part)
-                nuisance[k] = slice(begin if alone else end - log.stretches, end)
+        picked = np.ix_(*2 * [np.r_[0:shared, begin:end, size - 1]])
+        for k, gram in mine.items():
+            grams[k][picked] += gram
+            nuisance[k] = slice(begin if len(mine) < 2 else end - log.stretches, end)
         begin = end
     return Statistics(columns, tuple(grams), tuple(rows), tuple(nuisance))

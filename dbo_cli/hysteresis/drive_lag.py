@@ -1,0 +1,201 @@
+"""A first-order lag before the gears: what an amplifier makes of the drive on its way to the actuator.
+
+A lag behind the gears delays the displacement; one before them also rounds every turn of what they see, which
+at a fifth of the resonance is worth 1 % of the move (0.2 ms, 160 Hz). Its inverse is causal, since its zero
+is inside the unit circle (``linear_sections``). What the limits allow the drive, the lag passes on: after
+(p, u), the lag's output and input before, the output is p + part (u - p) + rise (u' - u), so that limits on
+u' are limits on the output, of that sample alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
+from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
+from dbo_cli.hysteresis.operators import Counts, Outside
+
+Floats = NDArray[np.float64]
+Steps = float | Floats
+
+FIRST_CHUNK = 16  # samples tried at once after one that the limits hold back; doubled while none is
+
+
+class Coefficients(NamedTuple):
+    """For each sample of a block: the parts of u - p and of u' - u that reach the output."""
+
+    part: Floats
+    rise: Floats
+
+
+def _coefficients(stage: DynamicsStage, steps: Steps, count: int) -> Coefficients:
+    """Return the numbers of the lag for ``count`` samples."""
+    rows = stage.rows(steps)
+    rows = np.broadcast_to(rows, (count, rows.shape[1]))
+    return Coefficients(rows[:, 1], rows[:, 2])
+
+
+def undone(
+    numbers: Coefficients, w: Floats, state: SectionStates | None
+) -> tuple[Floats, SectionStates | None]:
+    """Return the drive that a lag makes ``w`` of, and the lag's state after it; at rest at first without one.
+
+    A sample in no time, which leaves the output where it was, has the drive of the one before.
+    """
+    if w.size == 0:
+        return w, state
+    p, _, u = (float(w[0]), 0.0, float(w[0])) if state is None else state[0]
+    v = []
+    for wanted, part, rise in zip(w.tolist(), numbers.part.tolist(), numbers.rise.tolist(), strict=True):
+        if rise > 0.0:
+            u += ((wanted - p) - part * (u - p)) / rise
+        p = wanted
+        v.append(u)
+    return np.array(v), ((p, 0.0, u),)
+
+
+class Prompt(Protocol):
+    """What is behind the lag: the same model for a drive that has passed it."""
+
+    def simulate(
+        self,
+        x: ArrayLike,
+        state: ModelState,
+        *,
+        time_step: float | ArrayLike | None = None,
+        outside: Outside = "extend",
+        limits: DriveLimits | None = None,
+    ) -> Simulated:
+        """See ``ActuatorModel.simulate``."""
+
+    def outer_drive(self, drive: float) -> float:
+        """See ``ActuatorModel.outer_drive``."""
+
+
+def simulate(
+    lag: DynamicsStage,
+    rest: Prompt,
+    x: Floats,
+    state: ModelState,
+    steps: Steps,
+    outside: Outside,
+    limits: DriveLimits | None,
+) -> Simulated:
+    """Return what ``ActuatorModel.simulate`` does, for a model of a lag and the rest behind it."""
+    if not lag.inverted:
+        w, held = lag.run(x, steps, state.drive_lag)
+        done = rest.simulate(w, state, time_step=steps, outside=outside)
+        return done._replace(state=replace(done.state, drive_lag=held))
+    numbers = _coefficients(lag, steps, x.size)
+    if limits is None:
+        done = rest.simulate(x, state, time_step=steps, outside=outside)
+        v, held = undone(numbers, done.y, state.drive_lag)
+        return done._replace(y=v, state=replace(done.state, drive_lag=held))
+    return _limited(rest, x, state, steps, numbers, limits)
+
+
+def _limited(
+    rest: Prompt,
+    x: Floats,
+    state: ModelState,
+    steps: Steps,
+    numbers: Coefficients,
+    limits: DriveLimits,
+) -> Simulated:
+    """Return the drive within its limits; what they hold back does not reach the gears.
+
+    As many samples at once as stay within the limits, each other one alone: the bits are those of one sample
+    after the other, however many are tried at once.
+    """
+    wide = DriveLimits(limits.v_min, limits.v_max)
+    drives, total, missed, at, chunk = [np.zeros(0)], Counts(), 0.0, 0, x.size
+    while at < x.size:
+        part = slice(at, min(at + chunk, x.size))
+        own = Coefficients(*(one[part] for one in numbers))
+        slices = _part(steps, part)
+        slew = limits.max_slew
+        allowed = None if slew is None else np.broadcast_to(slew * slices, x[part].shape)
+        before = _last_drive(rest, state)
+        done = rest.simulate(x[part], state, time_step=slices, limits=wide)
+        v, held = undone(own, done.y, state.drive_lag)
+        good = _within(v, before, allowed, limits)
+        if good < v.size:
+            chunk = FIRST_CHUNK
+            if good:  # the same again, of the samples before the one that is held back
+                part = slice(at, at + good)
+                done = rest.simulate(x[part], state, time_step=_part(steps, part), limits=wide)
+                v, held = undone(Coefficients(*(one[part] for one in numbers)), done.y, state.drive_lag)
+            else:
+                part, slices = slice(at, at + 1), _part(steps, slice(at, at + 1))
+                step = None if allowed is None else float(allowed[0])
+                done, v, held = _held_back(
+                    rest, x[part], state, slices, (float(own.part[0]), float(own.rise[0])),
+                    _bounds(before, step, limits),
+                )  # fmt: skip
+        else:
+            chunk = min(2 * chunk, x.size)
+        total = total + Counts(
+            done.outside_count, done.first_outside, done.clipped_count, done.first_clipped
+        ).shifted(at)
+        missed = missed or done.first_missed
+        state = replace(done.state, drive_lag=held)
+        drives.append(np.clip(v, limits.v_min, limits.v_max))
+        at = part.stop
+    return Simulated(np.concatenate(drives), state, *total, missed)
+
+
+def _part(steps: Steps, rows: slice) -> Steps:
+    return steps[rows] if isinstance(steps, np.ndarray) else steps
+
+
+def _last_drive(rest: Prompt, state: ModelState) -> float | None:
+    """Return the drive before a block, from which a slew limit goes on."""
+    if state.drive_lag is not None:
+        return state.drive_lag[0][2]
+    return None if state.drive is None else rest.outer_drive(state.drive)
+
+
+def _within(v: Floats, before: float | None, allowed: Floats | None, limits: DriveLimits) -> int:
+    """Return how many samples, the first ones, keep the limits."""
+    slack = NEGLIGIBLE * (limits.v_max - limits.v_min)
+    bad = (v < limits.v_min - slack) | (v > limits.v_max + slack)
+    if allowed is not None:
+        changes = np.abs(np.diff(v, prepend=v[0] if before is None else before))
+        bad |= changes > allowed + slack
+    return int(np.argmax(bad)) if bad.any() else v.size
+
+
+def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tuple[float, float]:
+    """Return the least and the largest drive of one sample; the range wins over the slew limit."""
+    if before is None or step is None:
+        return limits.v_min, limits.v_max
+    held = min(max(before, limits.v_min), limits.v_max)
+    return max(limits.v_min, held - step), min(limits.v_max, held + step)
+
+
+def _held_back(
+    rest: Prompt,
+    x: Floats,
+    state: ModelState,
+    steps: Steps,
+    numbers: tuple[float, float],
+    bounds: tuple[float, float],
+) -> tuple[Simulated, Floats, SectionStates]:
+    """Return one sample whose drive is the bound that holds it back."""
+    part, rise = numbers
+    if state.drive_lag is None:  # at rest at this sample: the lag passes on what it gets
+        low, high = bounds
+    else:
+        p, _, u = state.drive_lag[0]
+        low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
+    if not low < high:  # the slew limit allows nothing in no time
+        high = np.nextafter(low, np.inf)
+    done = rest.simulate(x, state, time_step=steps, limits=DriveLimits(low, high))
+    w = done.y.item()
+    drive = bounds[0] if w - low <= high - w else bounds[1]
+    counted = done._replace(clipped_count=1, first_clipped=0)
+    return counted, np.array([drive]), ((w, 0.0, drive),)
