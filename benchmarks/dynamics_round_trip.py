@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc
 
-from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis import drive_lag, kernel
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.delay import read_ahead
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section, undone
@@ -144,6 +144,13 @@ def speed() -> None:
         print(
             f"{name}: forward {forward / gears:.2f} of 128 gears, inverse {undo / back:.2f} of their inverse"
         )
+
+
+    lag = DynamicsStage((Lag(1e-4),))
+    numbers = drive_lag.coefficients(lag, 1.0 / 20_000.0)
+    forward = clock(lambda: lag.run(x, 1.0 / 20_000.0, None))
+    undo = clock(lambda: drive_lag.undone(numbers, x, None))
+    print(f"a lag before the gears: forward {forward / gears:.2f}, inverse {undo / back:.2f}")
 
 
 def clock(work: object) -> float:

@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.operators import Counts, Outside
@@ -26,16 +27,19 @@ FIRST_CHUNK = 16  # samples tried at once after one that the limits hold back; d
 
 
 class Coefficients(NamedTuple):
-    """For each sample of a block: the parts of u - p and of u' - u that reach the output."""
+    """For each sample of a block, or once for all: the parts of u - p and of u' - u that reach the output."""
 
     part: Floats
     rise: Floats
 
+    def of(self, rows: slice) -> Coefficients:
+        """Return those of some samples."""
+        return self if self.part.size == 1 else Coefficients(self.part[rows], self.rise[rows])
 
-def _coefficients(stage: DynamicsStage, steps: Steps, count: int) -> Coefficients:
-    """Return the numbers of the lag for ``count`` samples."""
+
+def coefficients(stage: DynamicsStage, steps: Steps) -> Coefficients:
+    """Return the numbers of the lag for time steps (s)."""
     rows = stage.rows(steps)
-    rows = np.broadcast_to(rows, (count, rows.shape[1]))
     return Coefficients(rows[:, 1], rows[:, 2])
 
 
@@ -44,18 +48,19 @@ def undone(
 ) -> tuple[Floats, SectionStates | None]:
     """Return the drive that a lag makes ``w`` of, and the lag's state after it; at rest at first without one.
 
+    u' = u + ((w' - w) - part (u - w))/rise is the recursion of a section, input and output exchanged.
     A sample in no time, which leaves the output where it was, has the drive of the one before.
     """
     if w.size == 0:
         return w, state
     p, _, u = (float(w[0]), 0.0, float(w[0])) if state is None else state[0]
-    v = []
-    for wanted, part, rise in zip(w.tolist(), numbers.part.tolist(), numbers.rise.tolist(), strict=True):
-        if rise > 0.0:
-            u += ((wanted - p) - part * (u - p)) / rise
-        p = wanted
-        v.append(u)
-    return np.array(v), ((p, 0.0, u),)
+    rows = np.zeros((numbers.part.size, 6))
+    moves = numbers.rise > 0.0
+    rows[moves, 1] = numbers.part[moves] / numbers.rise[moves]
+    rows[moves, 2] = 1.0 / numbers.rise[moves]
+    held, v = np.array([[u, 0.0, p]]), np.empty(w.size)
+    kernel.CHOSEN.dynamics_run(np.zeros((1, 2)), held, np.ascontiguousarray(w), v, rows)
+    return v, ((float(held[0, 2]), 0.0, float(held[0, 0])),)
 
 
 class Prompt(Protocol):
@@ -90,7 +95,7 @@ def simulate(
         w, held = lag.run(x, steps, state.drive_lag)
         done = rest.simulate(w, state, time_step=steps, outside=outside)
         return done._replace(state=replace(done.state, drive_lag=held))
-    numbers = _coefficients(lag, steps, x.size)
+    numbers = coefficients(lag, steps)
     if limits is None:
         done = rest.simulate(x, state, time_step=steps, outside=outside)
         v, held = undone(numbers, done.y, state.drive_lag)
@@ -115,7 +120,7 @@ def _limited(
     drives, total, missed, at, chunk = [np.zeros(0)], Counts(), 0.0, 0, x.size
     while at < x.size:
         part = slice(at, min(at + chunk, x.size))
-        own = Coefficients(*(one[part] for one in numbers))
+        own = numbers.of(part)
         slices = _part(steps, part)
         slew = limits.max_slew
         allowed = None if slew is None else np.broadcast_to(slew * slices, x[part].shape)
@@ -128,7 +133,7 @@ def _limited(
             if good:  # the same again, of the samples before the one that is held back
                 part = slice(at, at + good)
                 done = rest.simulate(x[part], state, time_step=_part(steps, part), limits=wide)
-                v, held = undone(Coefficients(*(one[part] for one in numbers)), done.y, state.drive_lag)
+                v, held = undone(numbers.of(part), done.y, state.drive_lag)
             else:
                 part, slices = slice(at, at + 1), _part(steps, slice(at, at + 1))
                 step = None if allowed is None else float(allowed[0])

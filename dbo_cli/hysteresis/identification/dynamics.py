@@ -4,7 +4,7 @@ The gears, the points and creep come from the slow rows; what they predict for t
 the dynamics, and what was measured their output. Frequencies and dampings start from the ratio of the two
 spectra and are refined on the output error. None, one or two resonances, with an antiresonance or without,
 the lag before or behind the gears: by the error on rows left out. Then the slow rows are identified again,
-now that the lag is known, and the dynamics are refined once more.
+now that the lag is known.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ STILL_GOOD = 1.25
 """Of the same error, up to which the slow rows' second reading is taken.
 
 The sweep sees a few gears only. With a reading that was better by 10 % on the slow rows it left 1.03 to 1.08
-of what it left before; with 24 wide gears whose edge came to lie in the sweep, 3.1.
+of what it left before; with 24 wide gears whose edge came to lie in the sweep, 3.1. The dynamics stay those of
+the first reading: refined on the second they were no better on the fast rows, and further from the truth (lags
+of 0.200, 0.150, 0.050 ms: 0.197, 0.146, 0.049 became 0.194, 0.143, 0.048).
 """
 APART = 0.3  # of the logarithms of two resonances, at least
 NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
@@ -105,15 +107,13 @@ def with_dynamics(
     chosen = _placed(signals, chosen, highest)
     chosen = _sharpened(signals, chosen, highest)
     creep: tuple[Lag, ...] = ()
-    first = chosen.left_out
     for again, own in _again(slow, chosen, options, base, identify, FAST_LAGS / lowest):
         model_again = _instantaneous(again.model, lowest)
         if own:
             model_again = dataclasses.replace(model_again, stages=(*model_again.stages, DynamicsStage(own)))
         signals_again = [Signals(model_again, part) for part in fast]
-        finer = _sharpened(signals_again, chosen, highest)
-        if finer.left_out <= STILL_GOOD * first:
-            base, model, signals, chosen, creep = again, model_again, signals_again, finer, own
+        if _left_over(signals_again, chosen) <= STILL_GOOD * chosen.rmse:
+            base, model, signals, creep = again, model_again, signals_again, own
     return _assembled(base, model, creep, chosen, signals, fast, validation, options, highest)
 
 
@@ -122,6 +122,12 @@ def _sharpened(signals: Sequence[Signals], chosen: Candidate, highest: float) ->
     forms = [dataclasses.replace(chosen.structure, sampled_lag=sampled) for sampled in (False, True)]
     exact, sampled = [fitted(signals, [chosen.parameters], structure, highest) for structure in forms]
     return sampled if sampled.left_out <= EARNED * exact.left_out else exact
+
+
+def _left_over(signals: Sequence[Signals], chosen: Candidate) -> float:
+    """Return the error (RMS) on the fast rows."""
+    left = np.concatenate(residuals(signals, chosen.parameters, chosen.structure))
+    return float(np.sqrt(np.mean(left * left)))
 
 
 def _without_sensor(part: FastPart, options: IdentificationOptions) -> FastPart:
