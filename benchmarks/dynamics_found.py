@@ -1,6 +1,6 @@
 """Resonances found and not found, and moves learned, on seeded simulated actuators.
 
-    python benchmarks/dynamics_found.py [--actuators N] [--learn]
+    python benchmarks/dynamics_found.py [--actuators N] [--first SEED] [--learn]
 
 Actuators of 80 gears with a random resonance (15 to 130 Hz at 2 kHz, damping 0.003 to 0.4) and lag are driven
 by ``excite`` with a small sweep and identified; the same without a resonance. Prints the errors of frequency
@@ -29,10 +29,10 @@ from test_hysteresis_identification_dynamics import RATE, plant, recorded
 FEW = IdentificationOptions(gears=24, points=0, relaxation=(), delay=0.0)
 
 
-def found(actuators: int) -> int:
+def found(seeds: range) -> int:
     drive = excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0)[1]
     bad = wrong = 0
-    for seed in range(actuators):
+    for seed in seeds:
         rng = np.random.default_rng(seed)
         frequency = float(np.exp(rng.uniform(np.log(15.0), np.log(130.0))))
         damping = float(np.exp(rng.uniform(np.log(0.003), np.log(0.4))))
@@ -49,7 +49,7 @@ def found(actuators: int) -> int:
         told = f"found {len(resonances)}, off {off[0]:+.3f} % and {off[1]:+.1f} %{'' if fine else '  BAD'}"
         other = f"without a resonance {'FOUND' if none else 'none'}"
         print(f"{seed:3} {frequency:7.2f} Hz, damping {damping:.4f}: {told}; {other}", flush=True)
-    print(f"{bad} of {actuators} missed the bounds; a resonance where there is none: {wrong} of {actuators}")
+    print(f"{bad} of {len(seeds)} missed the bounds; a resonance where there is none: {wrong}")
     return int(bad + wrong > 0)
 
 
@@ -82,9 +82,11 @@ def learned() -> int:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--actuators", type=int, default=50)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first actuator")
     parser.add_argument("--learn", action="store_true")
     options = parser.parse_args()
-    return learned() if options.learn else found(options.actuators)
+    seeds = range(options.first, options.first + options.actuators)
+    return learned() if options.learn else found(seeds)
 
 
 if __name__ == "__main__":

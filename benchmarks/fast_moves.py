@@ -79,6 +79,8 @@ def true_dynamics(p: PositionerParameters, model: Model) -> Model:
         sections[1] = Resonance(second, eta, Antiresonance(at, 0.5 * linear * at))
     actuator = model.actuator
     between = [one for one in actuator.stages if not isinstance(one, DynamicsStage)]
+    known = actuator.dynamics.sections if actuator.dynamics else ()
+    sections = [one for one in known if isinstance(one, Lag) and one.lead] + sections  # creep as identified
     stages = (DynamicsStage((Lag(p.amplifier_lag),)), *between, DynamicsStage(tuple(sections)))
     return Model(dataclasses.replace(actuator, stages=stages))
 

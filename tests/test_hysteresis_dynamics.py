@@ -93,6 +93,7 @@ SECTIONS = [
     (Resonance(500.0, 0.02), Resonance(1_400.0, 0.01), Lag(1e-4)),
     (NOTCHED, Resonance(2_000.0, 0.05)),
     (Lag(1e-5),),
+    (Lag(8.0, 7.92), Lag(0.05, 0.049), Resonance(500.0, 0.02)),
 ]
 
 

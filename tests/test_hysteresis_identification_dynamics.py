@@ -10,7 +10,7 @@ from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.excitation import excitation
-from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, creep, identify
 from dbo_cli.hysteresis.identification.fast_parts import split
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage, Stage
 from dbo_cli.hysteresis.model_file import model_to_bytes
@@ -125,3 +125,44 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
 def test_an_antiresonance_is_a_section_of_the_model_file() -> None:
     notched = Resonance(60.0, 0.02, Antiresonance(80.0, 0.02))
     assert b'"antiresonance": {"frequency": 80.0, "damping": 0.02}' in model_to_bytes(plant(notched))
+
+
+def test_a_lag_before_the_gears_is_put_there_and_an_antiresonance_found() -> None:
+    behind = plant(Resonance(50.0, 0.02), Resonance(120.0, 0.02, Antiresonance(95.0, 0.02)))
+    model = ActuatorModel(
+        "forward", behind.input, behind.output, (DynamicsStage((Lag(1e-3),)), *behind.stages)
+    )
+    found = identify([recorded(model, swept())], FEW)
+    assert found.model.drive_lag is not None and found.model.dynamics is not None
+    (lag,) = found.model.drive_lag.sections
+    assert isinstance(lag, Lag) and lag.seconds == pytest.approx(1e-3, rel=0.05)
+    first, second = found.model.dynamics.resonances
+    assert (first.frequency, second.frequency) == pytest.approx((50.0, 120.0), rel=0.005)
+    assert second.antiresonance is not None
+    assert second.antiresonance.frequency == pytest.approx(95.0, rel=0.01)
+    assert any("ms before the gears" in line for line in found.summary)
+
+
+def test_creep_is_a_product_of_sections() -> None:
+    taus, shares = np.array([0.5, 8.0, 2.0]), np.array([0.006, 0.010, 0.0])
+    sections = creep._sections(taus, shares)
+    assert [section.seconds for section in sections] == [0.5, 8.0]
+    frequency = np.geomspace(1e-3, 10.0, 30)
+    expected = (
+        1.0
+        - shares.sum()
+        + sum(c / (1.0 + 2j * np.pi * frequency * t) for c, t in zip(shares, taus, strict=True))
+    )
+    assert np.allclose(DynamicsStage(sections).response(frequency), expected, rtol=1e-12)
+    assert creep._sections(taus, np.zeros(3)) == ()
+
+
+def test_creep_of_the_displacement_is_found_behind_the_gears() -> None:
+    model = plant(Lag(2.0, 1.9), Resonance(60.0, 0.03))
+    options = IdentificationOptions(gears=24, points=0, delay=0.0)
+    found = identify([recorded(model, swept(20.0))], options)
+    assert found.model.backlash.relaxation is None and found.model.dynamics is not None
+    crept = [one for one in found.model.dynamics.sections if isinstance(one, Lag) and one.lead]
+    late = 1.0 - np.prod([one.lead / one.seconds for one in crept])
+    assert late == pytest.approx(0.05, rel=0.3)
+    assert any(line.startswith("creep of the displacement, behind the gears") for line in found.summary)

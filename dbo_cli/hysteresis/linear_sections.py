@@ -152,24 +152,29 @@ def _series(angle: Floats, zeta: float, order: int) -> Floats:
 
 @dataclass(frozen=True)
 class Lag:
-    """A first-order section 1/(1 + τs).
+    """A first-order section (1 + λs)/(1 + τs): a lag, or with a lead creep, of which 1 - λ/τ comes late.
 
     Attributes
     ----------
     seconds : float
         τ, > 0.
+    lead : float
+        λ, from 0 to τ.
     """
 
     seconds: float
+    lead: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is none, naming the key."""
         _positive("lag", self.seconds)
+        if not 0.0 <= self.lead < self.seconds:
+            raise ModelError(f"lead: {self.lead!r} is not from 0 to less than the lag of {self.seconds!r} s")
 
     @property
     def output(self) -> tuple[float, float]:
-        """No numerator: nothing is added to p."""
-        return 0.0, 0.0
+        """The part of u - p that the lead adds to p; nothing of q."""
+        return self.lead / self.seconds, 0.0
 
     def step(self, time_step: Floats) -> Floats:
         """Return the kernel's six numbers for each time step (s)."""
@@ -182,7 +187,8 @@ class Lag:
 
     def response(self, frequency: Floats) -> Complexes:
         """Return G(2πif) for frequencies in Hz."""
-        response: Complexes = 1.0 / (1.0 + 2j * math.pi * frequency * self.seconds)
+        turn = 2j * math.pi * frequency
+        response: Complexes = (1.0 + turn * self.lead) / (1.0 + turn * self.seconds)
         return response
 
 
@@ -232,7 +238,7 @@ def section_inverse(section: Section, time_step: float) -> SectionInverse:
     drive = np.array([(1.0 - p_change) / own, q_change / own])
     out = np.array([1.0 - by_lead, -by_q])
     if isinstance(section, Lag):
-        numbers = np.array([matrix[0, 0], 0.0, 0.0, 0.0, drive[0], 0.0, 1.0, 0.0])
+        numbers = np.array([matrix[0, 0], 0.0, 0.0, 0.0, drive[0], 0.0, out[0], 0.0])
         return SectionInverse(numbers, np.zeros(0), np.array([[1.0, 0.0], [0.0, 0.0]]))
     half, det = 0.5 * (matrix[0, 0] + matrix[1, 1]), float(np.linalg.det(matrix))
     root = half * half - det

@@ -147,7 +147,8 @@ class ActuatorModel:
                 end = "first" if forward else "last"
                 if place != (0 if forward else len(self.stages) - 1):
                     raise ModelError(f"stages[{place}]: dynamics on the drive's side stand {end}, and once")
-                if not (len(stage.sections) == 1 and isinstance(stage.sections[0], Lag)):
+                lag = stage.sections[0]
+                if not (len(stage.sections) == 1 and isinstance(lag, Lag) and lag.lead == 0.0):
                     raise ModelError(f"stages[{place}].sections: one lag alone may stand {end}")
                 self._turn(stage)
                 continue

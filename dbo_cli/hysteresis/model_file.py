@@ -188,9 +188,7 @@ def read_model(
         note.check_notes(_NOTE_DEPTH)
     source, result = _quantity(root.node("input")), _quantity(root.node("output"))
     carried = {key: note.values for key, note in notes.items()}
-    model: ActuatorModel = root.build(
-        lambda: make(direction, source, result, cascade, **carried)
-    )
+    model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
     return model
 
 
@@ -314,9 +312,9 @@ def _dynamics(node: Node) -> Stage:
 def _section(node: Node) -> Section:
     """Return a lag or a resonance, perhaps with its antiresonance."""
     if "lag" in node.values:
-        node.only(("lag",))
-        seconds = node.number("lag")
-        lag: Section = node.build(lambda: Lag(seconds))
+        node.only(("lag",), ("lead",))
+        seconds, lead = node.number("lag"), node.number("lead") if "lead" in node.values else 0.0
+        lag: Section = node.build(lambda: Lag(seconds, lead))
         return lag
     node.only(("frequency", "damping"), ("antiresonance",))
     numerator: Antiresonance | None = None
@@ -385,7 +383,7 @@ def _stage_values(stage: Stage) -> Json:
 def section_values(section: Section) -> Json:
     """Return a section of the dynamics as plain values."""
     if isinstance(section, Lag):
-        return {"lag": section.seconds}
+        return {"lag": section.seconds} | ({"lead": section.lead} if section.lead else {})
     values: Json = {"frequency": section.frequency, "damping": section.damping}
     if section.antiresonance is not None:
         numerator = section.antiresonance

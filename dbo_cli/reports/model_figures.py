@@ -14,7 +14,7 @@ import numpy as np
 
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.delay import DelayStage
-from dbo_cli.hysteresis.dynamics import Resonance
+from dbo_cli.hysteresis.dynamics import Lag, Resonance
 from dbo_cli.hysteresis.linear_sections import Complexes
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
@@ -149,6 +149,9 @@ def _modelled_response(model: ActuatorModel) -> tuple[Floats, Complexes]:
     measured = _measured_response(model)
     stages = [stage for stage in (model.drive_lag, model.dynamics) if stage is not None]
     sections = [section for stage in stages for section in stage.sections]
+    sections = [
+        one for one in sections if not (isinstance(one, Lag) and one.lead)
+    ] or sections  # creep is slow
     corners = [s.highest if isinstance(s, Resonance) else 0.5 / (np.pi * s.seconds) for s in sections]
     low, high = 0.03 * min(corners), 3.0 * max(corners)
     if measured:

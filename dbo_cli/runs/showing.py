@@ -100,6 +100,10 @@ def _moving(content: Mapping[str, Any]) -> list[str]:
     before = content["drive_lag_seconds"]
     parts = [f"a lag of {1e3 * before:.3g} ms before the gears"] if before else []
     for one in content["dynamics"]:
+        if one.get("lead"):
+            late = 100.0 * (1.0 - one["lead"] / one["lag"])
+            parts.append(f"creep of {late:.2g} % with {one['lag']:.3g} s")
+            continue
         if "lag" in one:
             parts.append(f"a lag of {1e3 * one['lag']:.3g} ms")
             continue

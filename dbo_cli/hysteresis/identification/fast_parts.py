@@ -50,7 +50,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     halves = [_median_half_period(log, span) for log in recordings]
     slowest = max((half for half in halves if half is not None), default=None)
     for log, half in zip(recordings, halves, strict=True):
-        step = _even_step(log)
+        step = even_step(log)
         if step is not None and half is not None and slowest is not None and FASTER * half <= slowest:
             fast.append(FastPart(log, slice(0, log.voltage.size), step, *_band(log, span, step)))
             continue
@@ -63,7 +63,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     return slow, fast
 
 
-def _even_step(log: Recording) -> float | None:
+def even_step(log: Recording) -> float | None:
     """Return the time step (s) of an even clock, or None."""
     if log.sample_period is not None and log.time is None:
         return log.sample_period
