@@ -43,9 +43,9 @@ STILL_GOOD = 1.25
 """Of the same error, up to which the slow rows' second reading is taken.
 
 The sweep sees a few gears only. With a reading that was better by 10 % on the slow rows it left 1.03 to 1.08
-of what it left before; with 24 wide gears whose edge came to lie in the sweep, 3.1. The dynamics stay those of
-the first reading: refined on the second they were no better on the fast rows, and further from the truth (lags
-of 0.200, 0.150, 0.050 ms: 0.197, 0.146, 0.049 became 0.194, 0.143, 0.048).
+of what it left before; with 24 wide gears whose edge came to lie in the sweep, 3.1. The dynamics stay those
+of the first reading: refined on the second they were no better on the fast rows, and further from the truth
+(lags of 0.200, 0.150, 0.050 ms: 0.197, 0.146, 0.049 became 0.194, 0.143, 0.048).
 """
 APART = 0.3  # of the logarithms of two resonances, at least
 NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
