@@ -107,6 +107,9 @@ class ReadingOptions:
         check_rows(self.rows)
         self.delimiter_character  # noqa: B018 - refuses what is none
         self.decimal_sign  # noqa: B018
+        for name in ("delimiter", "comment"):
+            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
+                raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
         if self.encoding is not None:
             check_encoding(self.encoding)
 
