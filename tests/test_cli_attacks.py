@@ -49,6 +49,15 @@ def test_outputs_that_fight_are_refused(
     assert folder_content(tmp_path) == {"model.json", "log.csv"}
 
 
+@pytest.mark.parametrize("line", ["simulate \0 log.csv", "report \0", "report log.csv --displacement=\0"])
+def test_a_nul_character_is_refused(dbo: Any, line: str) -> None:
+    outcome = dbo(*line.split(" "))
+    assert outcome.code == 2
+    assert outcome.err == (
+        "dbo: error: a word of the command line holds a NUL character, which no name and no value can\n"
+    )
+
+
 def test_two_inputs_are_not_both_standard_input(dbo: Any) -> None:
     outcome = dbo("simulate", "-", "-")
     assert outcome.code == 2

@@ -67,6 +67,13 @@ def test_what_was_wanted_is_no_measurement(dbo: Any, small_log: Path) -> None:
     assert "warning: drive.csv: column 'desired_um' is what was wanted, by its name, not what was measured" in named.err
 
 
+def test_a_model_is_no_log(dbo: Any, small_log: Path) -> None:
+    assert dbo("identify", "log.csv", *QUICK, "-o", "model.json", "-q").code == 0
+    for words in (("identify", "model.json"), ("report", "model.json", "log.csv")):
+        said = "dbo: error: model.json: this is a model, not a log (give a recording; a report takes a model as --model)\n"
+        assert dbo(*words) == (1, "", said)
+
+
 def test_the_same_log_and_options_give_the_same_bytes(dbo: Any, small_log: Path, tmp_path: Path) -> None:
     dbo("identify", "log.csv", *QUICK, "-o", "a.json")
     elsewhere = tmp_path / "elsewhere"

@@ -157,7 +157,7 @@ BAD_INPUT = {
     "depends on it (--time COLUMN or --sample-rate HZ)",
     "compensate model.json bare.csv --condition": "bare.csv: no time column and no sample rate, and --condition "
     "depends on it (--time COLUMN or --sample-rate HZ)",
-    "invert drive.csv": "drive.csv:1: is not JSON: ",
+    "invert drive.csv": "drive.csv:1: is not JSON: Expecting value (identify makes a model from a log)",
     "invert other.json": 'other.json: is not a model file ("format" must be "dbo-model")',
     "invert newer.json": "newer.json: version: 3 is newer than this program reads, 2; upgrade dbo-cli",
     "invert uneven.json": "uneven.json: stages[0].d",

@@ -12,6 +12,7 @@ from test_hysteresis_identification_parts import sine
 from dbo_cli.hysteresis.identification.assembly import MARGIN, stages_of
 from dbo_cli.hysteresis.identification.evaluation import predict, validation_of
 from dbo_cli.hysteresis.identification.normal_equations import (
+    MAX_STEEPNESS,
     SLOPE_FLOOR,
     Columns,
     Structure,
@@ -21,7 +22,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 from dbo_cli.hysteresis.identification.paper_method import SHRUNK, _few_heights
 from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
 from dbo_cli.hysteresis.identification.recordings import Recording, first_wiped_row
-from dbo_cli.hysteresis.identification.refinement import Fitted, _rows_about, asymmetry
+from dbo_cli.hysteresis.identification.refinement import Fitted, _rows_about, asymmetry, corners
 from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.search import Orders, choose
 from dbo_cli.hysteresis.identification.selection import Score, no_worse
@@ -111,6 +112,22 @@ def test_no_gear_is_flat() -> None:
     gram, rows = statistics.total()
     solution = solve(gram, statistics.columns, Structure("free", (), 1, 0.0), rows)
     assert solution.heights.min() == pytest.approx(SLOPE_FLOOR / 10, rel=1e-6)
+
+
+@pytest.mark.parametrize("segments", [4, 8])
+def test_segments_stay_wide_enough_to_be_inverted(segments: int) -> None:
+    """The output falls back halfway, which no invertible asymmetry follows."""
+    basis, voltage = Basis(10, 0.0, 10.0), sine(4)
+    engaged, _ = basis.operator().engagement(voltage, basis.operator().empty())
+    inner = engaged.mean(axis=1)
+    output = np.interp(inner, [0.0, 0.4, 0.5, 1.0], [0.0, 0.6, 0.4, 1.0])
+    statistics = gather([prepared_log(voltage, output)], basis, 8)
+    gram, rows = statistics.total()
+    solution = solve(gram, statistics.columns, Structure("free", (), segments, 0.0, 0.0), rows)
+    widths = np.diff(corners(solution.knots, 8)).reshape(segments, -1).sum(axis=1)
+    assert widths.min() == pytest.approx(1.0 / (MAX_STEEPNESS * segments), rel=1e-4)
+    assert widths.sum() == pytest.approx(1.0)
+    assert solution.heights.min() >= SLOPE_FLOOR / 10 * (1.0 - 1e-9)
 
 
 def test_one_smoothness_means_the_same_for_any_number_of_gears() -> None:

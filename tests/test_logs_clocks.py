@@ -247,3 +247,8 @@ def test_stamps_read_the_same_by_every_parser(tmp_path: Path, monkeypatch: pytes
     assert first is not None and second is not None
     assert first.tolist() == second.tolist()
     assert np.all(np.diff(first) > 0)
+
+
+def test_a_clock_that_jumps_far_is_told_in_a_few_digits(tmp_path: Path) -> None:
+    log, _ = read(tmp_path, "time_s", lambda k: 1e308 if k == 5 else 0.01 * k)
+    assert any("time goes backwards at line 8 (from 1e+308 s to 0.06 s)" in note for note in log.notes)

@@ -45,6 +45,8 @@ from dbo_cli.logs.units import normalise_unit
         ("temperature (°C)", "temperature", "degC"),
         ("load (furlong)", "load", "furlong"),
         ("drive milli volts", "drive", "mV"),
+        ("напряжение (В)", "напряжение", "V"),
+        ("перемещение, мкм", "перемещение", "um"),
         ("Time / milli seconds", "Time", "ms"),
         ("pos_micro_meters", "pos", "um"),
     ],

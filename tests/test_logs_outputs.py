@@ -43,18 +43,20 @@ def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_
         "with signal_writer(sys.argv[1], [OutColumn('voltage', 'V')]) as writer:\n"
         "    writer.write(numpy.zeros(100_000))\n"
         "    print('writing', flush=True)\n"
-        "    time.sleep(60)\n"
+        "    while True:\n"  # a signal right before one long sleep would be heard after it
+        "        time.sleep(0.01)\n"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", script, str(path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "writing\n"
     process.send_signal(number)
-    process.wait(timeout=30)
+    process.wait()
     process.stdout.close()
     assert process.returncode != 0
     assert path.read_bytes() == b"as it was"

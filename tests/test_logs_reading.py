@@ -297,3 +297,29 @@ def test_a_header_with_one_name_too_few_is_not_taken_apart_at_its_words(tmp_path
     path.write_text(f"Desired (um)\ty/micron\tu/volts\n{rows}")
     with pytest.raises(InputError, match=r":2: 4 cells where the header names 3 columns"):
         open_log(str(path), {"voltage": wish("voltage")})
+
+
+@pytest.mark.parametrize(
+    ("first", "row", "asked"),
+    [
+        ("0,1,2", "0.5,{k},{k}.5", True),
+        ("1,2,3", "0.5,{k}.25,{k}.5", True),
+        (",0,1,2", "{k},0.5,{k}.0,{k}.5", True),
+        ("0,1", "0.5,{k}.5", True),
+        ("0,1", "0.5,{k}", False),
+        ("0,1,2", "{k},{k},{k}", False),
+        ("0,2,1", "0.5,{k}.25,{k}.5", False),
+    ],
+)
+def test_a_row_that_counts_the_columns(first: str, row: str, asked: bool, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(first + "\n" + "".join(row.format(k=k) + "\n" for k in range(9)))
+    want = {"voltage": wish("voltage", "number=2", option="voltage")}
+    if asked:
+        with pytest.raises(InputError, match=r"counts the columns: are these names or a sample\?"):
+            open_log(str(path), want)
+    else:
+        open_log(str(path), want).close()
+    for lines, count in ((0, 10), (1, 9)):
+        with open_log(str(path), want, ReadingOptions(header_lines=lines)) as log:
+            assert len(log.read()) == count

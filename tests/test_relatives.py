@@ -31,6 +31,7 @@ from dbo_cli.relatives.model import RelativeModel
 from dbo_cli.relatives.model_file import read_model, read_state
 from dbo_cli.relatives.operators import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
 from dbo_cli.relatives.regressors import Design, gather, rows_of
+from dbo_cli.runs.model import Model
 
 Floats = NDArray[np.float64]
 COMPILED = kernel.compiled_kernel()
@@ -280,6 +281,10 @@ def test_what_a_model_of_plays_cannot_be() -> None:
         ModelError, match=r"^the model is one of 20 plays, to compare with: this needs the gears"
     ):
         _ = one.backlash
+    with pytest.raises(
+        ModelError, match=r"^the model is one of 20 plays, to compare with: this needs the gears"
+    ):
+        Model(one).controller(500.0)
     with pytest.raises(ModelError, match="no initial state is called 'half'"):
         one.start(0.0, "half")  # type: ignore[arg-type]
     with pytest.raises(ModelError, match="is not one of this model's plays"):
@@ -424,6 +429,12 @@ def test_the_command_writes_table_figures_and_models(dbo: Any) -> None:
     # The last samples are asked for behind the end, where the trajectory is not known.
     assert np.abs(drives - recording(0).voltage)[:-5].max() < 0.05
     assert dbo("invert", "models/pi.json", "-o", "inverse.json").code == 0
+    shown = dbo("show", "models/pi.json").out
+    assert (
+        "fit: RMSE 0.005" in shown
+        and "validated: RMSE 0.005" in shown
+        and "from log.csv (2,400 rows)" in shown
+    )
     assert dbo("show", "inverse.json").out.splitlines()[1].startswith("50 plays, 8 segments of asymmetry")
     assert "RMSE" in dbo("report", log, "--model", "models/pi.json").out
     assert dbo("report", log, "--model", "models/rate.json", "-o", "page.html").code == 0

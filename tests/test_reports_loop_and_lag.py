@@ -8,6 +8,7 @@ import pytest
 from dbo_cli.reports.direction import DirectionTracker, NoiseLevel, monotone_ends
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
 from dbo_cli.reports.held_signal import hold_length
+from dbo_cli.reports.loop_width import LoopWidth
 from dbo_cli.reports.running_statistics import BATCH
 
 TRUE_LOOP = 0.5
@@ -205,3 +206,17 @@ def test_hold_length():
     assert hold_length(rounded(wish, 255), wish) == 1.0
     assert hold_length(wish, wish) == 1.0
     assert hold_length(np.ones(500), wish[:500]) is None
+
+
+def test_bins_that_are_doubled_keep_their_places() -> None:
+    """A range that grows from a place with an odd number: every sample stays in the bin of its value."""
+    width = LoopWidth()
+    signal = np.concatenate([np.linspace(first, first + 0.4, 500) for first in (3.3, 3.7, 4.1)])
+    signal = np.concatenate([signal, np.linspace(4.6, 70.0, 2000)])
+    for batch in np.array_split(signal, 40):
+        width.add(batch, np.zeros(len(batch)))
+    counted = width._sums[0] + width._sums[2] + width._sums[4]
+    places = np.floor(signal / width._width).astype(int) - width._first
+    expected = np.bincount(places, minlength=len(counted))
+    assert np.abs(counted - expected).sum() <= 2  # the very first sample has no direction yet
+    assert expected.max() > 500

@@ -100,7 +100,7 @@ def complaint(outcome: Outcome) -> str | None:
     if found := _BAD_WORDS.search(outcome.err):
         return f"{found[0]!r} on stderr: {outcome.err.strip()[:300]}"
     errors = [line for line in outcome.err.splitlines() if line.startswith("dbo: error: ")]
-    if (outcome.code in (1, 2)) != (len(errors) == 1):
+    if (outcome.code in (1, 2, 3)) != (len(errors) == 1):
         return f"exit code {outcome.code} with {len(errors)} errors: {outcome.err.strip()[:300]}"
     if any(not line.startswith("dbo: ") for line in outcome.err.splitlines()):
         return f"a line that is not the program's: {outcome.err.strip()[:300]}"

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from dbo_cli.errors import DboError
+from dbo_cli.errors import DboError, UsageError
 
 INTERRUPTED = 130
 
@@ -98,6 +98,8 @@ def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
     from dbo_cli.cli.typer_adapter import run as run_command
 
+    if any("\0" in word for word in words):  # from ``main`` in Python; a shell cannot hand one on
+        raise UsageError("a word of the command line holds a NUL character, which no name and no value can")
     return run_command(words)
 
 

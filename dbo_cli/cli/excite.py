@@ -26,8 +26,9 @@ def excite(
     A sweep over the whole range wipes out the past; then the drive turns at random levels, at speeds from a
     quarter to eight times the sweep's, with some holds, so that loop width, asymmetry, lag and creep come
     apart. It ends at rest where it began, so that drift shows, and it never leaves the limits. 15 s leave
-    about half the error of 8 s; at another --frequency, scale the duration with it. With --sweep-to, a small
-    sweep in the middle of the range follows, in which a resonance shows itself (4 s more).
+    about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
+    --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
+    more).
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """

@@ -51,7 +51,8 @@ def excitation(
 
     What the duration buys, at 1 Hz on five virtual actuators (``benchmarks/tracking.py --excite``), as the
     RMS error of compensated moves that were not in the drive, geometric mean in % of the stroke: 8 s 0.14,
-    15 s 0.074, 30 s 0.11. 30 s of decaying amplitudes, as this program made before, gave 0.14.
+    15 s 0.058, 30 s 0.061. 30 s of decaying amplitudes, as this program made before, give 0.060; what was
+    then identified from them gave 0.14.
 
     Parameters
     ----------

@@ -207,7 +207,8 @@ def _load(path: str, wanted: str, noun: str) -> Node:
         values = json.loads(text, object_pairs_hook=_distinct)
         json.dumps(values, ensure_ascii=False).encode()  # half a surrogate pair could not be written again
     except json.JSONDecodeError as problem:
-        raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}") from None
+        log = "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
+        raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}") from None
     except (_RepeatedKeyError, ValueError, RecursionError) as problem:
         reason = str(problem) if isinstance(problem, _RepeatedKeyError) else "is not readable JSON"
         raise ModelError(f"{name}: {reason}") from None

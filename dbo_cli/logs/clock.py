@@ -149,7 +149,7 @@ class TimeCheck:
 
 def _stamp(time: float) -> str:
     """Write a time stamp (s); those that count from 1970 need more digits to be told apart."""
-    return f"{time:.6g}" if abs(time) < 1e6 else f"{time:.3f}"
+    return f"{time:.3f}" if 1e6 <= abs(time) < 1e15 else f"{time:.6g}"
 
 
 def even_step(time: FloatArray) -> float | None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.text_logs import TextTable
@@ -59,6 +61,7 @@ def _reader_by_content(address: Address) -> tuple[str, str] | None:
     lower = address.path.lower()
     with open(address.path, "rb") as file:
         head = file.read(2056)
+    _refuse_own(address.text, head)
     for signature, reader in _SIGNATURES.items():
         if head.startswith(signature):
             if reader[0] == "matlab_logs" and _is_hdf5(head):
@@ -72,6 +75,14 @@ def _reader_by_content(address: Address) -> tuple[str, str] | None:
     if lower.endswith(".mat") and _is_matlab_4(head):
         return "matlab_logs", "open_matlab"
     return None
+
+
+def _refuse_own(place: str, head: bytes) -> None:
+    """Refuse what this program wrote and is no log (InputError)."""
+    kind = re.match(rb'\{\s*"format":\s*"dbo-(model|state|report)"', head)
+    if kind is not None:
+        remedy = "; a report takes a model as `model`" if kind[1] == b"model" else ""
+        raise InputError(f"{place}: this is a {kind[1].decode()}, not a log (give a recording{remedy})")
 
 
 def _is_hdf5(head: bytes) -> bool:

@@ -98,11 +98,36 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     data = [number for number in candidates if number >= layout.first]
     rows = [split_cells(lines[number], shape.delimiter) for number in data[:3]]
     headers, units = _aligned(place, layout, shape.width, rows)
+    if not headers and options.header_lines is None:
+        _ask_about_numbered_columns(place, [lines[number] for number in data[:_SAMPLE_LINES]], shape)
     return Dialect(
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
         _writings([lines[number] for number in data[-_SAMPLE_LINES:]], shape),
         find_header_block(lines, layout.first, shape.delimiter),
     )  # fmt: skip
+
+
+def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> None:
+    """Refuse a first row that counts the columns above rows of decimals: a table saved without names.
+
+    Two numbers may be a sample written short (0,1), so they are asked about only where no other cell is.
+
+    Raises
+    ------
+    InputError
+        It may be a header or a sample.
+    """
+    first, *others = [split_cells(line, shape.delimiter) for line in data]
+    written = first[1:] if not first[0] else first
+    counted = [[str(number + start) for number in range(len(written))] for start in (0, 1)]
+    if written not in counted or len(written) < 2:
+        return
+    whole = [bool(re.fullmatch(r"[-+]?\d*", cell)) for row in others for cell in row[-len(written) :]]
+    if whole and (not any(whole) or (len(written) > 2 and not all(whole))):
+        raise InputError(
+            f"{place}: the first row, {','.join(written)}, counts the columns: are these names or a sample? "
+            "(`header_lines` 1 or 0)"
+        )
 
 
 def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:

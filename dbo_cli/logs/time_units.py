@@ -18,15 +18,16 @@ TIME_UNIT_NAMES = tuple(_SIZES)
 
 SPELLINGS = {
     "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "seconde", "secondes",
-          "segundo", "segundos", "secondo", "secondi"),
+          "segundo", "segundos", "secondo", "secondi", "с", "сек", "秒"),
     "ms": ("ms", "msec", "msecs", "milli", "millis", "millisec", "millisecs", "millisecond", "milliseconds",
-           "millisekunde", "millisekunden", "millisecondes", "milisegundos", "millisecondi"),
+           "millisekunde", "millisekunden", "millisecondes", "milisegundos", "millisecondi", "мс",
+           "毫秒", "ミリ秒"),
     "us": ("us", "usec", "usecs", "micros", "microsec", "microsecs", "microsecond", "microseconds",
-           "mikrosekunde", "mikrosekunden", "microsecondes", "mus", "mcs"),
+           "mikrosekunde", "mikrosekunden", "microsecondes", "mus", "mcs", "мкс", "微秒"),
     "ns": ("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds",
-           "nanosekunden"),
+           "nanosekunden", "нс"),
     "ps": ("ps", "psec", "psecs", "picosecond", "picoseconds"),
-    "min": ("min", "mins", "minute", "minutes", "minuten", "minutos", "minuti"),
+    "min": ("min", "mins", "minute", "minutes", "minuten", "minutos", "minuti", "мин"),
     "h": ("h", "hr", "hrs", "hour", "hours", "stunde", "stunden", "std", "heure", "heures", "horas", "ore"),
     "d": ("d", "day", "days", "tag", "tage", "jour", "jours", "dias", "giorni"),
 }  # fmt: skip

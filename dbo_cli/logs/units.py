@@ -36,7 +36,8 @@ _SPELLED = {
     "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanosecond": "ns", "nanoseconds": "ns",
     "picoseconds": "ps", "ångström": "angstrom", "å": "angstrom", "ampere": "A", "amperes": "A", "amp": "A",
     "amps": "A", "milliampere": "mA", "newton": "N", "pascal": "Pa", "hertz": "Hz", "radian": "rad",
-    "radians": "rad", "degrees": "deg", "degree": "deg", "percent": "%",
+    "radians": "rad", "degrees": "deg", "degree": "deg", "percent": "%", "в": "V", "мв": "mV", "кв": "kV",
+    "мкм": "um", "нм": "nm", "мм": "mm", "微米": "um", "纳米": "nm", "毫米": "mm", "伏": "V",
 }  # fmt: skip
 
 _SIZES: dict[str, tuple[str, int, int]] = {  # what it measures, and its size as a fraction in base units

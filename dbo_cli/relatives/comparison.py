@@ -162,6 +162,8 @@ class _Judge:
         expected = model.fit.get("expected_rmse")
         if expected is None:
             expected = rmse * float(str(model.fit["left_out_ratio"]))
+        if "left_out_ratio" in model.fit:
+            model = dataclasses.replace(model, fit=self._figures(model, rmse, float(str(expected)), checks))
         forward, inverse = self._times(model) if self.timed else (None, None)
         return Row(
             name,
@@ -177,6 +179,19 @@ class _Judge:
             None,
             model,
         )
+
+    def _figures(
+        self, model: ActuatorModel, rmse: float, expected: float, checks: Sequence[Residual]
+    ) -> dict[str, object]:
+        """Return what a relative's model file says of its fit, under the names that ``identify`` uses."""
+        span = abs(self.ready.scale)
+        figures: dict[str, object] = {"rmse": rmse, "rmse_percent": 100.0 * rmse / span}
+        figures |= {"expected_rmse": expected, "expected_percent": 100.0 * expected / span}
+        if checks:
+            figures["validation"] = [
+                {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
+            ]
+        return {key: value for key, value in model.fit.items() if key != "left_out_ratio"} | figures
 
     def _step(self) -> float:
         clock = self.recordings[0].seconds()

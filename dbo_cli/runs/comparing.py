@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -66,13 +67,14 @@ def compare_logs(
     shown = ModelComparison(tuple(rows), unit, names[0], names[1])
     if options.figures is not None:
         save(shown.plots(), Path(options.figures), "models")
+    program = program_version_string()
+    provenance = {"program": program, "inputs": [dict(one.record) for one in [*fitted, *checks]]}
     if options.models_folder is not None:
         for row in rows:
             if row.model is not None:
                 path = os.path.join(options.models_folder, f"{row.name}.json")
-                write_whole(path, model_to_bytes(row.model), protect=inputs)
-    program = program_version_string()
-    provenance = {"program": program, "inputs": [dict(one.record) for one in [*fitted, *checks]]}
+                content = model_to_bytes(dataclasses.replace(row.model, provenance=provenance))
+                write_whole(path, content, protect=inputs)
     content = shown.rendered(options.form or named or "text", provenance, program)
     write_whole(output, content, protect=inputs)
     remarks = Remarks()
