@@ -19,7 +19,8 @@ everything else is read by what `dbo` needs anyway.
 `FILE::NAME` addresses a part: an HDF5 group or dataset, a MATLAB struct, a workbook's sheet, a TDMS group. Where
 drive and displacement were recorded by two instruments, give one file as the log and name the other's column as
 `FILE::COLUMN` (`dbo identify sensor.csv --voltage drive.csv::CH1`): rows are matched by number, clocks must agree,
-and the files must be equally long.
+and the files must be equally long. The time may lie in a file of its own, too (`--time clock.csv::t`). The model keeps
+the name and digest of every file.
 
 A rate that a file states (`sample_rate`, `fs`, `dt`, `Ts`, `SAMPLE_TIME`, `Delta_X`, `Increment`, `wf_increment`, …)
 is used where the log has no time column. Its unit is converted (kHz, ms, S/s); an unknown unit, or two statements
