@@ -29,6 +29,7 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 from exported import COMPILERS, SANITIZERS, compiled, random_moves  # noqa: E402
 from invented_actuators import cases  # noqa: E402
 
+from dbo_cli.errors import ModelError  # noqa: E402
 from dbo_cli.export import export_model  # noqa: E402
 from dbo_cli.export.single_tables import counts_unit  # noqa: E402
 from dbo_cli.hysteresis.identification import IdentificationOptions, identify  # noqa: E402
@@ -172,7 +173,10 @@ def main() -> None:
     for name, model, rate in models:
         for direction in ("inverse", "forward"):
             for arithmetic in ("float", "q31"):
-                told = compare(model, rate, direction, arithmetic, options.samples)
+                try:
+                    told = compare(model, rate, direction, arithmetic, options.samples)
+                except ModelError as problem:  # what the arithmetic cannot hold is refused
+                    told = f"{direction} {arithmetic}: {problem}"
                 beyond |= "BEYOND" in told
                 print(f"{name:22} {told}", flush=True)
         equal = lookup_equals(model, rate, options.samples)

@@ -58,6 +58,16 @@ def test_a_nul_character_is_refused(dbo: Any, line: str) -> None:
     )
 
 
+@pytest.mark.parametrize("option", ["comment", "delimiter"])
+def test_a_byte_that_is_no_character_is_refused(dbo: Any, tmp_path: Path, option: str) -> None:
+    (tmp_path / "log.csv").write_text("measured,desired\n" + "1,2\n" * 9)
+    outcome = dbo("report", "log.csv", f"--{option}", "\udcff")
+    assert outcome.code == 2
+    assert outcome.err == (
+        f"dbo: error: --{option}: holds a byte that is no character in this terminal's encoding\n"
+    )
+
+
 def test_two_inputs_are_not_both_standard_input(dbo: Any) -> None:
     outcome = dbo("simulate", "-", "-")
     assert outcome.code == 2

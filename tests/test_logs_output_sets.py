@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,11 @@ def test_two_outputs_of_one_name_in_a_set(tmp_path: Path) -> None:
     assert content(tmp_path) == {}
 
 
+def hearing(number: int) -> None:
+    """Let a process hear a signal that whoever started the tests (``nohup``, ``&``) may have silenced."""
+    signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+
+
 @posix
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_takes_everything_back(tmp_path: Path, number: int) -> None:
@@ -101,12 +107,12 @@ def test_a_signal_takes_everything_back(tmp_path: Path, number: int) -> None:
         env=os.environ | {"PYTHONPATH": ROOT},
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=partial(hearing, number),
     )
     assert process.stdout is not None
     assert process.stdout.readline() == b"written\n"
     process.send_signal(number)
-    assert process.wait() != 0
+    assert process.wait(timeout=120.0) != 0
     process.stdout.close()
     assert os.listdir(tmp_path) == ["b.json"]
     assert content(tmp_path) == {"b.json": b"old"}

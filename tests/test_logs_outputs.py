@@ -51,12 +51,12 @@ def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # heard under nohup, too
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "writing\n"
     process.send_signal(number)
-    process.wait()
+    process.wait(timeout=120.0)
     process.stdout.close()
     assert process.returncode != 0
     assert path.read_bytes() == b"as it was"

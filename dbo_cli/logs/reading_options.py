@@ -105,10 +105,17 @@ class ReadingOptions:
             if count is not None and count < least:
                 raise UsageError(f"`{name}`: must be at least {least}, not {count}")
         check_rows(self.rows)
-        self.delimiter_character  # noqa: B018 - refuses what is none
-        self.decimal_sign  # noqa: B018
+        self._check_marks()
         if self.encoding is not None:
             check_encoding(self.encoding)
+
+    def _check_marks(self) -> None:
+        """Refuse marks that no text can hold."""
+        for name in ("delimiter", "comment"):
+            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
+                raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
+        self.delimiter_character  # noqa: B018 - refuses what is none
+        self.decimal_sign  # noqa: B018
 
     def _check_units(self) -> None:
         """Refuse a unit of time or a scale that is none."""
