@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from test_hysteresis_identification_parts import prepared as prepared_log
 from test_hysteresis_identification_parts import sine
+from virtual_actuator import PRESETS, VirtualActuator
 
+from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.identification import diagnostics
 from dbo_cli.hysteresis.identification.assembly import MARGIN, stages_of
 from dbo_cli.hysteresis.identification.evaluation import predict, validation_of
 from dbo_cli.hysteresis.identification.normal_equations import (
@@ -208,3 +211,36 @@ def test_the_sign_of_the_gain_is_read_from_all_logs_and_one_spike_does_not_turn_
     spiked[int(np.argmin(voltage))] = 1e6
     assert gain_sign([Recording("c", voltage, spiked)]) == 1.0
     assert np.ptp(without_outliers(spiked)) < 5.1
+
+
+# --- drift or creep ---
+
+
+def excited(preset: str, seed: int, seconds: float, rate: float, part: float, share: float) -> Recording:
+    """Return an ``excite`` log of a virtual actuator; its sensor warms up by this share of the stroke."""
+    parameters = PRESETS[preset]
+    time, voltage = excitation(parameters.v_min, parameters.v_max, rate, seconds, 1.0, seed=seed + 1)
+    warmth = share * parameters.stroke * (1.0 - np.exp(-time / (part * seconds)))
+    seen = VirtualActuator(parameters).play(time, voltage, seed) + warmth
+    return Recording(preset, voltage, seen, time, None, "V", "um")
+
+
+@pytest.mark.parametrize(
+    ("preset", "seed", "seconds", "rate"), [("stack", 0, 15.0, 500.0), ("creeping", 4, 30.0, 200.0)]
+)
+def test_an_actuator_that_only_creeps_does_not_drift(
+    preset: str, seed: int, seconds: float, rate: float
+) -> None:
+    ready = prepare([excited(preset, seed, seconds, rate, 1.0, 0.0)], 0.0)
+    assert ready.logs[0].drift.shape[1] == 1  # the offset alone
+
+
+def test_a_warm_up_is_found_and_one_that_may_be_creep_is_said() -> None:
+    found = prepare([excited("stack", 0, 30.0, 200.0, 0.25, 0.03)], 0.0)
+    assert found.logs[0].drift.shape[1] == 2
+    assert found.doubtful_drift == 0.0
+    slow = excited("bender", 1, 30.0, 200.0, 0.5, 0.03)
+    doubtful = prepare([slow], 0.0)
+    assert doubtful.logs[0].drift.shape[1] == 1
+    assert doubtful.doubtful_drift == pytest.approx(0.03, rel=0.5)
+    assert any("may be sensor drift or creep" in line for line in diagnostics.log_warnings([slow], doubtful))

@@ -18,7 +18,7 @@ from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.normal_equations import (
     MAX_STEEPNESS,
     SLOPE_FLOOR,
-    _bounded,
+    bounded_minimum,
     squared_error,
     squared_error_free_of,
 )
@@ -115,7 +115,7 @@ def solve(products: Products, design: Design, gram: Floats) -> Solution:
         rule[at : at + products.knots] = wider
         bounded.append(rule)
     matrix, right = gram[:total, :total], gram[:total, total]
-    vector = fixed + _bounded(
+    vector = fixed + bounded_minimum(
         matrix, right - matrix @ fixed, np.hstack(bounded), np.hstack((free, drift)), tie
     )
     parts = np.split(vector, [at, at + products.knots])
@@ -161,7 +161,7 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
     from dbo_cli.hysteresis.identification import expectation as own
 
     worst = cycles**2
-    for _, labels in own._groupings(logs, Basis(1, design.low, design.high)):
+    for _, labels in own.groupings(logs, Basis(1, design.low, design.high)):
         grouped = [
             replace(log, fold=np.where(log.used, label, -1)) for log, label in zip(logs, labels, strict=True)
         ]

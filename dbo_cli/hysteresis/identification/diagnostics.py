@@ -51,6 +51,13 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
             "and delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a "
             "drive)"
         )
+    if prepared.doubtful_drift:
+        unit = f" {recordings[0].displacement_unit}" if recordings[0].displacement_unit else ""
+        size = f"{prepared.doubtful_drift * abs(prepared.scale):.2g}{unit}"
+        warnings.append(
+            f"the logs' slow part may be sensor drift or creep: a drift of {size} explains them as well, and "
+            "creep was taken; where the sensor had just been switched on, record again with it warm"
+        )
     if all(shape.cycle_count < 2 for shape in prepared.shapes):
         warnings.append(
             "less than two whole cycles: nothing could be left out to test the model on; record at least "

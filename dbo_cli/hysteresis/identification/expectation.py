@@ -114,7 +114,7 @@ def _groups_left_out(
 ) -> tuple[float, tuple[str, ...]]:
     """RMS error of groups of swings left out, the worst of three ways to group, and the ways there were."""
     worst, names = cycles**2, []
-    for name, labels in _groupings(logs, basis):
+    for name, labels in groupings(logs, basis):
         grouped = [
             replace(log, fold=np.where(log.used, label, -1)) for log, label in zip(logs, labels, strict=True)
         ]
@@ -137,7 +137,7 @@ def _groups_left_out(
     return float(np.sqrt(worst)), tuple(names)
 
 
-def _groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, list[Integers]]]:
+def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, list[Integers]]]:
     """Yield each way to group swings: its name, and for each log the group of every row, 0 for none."""
     swings = [_swings(log, basis) for log in logs]
     counts = np.concatenate([one.rows for one in swings])

@@ -157,7 +157,7 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
         bounded = np.hstack((bounded, np.zeros((total, structure.segments))))
         bounded[at : at + columns.hats, tie[0] :] = widths
         fixed[at : at + columns.hats] = least
-    vector = fixed + _bounded(matrix, right - matrix @ fixed, bounded, free, tie)
+    vector = fixed + bounded_minimum(matrix, right - matrix @ fixed, bounded, free, tie)
     return Solution(
         heights=vector[:gears],
         gains=vector[gears:at],
@@ -182,7 +182,7 @@ def _bounded_widths(fine: int, segments: int) -> tuple[Floats, Floats, float]:
     return at_bound, np.hstack((wider, np.zeros((len(wider), 1)))), 1.0 - segments * narrowest
 
 
-def _bounded(
+def bounded_minimum(
     matrix: Floats, right: Floats, bounded: Floats, free: Floats, tie: tuple[int, float] | None
 ) -> Floats:
     """Minimise x'Mx - 2r'x over x = bounded p + free q, p >= 0; the free unknowns are eliminated first.

@@ -51,8 +51,9 @@ STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 class Prepared:
     """All logs made ready, with what turns the normalised output back into displacement.
 
-    displacement = offset + scale * output; ``scale`` carries the sign of the gain. ``notes`` say in words
-    what was left out and why.
+    displacement = offset + scale * output; ``scale`` carries the sign of the gain. ``doubtful_drift`` is the
+    size of a drift that could be in the place of creep, as a share of the range; 0: little. ``notes`` say in
+    words what was left out and why.
     """
 
     logs: tuple[PreparedLog, ...]
@@ -64,6 +65,7 @@ class Prepared:
     transient_rows: tuple[int, ...]
     outlier_rows: tuple[int, ...]
     clipped_rows: tuple[int, ...]
+    doubtful_drift: float = 0.0
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -204,7 +206,8 @@ def prepare(
     one_level = not any(
         level_moves(shape, log.voltage) for shape, log in zip(shapes, recordings, strict=True)
     )
-    flat, outliers = _without_drift_and_spikes(chosen, low, high, notes, one_level)
+    logs, doubtful = with_drift_needed(chosen, low, high, one_level)
+    flat, outliers = _without_drift_and_spikes(logs, low, high, notes)
     bottom = min(float(log.output[log.used].min()) for log in flat)
     top = max(float(log.output[log.used].max()) for log in flat)
     ready = tuple(replace(log, output=(log.output - bottom) / (top - bottom)) for log in flat)
@@ -218,6 +221,7 @@ def prepare(
         transient_rows=tuple(transients),
         outlier_rows=tuple(a + b for a, b in zip(outlying, outliers, strict=True)),
         clipped_rows=tuple(clipped),
+        doubtful_drift=doubtful,
         notes=notes,
     )
 
@@ -318,11 +322,10 @@ def _probe_error(log: PreparedLog, low: float, high: float) -> float:
 
 
 def _without_drift_and_spikes(
-    logs: Sequence[PreparedLog], low: float, high: float, notes: list[str], one_level: bool
+    logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
 ) -> tuple[list[PreparedLog], tuple[int, ...]]:
     """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
     basis, structure = _probe(low, high)
-    logs = with_drift_needed(logs, low, high, one_level)
     outliers = np.zeros(len(logs), np.int64)
     residuals: list[Floats] = []
     for attempt in range(2):
