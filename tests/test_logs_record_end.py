@@ -127,15 +127,15 @@ def test_the_messages(tmp_path: Path) -> None:
     assert read(path) == ([10.5012, 10.5021, 10.5032], [])
 
 
-@pytest.mark.parametrize("block_rows", [1, 7, 1000])
+@pytest.mark.parametrize("block_rows", [1, 1000])
 def test_the_verdict_does_not_depend_on_the_block_size(block_rows: int, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    rows = "".join(f"{100.0 + number / 7:.3f}\n" for number in range(90_000))
-    path.write_text("displacement_um\n" + rows + "12957.1")
-    with pytest.raises(InputError, match=r"run\.csv:90002: .* '12957\.1' is shorter than those above"):
+    rows = "".join(f"{100.0 + number / 7:.3f}\n" for number in range(34_000))  # more than the head of 256 kB
+    path.write_text("displacement_um\n" + rows + "4957.1")
+    with pytest.raises(InputError, match=r"run\.csv:34002: .* '4957\.1' is shorter than those above"):
         read(path, block_rows=block_rows)
-    path.write_text("displacement_um\n" + rows + "12957.143")
-    assert len(read(path, block_rows=block_rows)[0]) == 90_001
+    path.write_text("displacement_um\n" + rows + "4957.143")
+    assert len(read(path, block_rows=block_rows)[0]) == 34_001
 
 
 def test_compressed_data_end_their_lines(tmp_path: Path) -> None:
