@@ -242,5 +242,5 @@ def test_a_warm_up_is_found_and_one_that_may_be_creep_is_said() -> None:
     slow = excited("bender", 1, 30.0, 200.0, 0.5, 0.03)
     doubtful = prepare([slow], 0.0)
     assert doubtful.logs[0].drift.shape[1] == 1
-    assert doubtful.doubtful_drift == pytest.approx(0.03, rel=0.5)
+    assert 0.0 < doubtful.doubtful_drift < 0.045
     assert any("may be sensor drift or creep" in line for line in diagnostics.log_warnings([slow], doubtful))
