@@ -107,8 +107,9 @@ def column_info(header: str | None, number: int, unit: str | None = None) -> Col
     if not header:
         return ColumnInfo(str(number), normalise_unit(unit or ""), "", number)
     quantity, own = split_header(header)
-    if own is None and header != "m" and kind_of_unit(normalise_unit(header)) in _NAMING:
-        own = normalise_unit(header)
+    bare = header.strip(" /_")  # "/nm": the name is lost
+    if own is None and bare != "m" and kind_of_unit(normalise_unit(bare)) in _NAMING:
+        own = normalise_unit(bare)
     return ColumnInfo(header, normalise_unit(unit or "") or own, quantity, number)
 
 
@@ -266,6 +267,7 @@ def _suspects(
         column
         for column in fitting
         if any(name in _letters(column) for name in long_names)  # positionmm, Posi)tion
+        or any(_letters(column).startswith(name) for name in wish.guesses if len(name) == 3)  # Wegccm
         or _runs_into_unit(column, wish)
         or set(_words(column.quantity)) & set(wish.letters)
         or (not sure and column.unit is None and _is_unknown(column, wish))
