@@ -154,7 +154,7 @@ def against_cycle(samples: int, repeats: int) -> dict[tuple[int, float], list[fl
 def paint_counts(found: dict[str, list[Cost]], axes: Any) -> None:
     """Draw ns a sample against n."""
     from dbo_cli.reports import figure_style as style
-    from dbo_cli.reports.figures import decade, mark_curves
+    from dbo_cli.reports.figures import label_decades, mark_curves
 
     for name, look in zip(found, style.SEVERAL, strict=False):
         costs = found[name]
@@ -163,23 +163,23 @@ def paint_counts(found: dict[str, list[Cost]], axes: Any) -> None:
             axes.plot(COUNTS, [one.forward for one in costs], label=name, **look)
         axes.plot(COUNTS, [one.inverse for one in costs], label=f"{name} inverse", **dashed)
     axes.set(xscale="log", yscale="log", xlabel="Gears or plays", ylabel="ns a sample")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(decade)
+    label_decades(axes.xaxis)
+    label_decades(axes.yaxis)
     mark_curves(axes)
 
 
 def paint_cycles(found: dict[tuple[int, float], list[float]], axes: Any) -> None:
     """Draw how many times faster the inverse is against samples a cycle."""
     from dbo_cli.reports import figure_style as style
-    from dbo_cli.reports.figures import decade, mark_curves
+    from dbo_cli.reports.figures import label_decades, mark_curves
 
     for ((n, noise), ratios), look in zip(found.items(), style.SEVERAL, strict=False):
         dashed = {"linestyle": (0, (3.2, 1.4))} if noise else {}
         said = f"n = {n}, noise {noise:g}" if noise else f"n = {n}"
         axes.plot(CYCLES, ratios, label=said, **(look | dashed))
     axes.set(xscale="log", yscale="log", xlabel="Samples a cycle", ylabel="PI inverse over DBO inverse")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(decade)
+    label_decades(axes.xaxis)
+    label_decades(axes.yaxis)
     mark_curves(axes, columns=2)
 
 

@@ -7,15 +7,15 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from make_figures import FOLDER
+from make_figures import write
 
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
 from dbo_cli.reports import figure_style as style
-from dbo_cli.reports.drawing import Plot, draw
-from dbo_cli.reports.figures import decade, mark_curves
+from dbo_cli.reports.drawing import Plot
+from dbo_cli.reports.figures import label_decades, mark_curves
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.runs.model import Model
 
@@ -123,7 +123,7 @@ def learning(axes: Axes) -> None:
     for (name, errors), look in zip(lessons(RESONANCE / 30.0).items(), style.SEVERAL, strict=False):
         axes.semilogy(range(1, 7), errors, label=name, marker="o", markersize=4.0, **look)
     axes.axhline(100.0 * NOISE / 8.0, color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)), label="sensor")
-    axes.yaxis.set_major_formatter(decade)
+    label_decades(axes.yaxis)
     axes.set(xlabel="Pass", ylabel="Error (RMS, % of the move)")
     mark_curves(axes, columns=2)
 
@@ -153,12 +153,5 @@ PLOTS = (
 )
 
 
-def main() -> None:
-    """Write every figure."""
-    FOLDER.mkdir(exist_ok=True)
-    for plot in PLOTS:
-        (FOLDER / f"{plot.key}.svg").write_bytes(draw(plot, "svg"))
-
-
 if __name__ == "__main__":
-    main()
+    write(PLOTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -270,12 +271,12 @@ PLOTS = (
 )
 
 
-def main() -> None:
+def write(plots: Sequence[Plot]) -> None:
     """Write every figure."""
     FOLDER.mkdir(exist_ok=True)
-    for plot in PLOTS:
+    for plot in plots:
         (FOLDER / f"{plot.key}.svg").write_bytes(draw(plot, "svg"))
 
 
 if __name__ == "__main__":
-    main()
+    write(PLOTS)

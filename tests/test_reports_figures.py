@@ -208,6 +208,18 @@ def test_axes_carry_quantity_and_unit():
     assert {"Error (µm)", "Share of samples (%)"} <= set(texts["histogram"])
 
 
+def test_logarithmic_axes_are_labelled_in_plain_letters() -> None:
+    drawn = []
+    for (report, data), seen in ((log_of(3000), {"spectrum"}), (log_of(3000, spike=7), {"histogram"})):
+        plots = {plot.key: plot for plot in plots_of_log(report, report.logs[0], data)}
+        drawn += [draw(plots[key], "inline").decode() for key in seen]
+    report, data = swept_log(20.0)
+    drawn += [draw(plot, "inline").decode() for plot in plots_of_log(report, report.logs[0], data)]
+    labels = [label for text in drawn for label in re.findall(r"<text[^>]*>([^<]+)</text>", text)]
+    assert not [label for label in labels if "$" in label or "\\" in label]
+    assert {"2", "3", "5", "10", "20"} <= set(labels)  # the sweep spans less than two powers of ten
+
+
 def test_a_constant_log_can_be_drawn():
     figure_data = FigureData()
     block = PairBlock(range(1, 101), np.full(100, 2.0), np.full(100, 2.0))

@@ -23,6 +23,7 @@ from dbo_cli.reports.thinned_curves import Band, Curve, FigureData, Raster
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.legend import Legend
 
 WIDE_BAND = 1.5  # times the lowest frequency, up to which segments are of one frequency
@@ -47,6 +48,23 @@ def decade(value: float, _: float = 0.0) -> str:
     if 0.005 < value < 5000.0:
         return f"{value:g}"
     return "10" + f"{math.log10(value):.0f}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def label_decades(axis: Axis) -> None:
+    """Label a logarithmic axis: every power of ten, and 2, 3 and 5 between where it spans less than two.
+
+    Matplotlib's own labels between are formulas, which are not set here (a dollar in a name is a dollar).
+    """
+
+    def between(value: float, _: float = 0.0) -> str:
+        low, high = sorted(axis.get_view_interval())
+        lead, exponent = f"{value:.0e}".split("e")
+        if high > 100.0 * low or lead not in {"2", "3", "5"}:
+            return ""
+        return f"{value:g}" if 0.0005 < value < 5000.0 else f"{lead}·{decade(10.0 ** int(exponent))}"
+
+    axis.set_major_formatter(decade)
+    axis.set_minor_formatter(between)
 
 
 def plots_of_comparison(report: Report, figure_data: Sequence[FigureData]) -> list[Plot]:
@@ -205,7 +223,7 @@ class _LogView:
         )
         if self._figures.max_abs > 3.0 * self._figures.p95_abs > 0.0:
             axes.set_yscale("log")  # or a spike of one sample in a million is not to be seen
-            axes.yaxis.set_major_formatter(decade)
+            label_decades(axes.yaxis)
         axes.set(xlabel=self._length("Error"), ylabel="Share of samples (%)")
 
     def spectrum(self, axes: Axes) -> None:
@@ -215,8 +233,8 @@ class _LogView:
             return
         floor = curve.y.max() * 1e-9 if curve.y.max() > 0.0 else 1e-30
         axes.loglog(curve.x, np.maximum(curve.y, floor), **style.ALONE)
-        axes.xaxis.set_major_formatter(decade)
-        axes.yaxis.set_major_formatter(decade)
+        label_decades(axes.xaxis)
+        label_decades(axes.yaxis)
         unit = shown_unit(self._report.unit)
         axes.set_xlabel("Frequency (Hz)" if period else "Frequency (cycles a sample)")
         density = f"{unit}/√Hz" if period else unit
@@ -227,8 +245,8 @@ class _LogView:
         at, errors = self.by_frequency
         look = {"color": style.FIRST, "linestyle": "none", "marker": "o", "markersize": 3.2}
         axes.loglog(at, np.maximum(errors, errors.max() * 1e-9), **look)
-        axes.xaxis.set_major_formatter(decade)
-        axes.yaxis.set_major_formatter(decade)
+        label_decades(axes.xaxis)
+        label_decades(axes.yaxis)
         axes.set(xlabel="Frequency of the desired signal (Hz)", ylabel=self._length("RMS error of a segment"))
 
     def _curve(self, axes: Axes, x: str, y: str, look: dict[str, Any], label: str, shift: float) -> None:

@@ -18,7 +18,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.relatives.comparison import Row, without_lateness
 from dbo_cli.reports import figure_style as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.figures import axis_label, decade, mark_curves, shown_unit
+from dbo_cli.reports.figures import axis_label, label_decades, mark_curves, shown_unit
 from dbo_cli.reports.model_figures import slow_loop
 from dbo_cli.reports.page import drawn_figures, page_of, table
 from dbo_cli.reports.renderers import digits, no_formula, wrapped
@@ -202,22 +202,9 @@ def _paint_cost(shown: ModelComparison, rows: Sequence[Row], axes: Axes) -> None
         axes.plot([row.inverse_ns], [y], label=row.name, color=look["color"], linestyle="none", marker="o")
     axes.margins(0.08)
     axes.set(xscale="log", yscale="log", xlabel="Inverse (ns a sample)", ylabel=axis_label(error, shown.unit))
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(_decades())
-        axis.set_minor_formatter(_plain_numbers())
+    label_decades(axes.xaxis)
+    label_decades(axes.yaxis)
     mark_curves(axes, columns=LEGEND_COLUMNS)
-
-
-def _decades() -> Any:
-    from matplotlib.ticker import FuncFormatter
-
-    return FuncFormatter(decade)
-
-
-def _plain_numbers() -> Any:
-    from matplotlib.ticker import FuncFormatter
-
-    return FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "235" else "")
 
 
 def _paint_loops(shown: ModelComparison, rows: Sequence[Row], axes: Axes) -> None:

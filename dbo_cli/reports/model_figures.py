@@ -20,7 +20,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.reports import figure_style as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.figures import axis_label, decade, mark_curves
+from dbo_cli.reports.figures import axis_label, label_decades, mark_curves
 from dbo_cli.reports.running_statistics import Floats
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _paint_gain(model: ActuatorModel, axes: Axes) -> None:
         axes.loglog(measured["frequency"], gain, label="measured", **_POINTS)
     axes.loglog(at, np.abs(response), label="model", **style.SOLID)
     _finish_bode(model, axes)
-    axes.yaxis.set_major_formatter(decade)
+    label_decades(axes.yaxis)
     axes.set_ylabel("Gain")
 
 
@@ -191,7 +191,7 @@ def _finish_bode(model: ActuatorModel, axes: Axes) -> None:
     trusted = model.fit.get("trusted_hz")
     if isinstance(trusted, int | float) and trusted > 0.0:
         axes.axvline(trusted, label="trusted up to", color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)))
-    axes.xaxis.set_major_formatter(decade)
+    label_decades(axes.xaxis)
     axes.set_xlabel("Frequency (Hz)")
     mark_curves(axes)
 
