@@ -226,6 +226,25 @@ def test_swapped_arguments_are_recognised(dbo: Any, model_file: Path) -> None:
         )  # fmt: skip
 
 
+def test_show_tells_on_which_side_of_the_gears_the_points_stand(dbo: Any, tmp_path: Path) -> None:
+    quantity = {"unit": "V", "min": 0.0, "max": 1.0}
+    gears = {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [0.5, 0.5], "dy": [0.4, 0.6]}
+    points = [{"type": "point", "x0": 0.0, "y0": 0.0, "dx": [1.0 / m] * m, "dy": [1.0 / m] * m} for m in (3, 2)]
+    model = {
+        "format": "dbo-model",
+        "version": 1,
+        "direction": "forward",
+        "input": {"quantity": "voltage", **quantity},
+        "output": {"quantity": "displacement", **quantity},
+        "stages": [points[0], gears, points[1]],
+    }
+    (tmp_path / "model.json").write_text(json.dumps(model))
+    assert dbo("invert", "model.json", "-o", "inverse.json").code == 0
+    for name in ("model.json", "inverse.json"):
+        told = " ".join(dbo("show", name).out.split())
+        assert "2 gears, 3 segments of asymmetry on the drive's side and 2 on the displacement's" in told
+
+
 def test_show_tells_what_is_in_a_model(dbo: Any) -> None:
     old = Path(__file__).parent / "old_files" / "model-v1.json"
     done = dbo("show", old)

@@ -72,9 +72,7 @@ def as_text(content: Mapping[str, Any]) -> str:
     given, made = content["input"], content["output"]
     lines = [
         f"{content['direction']} model: {_range(given)} to {_range(made)}",
-        content["operator"]
-        + "".join(f", {count} segments of asymmetry" for count in content["segments"])
-        + _lag(content),
+        content["operator"] + _asymmetry(content) + _lag(content),
     ]
     lines += _moving(content)
     lines += _goodness(content, made["unit"])
@@ -132,6 +130,15 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     if "loop_width_percent" in fit:
         lines.append(f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes")
     return lines
+
+
+def _asymmetry(content: Mapping[str, Any]) -> str:
+    """Say how many segments the points have, and on which side of the gears where they stand on both."""
+    counts = content["segments"]
+    if len(counts) != 2:
+        return "".join(f", {count} segments of asymmetry" for count in counts)
+    before, behind = counts if content["direction"] == "forward" else counts[::-1]
+    return f", {before} segments of asymmetry on the drive's side and {behind} on the displacement's"
 
 
 def _lag(content: Mapping[str, Any]) -> str:
