@@ -47,6 +47,19 @@ def hear_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def scripted(script: str, folder: Path) -> tuple[int, bytes, bytes]:
+    """Run a script that hears interrupts; return exit code and what was written."""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        cwd=folder,
+        env=environment(),
+        preexec_fn=hear_interrupts,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
 def ended(running: subprocess.Popen[bytes]) -> tuple[int, bytes, bytes]:
     """Return exit code and what was written, of a process whose input stays open until it ends."""
     try:
@@ -182,16 +195,8 @@ def test_an_interrupt_while_modules_are_imported(module: str, folder: Path) -> N
         "sys.argv[1:] = ['simulate', 'model.json', 'none.csv']\n"
         "runpy.run_module('dbo_cli', run_name='__main__')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        cwd=folder,
-        env=environment(),
-        preexec_fn=hear_interrupts,
-        check=False,
-    )
     said = b"" if module == "dbo_cli.cli.app" else b"dbo: interrupted\n"
-    assert (done.returncode, done.stdout, done.stderr) == (130, b"", said)
+    assert scripted(script, folder) == (130, b"", said)
 
 
 @posix
@@ -207,12 +212,4 @@ def test_two_interrupts_end_like_one(folder: Path) -> None:
         "app._dispatch, app._say = interrupted, say\n"
         "app.run()\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        cwd=folder,
-        env=environment(),
-        preexec_fn=hear_interrupts,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"dbo: interrupted\n")
+    assert scripted(script, folder) == (130, b"", b"dbo: interrupted\n")

@@ -55,6 +55,8 @@ class ScaleStage:
 class OtherHysteresis(ABC):
     """A stage with another hysteresis than that of gears; its room runs the models it stands in."""
 
+    inverted: bool
+
     @abstractmethod
     def inverse(self) -> OtherHysteresis:
         """Return the stage that undoes this one."""

@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,7 @@ from dbo_cli.hysteresis import drive_lag
 from dbo_cli.hysteresis.cascade import (
     CoveredGears,
     MemoryFree,
+    OtherHysteresis,
     ScaleStage,
     Stage,
     covered_gears,
@@ -158,8 +159,8 @@ class ActuatorModel:
                 raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
             self._turn(stage)
 
-    def _turn(self, stage: DynamicsStage) -> None:
-        """Let dynamics act, or be undone, as the direction tells."""
+    def _turn(self, stage: DynamicsStage | OtherHysteresis) -> None:
+        """Let a stage act, or be undone, as the direction tells."""
         if stage.inverted == (self.direction == "forward"):
             stages = tuple(s.inverse() if s is stage else s for s in self.stages)
             object.__setattr__(self, "stages", stages)
@@ -189,9 +190,9 @@ class ActuatorModel:
                 f" {'an' if direction == 'inverse' else 'a'} {direction} one is needed (dbo invert turns it)"
             )
 
-    def inverse(self) -> ActuatorModel:
+    def inverse(self) -> Self:
         """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
-        return ActuatorModel(
+        return type(self)(
             "inverse" if self.direction == "forward" else "forward",
             self.output,
             self.input,
@@ -605,7 +606,7 @@ class ActuatorModel:
         return abs(high - low)
 
     @cached_property
-    def _inverted(self) -> ActuatorModel:
+    def _inverted(self) -> Self:
         return self.inverse()
 
 

@@ -50,9 +50,7 @@ class RelativeModel(ActuatorModel):
                 if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
                     raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
             elif isinstance(stage, PlayOperator):
-                if stage.inverted == forward:
-                    told = tuple(stage.inverse() if one is stage else one for one in self.stages)
-                    object.__setattr__(self, "stages", told)
+                self._turn(stage)
             elif not isinstance(stage, ScaleStage | DiscretePointOperator):
                 raise ModelError(f"stages[{place}]: only plays, points, scales and a delay go together")
 
@@ -91,21 +89,6 @@ class RelativeModel(ActuatorModel):
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
         return bool(self.plays.by_rate.size) or (self.direction == "forward" and self.delay_seconds > 0.0)
-
-    def inverse(self) -> RelativeModel:
-        """Return the inverse model: every stage inverted, the order reversed."""
-        return RelativeModel(
-            "inverse" if self.direction == "forward" else "forward",
-            self.output,
-            self.input,
-            tuple(stage.inverse() for stage in reversed(self.stages)),
-            self.fit,
-            self.provenance,
-        )
-
-    @cached_property
-    def _inverted(self) -> RelativeModel:
-        return self.inverse()
 
     @property
     def drive_end(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.identification.regressors import hat_functions
-from dbo_cli.hysteresis.identification.statistics import PreparedLog
+from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog
 from dbo_cli.relatives.operators import Kind, PlayOperator
 
 Floats = NDArray[np.float64]
@@ -139,25 +139,13 @@ def delayed_rows(seconds: Floats | None, samples: int, delay: float) -> tuple[ND
     return before, np.clip(place - before, 0.0, 1.0)
 
 
-@dataclass(frozen=True)
-class Products:
-    """Products of the columns and (last) the target, one symmetric matrix a fold, and the rows that went in.
-
-    ``slopes``, ``knots`` and ``drift`` are how many columns of each kind there are, in that order.
-    ``nuisance`` are, for each fold, the columns that only its own rows can tell.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Products(FoldProducts):
+    """The products of one design: ``slopes``, ``knots`` and ``drift`` columns, in that order."""
 
     slopes: int
     knots: int
     drift: int
-    grams: tuple[Floats, ...]
-    rows: tuple[int, ...]
-    nuisance: tuple[slice, ...]
-
-    def total(self, leave_out: int | None = None) -> tuple[Floats, int]:
-        """Sum over the folds, all or all but one: the products and the number of rows."""
-        keep = [k for k in range(len(self.grams)) if k != leave_out]
-        return np.sum([self.grams[k] for k in keep], axis=0), sum(self.rows[k] for k in keep)
 
 
 def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
@@ -183,4 +171,11 @@ def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
                 counts[k] += len(part)
                 nuisance[k] = slice(begin if alone else end - log.stretches, end)
         begin = end
-    return Products(design.slopes, design.segments - 1, drift, tuple(grams), tuple(counts), tuple(nuisance))
+    return Products(
+        slopes=design.slopes,
+        knots=design.segments - 1,
+        drift=drift,
+        grams=tuple(grams),
+        rows=tuple(counts),
+        nuisance=tuple(nuisance),
+    )

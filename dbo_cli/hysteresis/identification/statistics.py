@@ -46,15 +46,14 @@ class PreparedLog:
         return self.fold >= 0
 
 
-@dataclass(frozen=True)
-class Statistics:
-    """Products of the columns and the target, one symmetric matrix a fold, with the rows that went in.
+@dataclass(frozen=True, kw_only=True)
+class FoldProducts:
+    """Products of the columns and (last) the target, one symmetric matrix a fold, with the rows that went in.
 
     ``nuisance`` are the columns that a fold, when it is left out, still has to itself: the offsets of
     stretches of an open history, or offset and drift altogether where no other fold is of the same log.
     """
 
-    columns: Columns
     grams: tuple[Floats, ...]
     rows: tuple[int, ...]
     nuisance: tuple[slice, ...]
@@ -63,6 +62,13 @@ class Statistics:
         """Sum over the folds, all or all but one: the products and the number of rows."""
         keep = [k for k in range(len(self.grams)) if k != leave_out]
         return np.sum([self.grams[k] for k in keep], axis=0), sum(self.rows[k] for k in keep)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistics(FoldProducts):
+    """The products of one structure of gears; ``columns`` tells what each column is."""
+
+    columns: Columns
 
 
 def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
@@ -123,4 +129,4 @@ def gather(
             grams[k][picked] += gram
             nuisance[k] = slice(begin if len(mine) < 2 else end - log.stretches, end)
         begin = end
-    return Statistics(columns, tuple(grams), tuple(rows), tuple(nuisance))
+    return Statistics(columns=columns, grams=tuple(grams), rows=tuple(rows), nuisance=tuple(nuisance))
