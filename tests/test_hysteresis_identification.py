@@ -377,6 +377,20 @@ def test_a_warm_up_is_no_creep() -> None:
     assert held_out(warm, truth) < 2.0 * held_out(cold, truth)
 
 
+@pytest.mark.parametrize(("gain", "gears"), [(0.4, 1280), (20.0, 5120)])
+def test_gears_are_as_fine_as_the_noise_lets_see(gain: float, gears: int) -> None:
+    rng = np.random.default_rng(8)
+    turns = np.concatenate(([0.0, 10.0, 0.0], 10.0 * rng.random(40)))
+    voltage = np.concatenate([np.linspace(a, b, 60, endpoint=False) for a, b in itertools.pairwise(turns)])
+    slopes = 0.05 + 1.3 * np.sqrt(np.minimum(np.arange(40_000) / 8000.0, 1.0))
+    fine = BacklashStage(np.full(40_000, 0.00025), 0.00025 * slopes)
+    model = replace(actuator(), stages=(fine, ScaleStage(gain, 3.0)))
+    found = identify([record(model, voltage)], STATIC)
+    assert found.model.backlash.n == gears
+    few = identify([record(model, voltage)], replace(STATIC, gears=1024))
+    assert held_out(found, model) < (0.7 if gears > 1280 else 1.2) * held_out(few, model)
+
+
 def test_gears_are_fine_though_the_log_turns_at_few_levels() -> None:
     phase = 2.0 * np.pi * np.arange(150) / 150
     voltage = np.concatenate([h * (0.5 - 0.5 * np.cos(phase)) for h in [10.0] * 4 + [5.0] * 4])
