@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from trials import Floats
@@ -66,6 +68,24 @@ def test_two_resonances_are_found() -> None:
     assert found.model.dynamics is not None
     first, second = found.model.dynamics.resonances
     assert (first.frequency, second.frequency) == pytest.approx((50.0, 130.0), rel=0.005)
+
+
+def test_a_weak_second_mode_is_found_below_the_noise() -> None:
+    """5 % of the displacement, behind an amplifier that passes a seventh of it, in as much noise."""
+    first, second, share = Resonance(64.0, 0.03), Resonance(185.0, 0.02), 0.05
+    square = (1.0 - share) / second.frequency**2 + share / first.frequency**2
+    linear = 2.0 * (1.0 - share) * second.damping / second.frequency
+    linear += 2.0 * share * first.damping / first.frequency
+    beside = Antiresonance(square**-0.5, 0.5 * linear * square**-0.5)
+    known = plant(first, Resonance(second.frequency, second.damping, beside))
+    widths = np.full(2000, 0.05)
+    gears = BacklashStage(widths, 0.1 * widths * np.linspace(0.6, 1.4, 2000))
+    model = replace(known, stages=(DynamicsStage((Lag(6e-3),)), gears, *known.stages[1:]))
+    found = identify([recorded(model, swept())])
+    assert found.model.dynamics is not None
+    one, two = found.model.dynamics.resonances
+    assert one.frequency == pytest.approx(64.0, rel=0.001) and one.damping == pytest.approx(0.03, rel=0.02)
+    assert two.frequency == pytest.approx(185.0, rel=0.05) and two.antiresonance is not None
 
 
 def test_a_slow_and_a_fast_log_together_show_a_resonance() -> None:

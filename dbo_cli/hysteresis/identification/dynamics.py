@@ -15,30 +15,28 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.signal import csd, welch
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.identification.creep import creep_behind
-from dbo_cli.hysteresis.identification.dynamics_fit import Candidate, Signals, Structure, fitted, residuals
-from dbo_cli.hysteresis.identification.dynamics_told import ENERGY, interval, response, said, trusted
+from dbo_cli.hysteresis.identification.dynamics_choice import (
+    EARNED,
+    MOST_RESONANCES,
+    chosen_dynamics,
+    one_more,
+    white,
+)
+from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
+from dbo_cli.hysteresis.identification.dynamics_told import interval, response, said, trusted
 from dbo_cli.hysteresis.identification.evaluation import validation_of
 from dbo_cli.hysteresis.identification.fast_parts import FastPart, even_step, split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
-from dbo_cli.hysteresis.identification.recordings import Floats, Recording
+from dbo_cli.hysteresis.identification.recordings import Recording
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation
 
 Found = tuple[ActuatorModel, dict[str, object], list[str], list[str]]
 
-EARNED = 0.9
-"""Of the error on blocks left out: one more resonance, or an antiresonance, must lower it to this.
-
-So must a lag behind the gears against one before them: a small sweep cannot tell (the gears hardly turn in
-it), and an amplifier's lag is the usual one.
-Actuators without a resonance, fitted with one, came to 0.97 to 1.00; with a heavily damped one at half the
-swept band, 0.3.
-"""
 AS_GOOD = 1.02  # of the error on cycles left out, up to which creep behind the gears is taken
 STILL_GOOD = 1.25
 """Of the same error, up to which the slow rows' second reading is taken.
@@ -49,10 +47,6 @@ the reading with which they leave least on the fast rows: they were nearest to t
 0.150, 0.050 ms came out as 0.197, 0.146, 0.049, with the reading that did best on the slow rows as 0.194,
 0.143, 0.048; where a second mode was not found, one of 0.600 as 0.607 with the first).
 """
-APART = 0.3  # of the logarithms of two resonances, at least
-NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
-WHITE = 1.03  # times the noise: what is left over holds nothing more (1.00 to 1.01 for white noise alone)
-DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # a refinement starts from each: the error has several minima in it
 FINER = 4  # times the segments of asymmetry that slow moves need (see _again)
 MOST_POINTS = 32
 FAST_LAGS = 2.0  # periods of the lowest swept frequency: shorter relaxation is part of the dynamics
@@ -94,14 +88,14 @@ def with_dynamics(
             raise
         return None
     fast = [_without_sensor(part, options) for part in fast]
-    lowest, highest = min(part.lowest for part in fast), max(part.highest for part in fast)
+    band = lowest, highest = min(part.lowest for part in fast), max(part.highest for part in fast)
     model = _instantaneous(base.model, lowest)
     signals = [Signals(model, part) for part in fast]
-    chosen = _chosen(signals, lowest, highest, asked)
+    chosen = chosen_dynamics(signals, band, asked)
     if chosen is None:
         return None
-    chosen = _placed(signals, chosen, highest)
-    chosen = _sharpened(signals, chosen, highest)
+    chosen = _placed(signals, chosen, band)
+    chosen = _sharpened(signals, chosen, band)
     creep: tuple[Lag, ...] = ()
     best = chosen
     for again, own in _again(slow, chosen, options, base, identify, FAST_LAGS / lowest):
@@ -111,15 +105,20 @@ def with_dynamics(
         signals_again = [Signals(model_again, part) for part in fast]
         if _left_over(signals_again, chosen) <= STILL_GOOD * chosen.rmse:
             base, model, signals, creep = again, model_again, signals_again, own
-            best = min(best, _sharpened(signals_again, chosen, highest), key=lambda one: one.left_out)
+            best = min(best, _sharpened(signals_again, chosen, band), key=lambda one: one.left_out)
     chosen = best
+    if asked is None and len(chosen.resonances) < MOST_RESONANCES and not white(signals, chosen):
+        # What hides a weak resonance from the first reading of the slow rows is gone with the second.
+        here = fitted(signals, [chosen.parameters], chosen.structure, band)
+        more = one_more(signals, here, band)
+        chosen = chosen if more is None else _sharpened(signals, more, band)
     return _assembled(base, model, creep, chosen, signals, fast, validation, options, highest)
 
 
-def _sharpened(signals: Sequence[Signals], chosen: Candidate, highest: float) -> Candidate:
+def _sharpened(signals: Sequence[Signals], chosen: Candidate, band: Band) -> Candidate:
     """Return the dynamics refined, with an exact lag where that of the stage does not earn its place."""
     forms = [dataclasses.replace(chosen.structure, sampled_lag=sampled) for sampled in (False, True)]
-    exact, sampled = [fitted(signals, [chosen.parameters], structure, highest) for structure in forms]
+    exact, sampled = [fitted(signals, [chosen.parameters], structure, band) for structure in forms]
     return sampled if sampled.left_out <= EARNED * exact.left_out else exact
 
 
@@ -198,12 +197,12 @@ def _led(log: Recording, lag: float) -> Recording:
     return dataclasses.replace(log, voltage=passed)
 
 
-def _placed(signals: Sequence[Signals], behind: Candidate, highest: float) -> Candidate:
+def _placed(signals: Sequence[Signals], behind: Candidate, band: Band) -> Candidate:
     """Return the dynamics with the lag before the gears, where the fast rows do not speak against it."""
     if behind.lag == 0.0:
         return behind
     structure = dataclasses.replace(behind.structure, lag_before=True)
-    before = fitted(signals, [behind.parameters], structure, highest)
+    before = fitted(signals, [behind.parameters], structure, band)
     return before if EARNED * before.left_out <= behind.left_out else behind
 
 
@@ -240,86 +239,6 @@ def _without_fast_lags(gears: BacklashStage, shortest: float) -> BacklashStage:
     if kept:
         rest = Relaxation(terms.reference, tuple(t for t, _ in kept), tuple(g for _, g in kept))
     return BacklashStage(gears.dx, heights, gears.x0, y0, rest)
-
-
-def _chosen(signals: Sequence[Signals], lowest: float, highest: float, asked: int | None) -> Candidate | None:
-    """Return the dynamics that earn their place on blocks left out, or None.
-
-    One resonance after the other; each also with an antiresonance, as two modes that add up have one.
-    """
-    lag_starts = [np.log([value]) for value in (0.02 / highest, 0.3 / highest)]
-    best = fitted(signals, lag_starts, Structure(0), highest)
-    for count in range(1, 3 if asked is None else asked + 1):
-        if asked is None and count > 1 and _white(signals, best):
-            break
-        starts = _starts(signals, best, lowest, highest)
-        more = fitted(signals, starts, Structure(count), highest)
-        starts = _notched(starts) if count > 1 else _with_notch(signals, more, lowest, highest)
-        notched = fitted(signals, starts, Structure(count, antiresonance=True), highest)
-        if _earned(notched, more, lowest, highest):
-            more = notched
-        if asked is None and not _earned(more, best, lowest, highest):
-            break
-        best = more
-    return best if best.resonances else None
-
-
-def _earned(more: Candidate, best: Candidate, lowest: float, highest: float) -> bool:
-    found = [one.frequency for one in more.resonances]
-    found += [one.antiresonance.frequency for one in more.resonances if one.antiresonance]
-    return more.left_out <= EARNED * best.left_out and all(lowest < one < highest for one in found)
-
-
-def _white(signals: Sequence[Signals], best: Candidate) -> bool:
-    """Return whether what is left over is noise alone: as large as its second differences say."""
-    left = residuals(signals, best.parameters, best.structure)
-    noise = [np.diff(part, 2) for part in left]
-    total = sum(float(part @ part) for part in left) / sum(part.size for part in left)
-    alone = sum(float(part @ part) for part in noise) / sum(part.size for part in noise) / 6.0
-    return total <= WHITE**2 * alone
-
-
-def _starts(signals: Sequence[Signals], best: Candidate, lowest: float, highest: float) -> list[Floats]:
-    """Return where to begin with one resonance more."""
-    known = [one.frequency for one in best.resonances]
-    before = best.parameters[: 2 * len(known)]
-    lag = np.log(max(best.lag, 0.02 / highest))
-    peak = _peak(signals, best, lowest, highest)
-    places = (peak, 0.8 * highest) if known else (peak,)
-    return [np.array([*before, np.log(at), np.log(z), lag]) for z in DAMPINGS for at in places]
-
-
-def _with_notch(signals: Sequence[Signals], best: Candidate, lowest: float, highest: float) -> list[Floats]:
-    """Return where to begin with an antiresonance beside resonances that are found."""
-    places = (_peak(signals, best, lowest, highest), 0.9 * highest)
-    return [np.array([*best.parameters[:-1], np.log(at), np.log(z), best.parameters[-1]])
-            for at in places for z in DAMPINGS[1:3]]  # fmt: skip
-
-
-def _notched(starts: Sequence[Floats]) -> list[Floats]:
-    """Return where to begin with an antiresonance on either side of the last resonance.
-
-    So near to it and so like it that the two undo each other: the fit begins where it was without them.
-    """
-    return [np.array([*start[:-1], start[-3] + side, start[-2], start[-1]])
-            for start in starts for side in (-NEAR, NEAR)]  # fmt: skip
-
-
-def _peak(signals: Sequence[Signals], best: Candidate, lowest: float, highest: float) -> float:
-    """Return where the measured departs most from the best found (Hz), away from its resonances."""
-    one = max(signals, key=lambda part: part.measured.size)
-    size = min(one.measured.size, max(256, round(8.0 / (lowest * one.time_step))))
-    moved = one.moved(best.parameters, best.structure)
-    (left,) = residuals([one], best.parameters, best.structure)
-    rate = 1.0 / one.time_step
-    frequency, power = welch(moved, rate, nperseg=size)
-    ratio = np.abs(csd(moved, left, rate, nperseg=size)[1]) / np.maximum(power, 1e-12 * power.max())
-    inside = (frequency >= lowest) & (frequency <= highest) & (power > ENERGY**2 * power.max())
-    for known in best.resonances:
-        inside &= np.abs(np.log(np.maximum(frequency, 1e-9) / known.frequency)) > APART
-    if not inside.any():
-        return 0.7 * highest
-    return float(frequency[inside][np.argmax(ratio[inside])])
 
 
 def _assembled(
