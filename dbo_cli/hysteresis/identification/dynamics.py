@@ -25,7 +25,6 @@ from dbo_cli.hysteresis.identification.dynamics_choice import (
     MOST_RESONANCES,
     chosen_dynamics,
     one_more,
-    white,
 )
 from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
 from dbo_cli.hysteresis.identification.dynamics_told import interval, response, said, trusted
@@ -90,29 +89,66 @@ def with_dynamics(
     fast = [_without_sensor(part, options) for part in fast]
     band = lowest, highest = min(part.lowest for part in fast), max(part.highest for part in fast)
     model = _instantaneous(base.model, lowest)
-    signals = [Signals(model, part) for part in fast]
-    chosen = chosen_dynamics(signals, band, asked)
+    reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
+    chosen = chosen_dynamics(reading.signals, band, asked)
     if chosen is None:
         return None
-    chosen = _placed(signals, chosen, band)
-    chosen = _sharpened(signals, chosen, band)
-    creep: tuple[Lag, ...] = ()
-    best = chosen
-    for again, own in _again(slow, chosen, options, base, identify, FAST_LAGS / lowest):
-        model_again = _instantaneous(again.model, lowest)
-        if own:
-            model_again = dataclasses.replace(model_again, stages=(*model_again.stages, DynamicsStage(own)))
-        signals_again = [Signals(model_again, part) for part in fast]
-        if _left_over(signals_again, chosen) <= STILL_GOOD * chosen.rmse:
-            base, model, signals, creep = again, model_again, signals_again, own
-            best = min(best, _sharpened(signals_again, chosen, band), key=lambda one: one.left_out)
-    chosen = best
-    if asked is None and len(chosen.resonances) < MOST_RESONANCES and not white(signals, chosen):
+    chosen = _sharpened(reading.signals, _placed(reading.signals, chosen, band), band)
+    for _ in range(MOST_RESONANCES):
+        reading, chosen = _read_again(reading, chosen, slow, fast, band, options, identify)
+        if asked is not None or len(chosen.resonances) == MOST_RESONANCES:
+            break
         # What hides a weak resonance from the first reading of the slow rows is gone with the second.
-        here = fitted(signals, [chosen.parameters], chosen.structure, band)
-        more = one_more(signals, here, band)
-        chosen = chosen if more is None else _sharpened(signals, more, band)
-    return _assembled(base, model, creep, chosen, signals, fast, validation, options, highest)
+        here = fitted(reading.signals, [chosen.parameters], chosen.structure, band)
+        more = one_more(reading.signals, here, band)
+        if more is None:
+            break
+        chosen = _sharpened(reading.signals, more, band)
+    return _assembled(reading, chosen, fast, validation, options, highest)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Reading:
+    """What the slow rows told.
+
+    Attributes
+    ----------
+    base
+        As ``identify`` told it.
+    model : ActuatorModel
+        Its gears and points, with creep behind them; lag and delay are left to the dynamics.
+    signals : sequence of Signals
+        The fast parts, by this model.
+    creep : tuple of Lag
+        The creep behind the gears.
+    """
+
+    base: Any
+    model: ActuatorModel
+    signals: Sequence[Signals]
+    creep: tuple[Lag, ...]
+
+
+def _read_again(
+    reading: _Reading,
+    chosen: Candidate,
+    slow: Sequence[Recording],
+    fast: Sequence[FastPart],
+    band: Band,
+    options: IdentificationOptions,
+    identify: Callable[..., Any],
+) -> tuple[_Reading, Candidate]:
+    """Return the last reading of the slow rows that the fast ones do not speak against, and the dynamics."""
+    best = chosen
+    for again, creep in _again(slow, chosen, options, reading.base, identify, FAST_LAGS / band[0]):
+        model = _instantaneous(again.model, band[0])
+        if creep:
+            model = dataclasses.replace(model, stages=(*model.stages, DynamicsStage(creep)))
+        signals = [Signals(model, part) for part in fast]
+        if _left_over(signals, chosen) <= STILL_GOOD * chosen.rmse:
+            reading = _Reading(again, model, signals, creep)
+            best = min(best, _sharpened(signals, chosen, band), key=lambda one: one.left_out)
+    return reading, best
 
 
 def _sharpened(signals: Sequence[Signals], chosen: Candidate, band: Band) -> Candidate:
@@ -242,17 +278,15 @@ def _without_fast_lags(gears: BacklashStage, shortest: float) -> BacklashStage:
 
 
 def _assembled(
-    base: Any,
-    model: ActuatorModel,
-    creep: tuple[Lag, ...],
+    reading: _Reading,
     chosen: Candidate,
-    signals: Sequence[Signals],
     fast: Sequence[FastPart],
     validation: Sequence[Recording],
     options: IdentificationOptions,
     highest: float,
 ) -> Found:
     """Return the whole model with what is to be said of it."""
+    base, model, signals, creep = reading.base, reading.model, reading.signals, reading.creep
     first = (DynamicsStage((Lag(chosen.lag_before),)),) if chosen.lag_before > 0.0 else ()
     slow = [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
     stages = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
