@@ -39,8 +39,8 @@ noise's mean square, and by this share of what it is beyond white noise.
 On invented stages with one mode a second one lowered it by at most 48 where the slow rows had been read with
 the lag (by 3 % of what was beyond the noise, up to 553, where they had not); on stages with a second mode of
 3 to 6 %, behind amplifiers that let a fifth of it pass, in noise of 0.07 and 0.1 % of the range, by 400 and
-more. Without such a mode lags came out 2 to 4 % wrong (0.634 ms for 0.612), and moves at f_r/10 missed by 0.1 to
-0.25 % instead of 0.02 to 0.05.
+more. Without such a mode lags came out 2 to 4 % wrong (0.634 ms for 0.612), and moves at f_r/10 missed by
+0.1 to 0.25 % instead of 0.02 to 0.05.
 """
 APART = 0.3  # of the logarithms of two resonances, at least
 NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
