@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from virtual_positioner import PositionerParameters, VirtualPositioner
 
 from dbo_cli.errors import FitError, UsageError
+from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.identification import (
     Identification,
     IdentificationOptions,
@@ -375,6 +377,17 @@ def test_a_warm_up_is_no_creep() -> None:
     warm = identify([record(truth, voltage, change=warming)])
     assert warm.fit["logs"][0]["drift"] == pytest.approx(1.5, rel=0.15)  # type: ignore[index]
     assert held_out(warm, truth) < 2.0 * held_out(cold, truth)
+
+
+def test_creep_of_the_displacement_is_no_drift() -> None:
+    stage = PositionerParameters(
+        modes=((25e3, 0.05, 1.0),), amplifier_lag=0.0, stroke=2.26, loop=0.223, reach=0.288, bend=0.0228,
+        creep=((0.919, 0.0099), (6.44, 0.0126)), noise=6.4e-5,
+    )  # fmt: skip
+    _, drive = excitation(0.0, 100.0, 250.0, 20.0, 1.0)
+    moved = VirtualPositioner(stage).play(drive, 250.0, 1)
+    found = identify([Recording("log", drive, moved, sample_period=1.0 / 250.0)])
+    assert found.fit["logs"][0]["drift"] == 0.0  # type: ignore[index]
 
 
 @pytest.mark.parametrize(("gain", "gears"), [(0.4, 1280), (20.0, 5120)])
