@@ -68,12 +68,17 @@ def compensated(model: ActuatorModel, wanted: Floats, **more: object) -> Floats:
 def fast_move(axes: Axes) -> None:
     """Paint the errors of a sine at a tenth of the resonance, by three models."""
     time, wanted = burst(RESONANCE / 10.0, 0.2)
-    behind = actuator()
-    behind = dataclasses.replace(behind, stages=behind.with_lag_behind().stages)
+    before = actuator()
+    lag, moving = before.drive_lag, before.dynamics
+    assert lag is not None
+    assert moving is not None
+    moved = DynamicsStage((*lag.sections, *moving.sections))
+    kept = [stage for stage in before.stages if stage is not lag and stage is not moving]
+    behind = dataclasses.replace(before, stages=(*kept, moved))
     for model, label, look in (
         (actuator(resonance=None), "gears alone", style.DASHED),
         (behind, "lag taken behind", style.SOLID | {"color": style.THIRD}),
-        (actuator(), "lag before", style.SOLID),
+        (before, "lag before", style.SOLID),
     ):
         error = played(compensated(model, wanted)) - wanted
         axes.plot(1e3 * time, 1e3 * error, label=label, **look)

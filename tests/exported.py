@@ -38,7 +38,10 @@ void play(const NUMBER *in, NUMBER *out, uint32_t *crossed, size_t count, int re
 """
 
 
-def compiled(folder: Path, name: str, arithmetic: str, gears: int, flags: tuple[str, ...] = ("-O2",)) -> Any:
+def compiled(
+    folder: Path, name: str, arithmetic: str, gears: int, flags: tuple[str, ...] = ("-O2",),
+    others: tuple[str, ...] = (),
+) -> Any:  # fmt: skip
     """Return a function (inputs, reset drive or None) -> (outputs, hashes of the crossed gears)."""
     number = {"double": "double", "float": "float", "q31": "int32_t"}[arithmetic]
     text = HARNESS.replace("NAME", name).replace("NUMBER", number).replace("GEARS", str(gears))
@@ -46,7 +49,7 @@ def compiled(folder: Path, name: str, arithmetic: str, gears: int, flags: tuple[
     library = folder / "harness.so"
     subprocess.run(
         [COMPILERS[0], *WARNINGS, *flags, "-shared", "-fPIC", "harness.c", f"{name}.c", "dbo_kernel.c",
-         "-o", str(library)],
+         *others, "-o", str(library)],
         cwd=folder, check=True,
     )  # fmt: skip
     loaded = ctypes.CDLL(str(library))

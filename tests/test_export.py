@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -497,23 +498,55 @@ def test_dynamics_at_a_fixed_step(direction: Any, tmp_path: Path) -> None:
     assert f"Read {inverter.ahead / RATE + 0.003!r} s" in summary.notes[1]
 
 
-def test_a_lag_before_the_gears_is_exported_behind_them_and_said(tmp_path: Path) -> None:
-    plain = resonant_model()
-    first = DynamicsStage((Lag(0.001),))
-    model = ActuatorModel("forward", plain.input, plain.output, (first, *plain.stages))
-    moved = model.with_lag_behind()
-    assert moved.drive_lag is None and moved.dynamics is not None
-    assert moved.dynamics.sections == (Lag(0.001), *plain.dynamics.sections)  # type: ignore[union-attr]
-    turned, other = model.inverse().with_lag_behind(), moved.inverse()
-    assert list(map(type, turned.stages)) == list(map(type, other.stages))
-    assert turned.dynamics == other.dynamics
-    told = export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE).notes[0]
-    assert told.startswith("The model's lag before the gears is exported among the dynamics behind them")
-    expected = export_model(moved, str(tmp_path / "moved"), name="x", sample_rate=RATE)
-    ours, theirs = ((tmp_path / name / "x.c").read_text().splitlines() for name in ("out", "moved"))
-    assert ours[1] == f" * Written by dbo export from the model {model.digest[:16]}."
-    assert [ours[0], *ours[2:]] == [theirs[0], *theirs[2:]]
-    assert expected.notes[0] != told
+def lagging_model(seed: int, gears: int = 288, **more: Any) -> ActuatorModel:
+    plain = made_model(seed, gears=gears, **more)
+    first = DynamicsStage((Lag((0.0005, 0.004, 0.02)[seed]),))
+    return replace(plain, stages=(first, *plain.stages))
+
+
+@needs_compiler
+@pytest.mark.parametrize("direction", ["inverse", "forward"])
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_lag_before_the_gears_at_a_fixed_step(direction: Any, behind: bool, tmp_path: Path) -> None:
+    """Alone, its gears a table of all their states; with dynamics and a delay behind, and a slew limit."""
+    model = lagging_model(1, 288 if behind else 10, slopes=5, terms=2)
+    if behind:
+        stages = (*model.stages, DynamicsStage((Resonance(60.0, 0.05),)), DelayStage(0.003))
+        model = replace(model, stages=stages)
+    slew = 40.0 * model.input.span if direction == "inverse" and behind else None
+    export_model(
+        model, str(tmp_path / "out"), name="x", direction=direction, sample_rate=RATE, max_slew=slew,
+        lookup=not behind,
+    )  # fmt: skip
+    sources = ["x_test.c", "x.c", "dbo_kernel.c", "dbo_dynamics.c", *([] if behind else ["dbo_lookup.c"])]
+    subprocess.run(
+        [COMPILERS[0], *WARNINGS, *SANITIZERS, *sources, "-o", "t"], cwd=tmp_path / "out", check=True
+    )
+    done = subprocess.run(["./t"], cwd=tmp_path / "out", check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "x: 526 samples, every bit as expected\n")
+
+
+@needs_compiler
+@pytest.mark.parametrize("slew", [None, 20.0])
+def test_a_lag_before_the_gears_gives_the_bits_of_compensate(slew: float | None, tmp_path: Path) -> None:
+    """Random moves, many of which the limits cut off; bent drives and falling ones among them."""
+    for seed in range(3):
+        model = lagging_model(seed, bend=seed != 1)
+        low, high = model.input.minimum, model.input.maximum
+        limits = DriveLimits(low + 0.03 * (high - low), high, None if slew is None else slew * (high - low))
+        folder = tmp_path / f"out{seed}"
+        summary = export_model(
+            model, str(folder), name="x", sample_rate=RATE, v_min=limits.v_min, max_slew=limits.max_slew
+        )
+        plan = plan_cascade(model, "inverse", RATE, limits)
+        state, drive = plan.empty_state()
+        rng = np.random.default_rng(seed)
+        desired = random_moves(rng, model.output.minimum, model.output.maximum, 2_000)
+        begun = ModelState(state, drive=drive)
+        done = plan.model.simulate(desired, begun, time_step=1.0 / RATE, limits=limits)
+        assert done.clipped_count > 20
+        got, _ = compiled(folder, "x", "double", summary.gears, others=("dbo_dynamics.c",))(desired)
+        assert got.tobytes() == done.y.tobytes()
 
 
 def test_steep_gears_are_beyond_q31(tmp_path: Path) -> None:

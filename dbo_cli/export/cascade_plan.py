@@ -153,7 +153,6 @@ def plan_cascade(
         raise UsageError(f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0")
     turned = model if model.direction == direction else model.inverse()
     _ = turned.backlash  # a model that has no gears says so
-    turned = turned.with_lag_behind()
     for place, stage in enumerate(turned.stages):
         if not isinstance(stage, _KINDS):
             raise ModelError(f"stages[{place}]: a {type(stage).__name__} cannot be exported")

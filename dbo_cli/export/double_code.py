@@ -13,6 +13,7 @@ from dbo_cli.export.c_frame import SourceParts, Vectors, delay_line
 from dbo_cli.export.c_text import array, hex_double, struct_rows
 from dbo_cli.export.cascade_plan import CascadePlan
 from dbo_cli.export.dynamics_code import dynamics_parts, inverter_of, undone_moves
+from dbo_cli.export.lag_code import Rest, lag_parts
 from dbo_cli.export.self_test_moves import self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import buffer_words
@@ -160,6 +161,8 @@ def _limits(plan: CascadePlan) -> tuple[str, str]:
     inner = plan.inner_limits
     if inner is None:
         return "", "0"
+    if plan.model.drive_lag is not None:
+        return "", "&within"  # made anew for each sample (lag_code)
     text, step = "", "0"
     if plan.slew_step is not None:
         text += f"static const double largest_change = {hex_double(plan.slew_step)};\n"
@@ -191,6 +194,7 @@ class _Stages:
     behind: str
     drive: str
     segments: int
+    clip: str
 
 
 def _stages(plan: CascadePlan) -> _Stages:
@@ -202,12 +206,13 @@ def _stages(plan: CascadePlan) -> _Stages:
         more, steps, segments = stage_code(stages, label, segments)
         tables += more
         texts.append(steps)
+    clip = ""
     if plan.limits is not None and plan.tail:
         low, high = hex_double(plan.limits.v_min), hex_double(plan.limits.v_max)
-        texts[1] += f"    x = x < {low} ? {low} : x > {high} ? {high} : x;\n"
+        clip = f"    x = x < {low} ? {low} : x > {high} ? {high} : x;\n"
     points = [s for s in (*plan.head, *plan.tail, *drives) if not isinstance(s, ScaleStage)]
     size = 24 * sum(stage.m for stage in points)
-    return _Stages(tables, size, texts[0], texts[1], texts[2], segments)
+    return _Stages(tables, size, texts[0], texts[1], texts[2], segments, clip)
 
 
 def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, int]:
@@ -215,29 +220,38 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
     limit_text, limits = _limits(plan)
     gears = _lookup(plan, limits) if lookup else _recursion(plan, limits)
     stages, dynamics = _stages(plan), dynamics_parts(plan)
-    members, clear = [*gears.members, *dynamics.members], dynamics.clear
-    for name, count, kind in (("memory", plan.terms, "double"), ("segments", stages.segments, "size_t")):
-        if count:
-            members.append(f"{kind} {name}[{count}];")
-            clear += f"    for (size_t k = 0; k < {count}; k++) state->{name}[k] = 0;\n"
+    memory = [f"double memory[{plan.terms}];"] if plan.terms else []
+    step = stages.before + gears.step + "\n" + stages.behind + stages.clip
+    lagging: tuple[str, ...] = ()
+    tables, start, clear = gears.tables + limit_text + stages.tables + dynamics.tables, "", dynamics.clear
+    size = gears.size + stages.size + dynamics.size
+    if plan.model.drive_lag is not None:
+        rest = Rest(stages.before, gears.step, stages.behind, stages.drive, [*gears.members, *memory])
+        lag = lag_parts(plan, rest)
+        step, lagging, start, clear = lag.step, lag.members, lag.start, clear + lag.clear
+        tables, size = tables + lag.tables, size + lag.size
+    members = [*gears.members, *dynamics.members, *lagging, *memory]
+    if plan.terms:
+        clear += f"    for (size_t k = 0; k < {plan.terms}; k++) state->memory[k] = 0;\n"
+    if stages.segments:
+        members.append(f"size_t segments[{stages.segments}];")
+        clear += f"    for (size_t k = 0; k < {stages.segments}; k++) state->segments[k] = 0;\n"
     initialise = clear + gears.attach + gears.initialise
-    step = gears.attach + dynamics.before + stages.before + gears.step
-    behind = stages.behind + dynamics.behind
-    step += "\n" + behind.rstrip("\n") if behind else ""
+    step = (gears.attach + dynamics.before + step + dynamics.behind).rstrip("\n")
     if plan.direction == "forward" and plan.delay > 0.0:
         whole, part = _delay_samples(plan)
         lagged = f"later + {hex_double(part)} * (earlier - later)" if part else "later"
         more, empty, line = delay_line(whole, "double", lagged)
         members += more
         initialise, step = initialise + "\n" + empty, step + "\n" + line
-    source = plan.model.input
-    reach = ignored_beyond(source)
+    headers = ("dbo_lookup.h", lookup), ("dbo_dynamics.h", bool(dynamics.members or lagging))
+    reach = ignored_beyond(plan.model.input)
     parts = SourceParts(
         number="double",
-        tables=gears.tables + limit_text + stages.tables + dynamics.tables,
+        tables=tables,
         members=members,
         initialise=initialise,
-        start=stages.drive + gears.settle,
+        start=stages.drive + gears.settle + start,
         step=step,
         lowest=f"-{reach}",
         highest=reach,
@@ -245,13 +259,9 @@ def double_parts(plan: CascadePlan, lookup: bool = False) -> tuple[SourceParts, 
         drive_is_output=plan.direction == "inverse",
         macros=common_macros(plan),
         vectors=_vectors(plan),
-        kernel_headers=tuple(
-            name
-            for name, used in (("dbo_lookup.h", lookup), ("dbo_dynamics.h", bool(dynamics.members)))
-            if used
-        ),
+        kernel_headers=tuple(name for name, used in headers if used),
     )
-    return parts, gears.size + stages.size + dynamics.size
+    return parts, size
 
 
 def common_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:

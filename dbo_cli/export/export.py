@@ -102,7 +102,7 @@ def export_model(
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=table_bytes,
         state_bytes=_state_bytes(parts), worst_runs=rows,
         vectors=sum(len(run.inputs) for run in parts.vectors), bounds=bounds, gears_loss=loss,
-        notes=(*_lag_moved(model), *_notes(plan, loss)),
+        notes=tuple(_notes(plan, loss)),
     )  # fmt: skip
     files: dict[str, str | bytes] = dict(_files(plan, parts, summary, title, origin, arduino))
     files |= _host_files(plan, name, title, files, fmu, shared)
@@ -177,16 +177,6 @@ def _state_bytes(parts: SourceParts) -> int:
         size, alignment = sizes[kind]
         total = -(-total // alignment) * alignment + size * count
     return -(-total // 8) * 8
-
-
-def _lag_moved(model: ActuatorModel) -> list[str]:
-    """Say that a lag before the gears is exported behind them."""
-    if model.drive_lag is None:
-        return []
-    return [
-        "The model's lag before the gears is exported among the dynamics behind them: the same for slow and "
-        "for small moves; at a fifth of the resonance, moves over half the range differ by about 1 %."
-    ]
 
 
 def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:

@@ -28,7 +28,7 @@ def tables_and_bounds(plan: CascadePlan, q31: bool) -> tuple[SingleTables, dict[
     ModelError
         The model is beyond what the arithmetic holds.
     """
-    if plan.model.dynamics is not None:
+    if plan.model.dynamics is not None or plan.model.drive_lag is not None:
         raise ModelError(
             "dynamics are beyond float and q31 (`arithmetic` double, or identify with `dynamics` 0)"
         )

@@ -54,13 +54,18 @@ def undone(
     if w.size == 0:
         return w, state
     p, _, u = (float(w[0]), 0.0, float(w[0])) if state is None else state[0]
+    held, v = np.array([[u, 0.0, p]]), np.empty(w.size)
+    kernel.CHOSEN.dynamics_run(np.zeros((1, 2)), held, np.ascontiguousarray(w), v, undoing_rows(numbers))
+    return v, ((float(held[0, 2]), 0.0, float(held[0, 0])),)
+
+
+def undoing_rows(numbers: Coefficients) -> Floats:
+    """Return the section, one row a time step, that has the lag's output for its input."""
     rows = np.zeros((numbers.part.size, 6))
     moves = numbers.rise > 0.0
     rows[moves, 1] = numbers.part[moves] / numbers.rise[moves]
     rows[moves, 2] = 1.0 / numbers.rise[moves]
-    held, v = np.array([[u, 0.0, p]]), np.empty(w.size)
-    kernel.CHOSEN.dynamics_run(np.zeros((1, 2)), held, np.ascontiguousarray(w), v, rows)
-    return v, ((float(held[0, 2]), 0.0, float(held[0, 0])),)
+    return rows
 
 
 class Prompt(Protocol):

@@ -165,23 +165,6 @@ class ActuatorModel:
             stages = tuple(s.inverse() if s is stage else s for s in self.stages)
             object.__setattr__(self, "stages", stages)
 
-    def with_lag_behind(self) -> ActuatorModel:
-        """Return the model with a lag before its gears moved among the dynamics behind them.
-
-        The same for small moves; in large fast ones the gears then see turns that are not rounded.
-        """
-        if self.drive_lag is None:
-            return self
-        sections = self.drive_lag.sections + (self.dynamics.sections if self.dynamics else ())
-        moved = DynamicsStage(sections, self.direction == "inverse")
-        rest = [s for s in self.stages if s is not self.drive_lag and s is not self.dynamics]
-        outermost = self.delay is not None
-        if self.direction == "forward":
-            rest.insert(len(rest) - outermost, moved)
-        else:
-            rest.insert(int(outermost), moved)
-        return dataclasses.replace(self, stages=tuple(rest))
-
     def require(self, direction: Direction, place: str = "the model") -> None:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
         if self.direction != direction:
