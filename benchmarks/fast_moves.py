@@ -143,7 +143,8 @@ def figure(path: str, table: dict[str, dict[tuple[str, int], list[float]]]) -> N
 
     fig, axes = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True)
     for axis, shape in zip(axes, SHAPES, strict=True):
-        for k, (name, colour) in enumerate(zip(NAMES, ("0.6", "C1", "C0", "k"), strict=True)):
+        for name, colour in zip(NAMES[::-1], ("k", "C0", "C1", "0.6"), strict=True):
+            k = NAMES.index(name)
             curves = np.array([[table[one][shape, part][k] for part in PARTS] for one in table])
             for curve in curves:
                 axis.loglog([1.0 / part for part in PARTS], curve, color=colour, lw=0.6, alpha=0.5)
