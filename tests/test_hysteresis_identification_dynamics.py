@@ -132,6 +132,7 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
             "`sweep_amplitude` 60: give volts above 0, at most 50",
         ),
         ({"sweep_amplitude": 1.0}, "`sweep_amplitude` is that of a sweep"),
+        ({"sweep_to": 4.0}, r"`sweep_to` 4: the loops of 1 Hz are nearly as fast \(`frequency` at mo"),
         ({"sweep_to": 200.0, "max_slew": 320.0}, "`sweep_amplitude` 1: at 200 Hz it needs 314"),
     ):
         if "max_slew" in more:
@@ -140,6 +141,14 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
             text = r"`sweep_amplitude` 2: at 200 Hz it needs 628.319 V/s, `max_slew` allows 315"
         with pytest.raises(UsageError, match=text):
             excitation(0.0, 100.0, RATE, 6.0, 1.0, **more)
+
+
+def test_a_slow_resonance_is_found() -> None:
+    model = plant(Lag(2e-3), Resonance(12.0, 0.03))
+    found = identify([recorded(model, excitation(0.0, 100.0, RATE, 12.0, 0.5, sweep_to=20.0)[1])], FEW)
+    assert found.model.dynamics is not None
+    (resonance,) = found.model.dynamics.resonances
+    assert resonance.frequency == pytest.approx(12.0, rel=0.01)
 
 
 def test_an_antiresonance_is_a_section_of_the_model_file() -> None:

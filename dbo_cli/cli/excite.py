@@ -28,7 +28,7 @@ def excite(
     apart. It ends at rest where it began, so that drift shows, and it never leaves the limits. 15 s leave
     about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
     --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
-    more).
+    more, and longer below 60 Hz).
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """

@@ -26,6 +26,8 @@ _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
 # error was 0.121 % of the stroke, with it 0.113 % (30 runs each).
 _REST = 0.5
 
+FASTER = 10.0  # a sweep's highest frequency over that of the loops: their fastest swings have 8 times it
+
 Leg = tuple[float, int]  # a turning point as a part of the range, and the steps on the way there
 
 
@@ -70,7 +72,7 @@ def excitation(
         Chooses turns, speeds and holds; the same seed gives the same drive, byte for byte.
     sweep_to : float, optional
         Highest frequency, Hz, of a small sweep that follows in the middle of the range, for the dynamics; it
-        takes 4 s more (see ``sweep``).
+        takes 4 s more, below 60 Hz longer (see ``sweep``).
     sweep_amplitude : float, optional
         Of the sweep, V.
 
@@ -88,6 +90,11 @@ def excitation(
     voltage = np.clip(v_min + span * part, v_min, v_max)
     voltage[part == 1.0] = v_max
     if sweep_to is not None:
+        if sweep_to < FASTER * frequency:
+            raise UsageError(
+                f"`sweep_to` {sweep_to:g}: the loops of {frequency:g} Hz are nearly as fast (`frequency` at "
+                f"most {sweep_to / FASTER:g}, with the `duration` in its proportion)"
+            )
         small = sweep(v_min, v_max, sample_rate, sweep_to, sweep_amplitude, max_slew)
         voltage = np.concatenate([voltage, small])
     elif sweep_amplitude is not None:

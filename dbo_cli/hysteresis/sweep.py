@@ -10,6 +10,9 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.swings import Floats, swing_samples, swings
 
 SWEEP_SECONDS = 2.0
+SWEEP_PERIODS = 120.0
+"""Of the highest frequency, at least: 26 periods in all. Below 60 Hz the sweep is longer than 2 s; 2 s up to
+40 Hz showed no resonance at 20 Hz."""
 OCTAVES_DOWN = 100.0
 """The sweep begins at its end over this: there the gears alone answer, and the ratio of the two is known."""
 AMPLITUDE = 0.01
@@ -58,11 +61,12 @@ def sweep(
     crest = AMPLITUDE * span if amplitude is None else amplitude
     _check(span, sample_rate, sweep_to, crest, max_slew)
     step, middle = 1.0 / sample_rate, v_min + 0.5 * span
-    count = round(SWEEP_SECONDS * sample_rate)
+    seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
+    count = round(seconds * sample_rate)
     part = np.arange(count) / count
     grown = math.log(OCTAVES_DOWN)
     begin = sweep_to / OCTAVES_DOWN
-    turns = begin * SWEEP_SECONDS / grown * np.expm1(grown * part)
+    turns = begin * seconds / grown * np.expm1(grown * part)
     edge = np.clip(np.minimum(part, 1.0 - part) / TAPER, 0.0, 1.0)
     size = crest * FADED**part * (0.5 - 0.5 * np.cos(np.pi * edge))
     way = swing_samples(0.5 * span, step, SETTLE, max_slew)
