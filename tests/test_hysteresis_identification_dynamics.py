@@ -60,6 +60,8 @@ def test_a_resonance_is_found(frequency: float, damping: float, lag: float) -> N
     assert low < resonance.frequency < high
     assert any(line.startswith("dynamics: resonance at") for line in found.summary)
     assert any(line.startswith("trust the model to") for line in found.summary)
+    assert not any(line.startswith("lag ") for line in found.summary)  # of the slow rows alone
+    assert found.fit["lag_seconds"] == pytest.approx(lag + damping / (np.pi * frequency), rel=0.2, abs=2e-4)
 
 
 def test_two_resonances_are_found() -> None:

@@ -190,8 +190,7 @@ def _again(
     Creep that follows the displacement comes second, with its sections, where the slow rows do not speak
     against it.
     """
-    late = sum(one.damping / (math.pi * one.frequency) for one in chosen.resonances)
-    late += chosen.lag - chosen.lag_before
+    late = _late(chosen)
     known: dict[str, Any] = {"dynamics": 0}
     if options.delay is None:
         known["delay"] = late
@@ -217,6 +216,12 @@ def _again(
             model = dataclasses.replace(creeping[0].model, input=base.model.input)
             found.append((dataclasses.replace(creeping[0], model=model), creeping[1]))
     return found
+
+
+def _late(chosen: Candidate) -> float:
+    """Return the lag (s) of what is behind the gears, for slow moves."""
+    late = sum(one.damping / (math.pi * one.frequency) for one in chosen.resonances)
+    return late + chosen.lag - chosen.lag_before
 
 
 def _as_good(one: Any, other: Any) -> bool:
@@ -315,11 +320,16 @@ def _assembled(
     if creep:
         figures["creep"] = [{"seconds": one.seconds, "share": 1.0 - one.lead / one.seconds} for one in creep]
     figures["trusted_hz"] = trusted_hz
-    figures["delay_seconds"] = 0.0
+    terms = model.backlash.relaxation
+    figures["relaxation_seconds"] = list(terms.tau) if terms else []
+    figures["delay_seconds"], figures["delay_interval_seconds"] = 0.0, None
+    figures["lag_seconds"] = _late(chosen) + chosen.lag_before
     whole = dataclasses.replace(model, stages=stages, output=output, fit={})
     checks = [validation_of(whole, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     unit = f" {model.output.unit}" if model.output.unit else ""
-    summary = [*base.summary, *said(figures, chosen, trusted_hz, why, unit)]
+    # Of lag and memories the slow rows tell what the dynamics say better.
+    told = [line for line in base.summary if not line.startswith("lag ")]
+    summary = [*told, *said(figures, chosen, trusted_hz, why, unit)]
     if checks:
         rows = sum(len(one.values) for one in checks)
         rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in checks) / rows))

@@ -83,9 +83,19 @@ def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str
     crept = figures.get("creep", [])
     assert isinstance(crept, list)
     told = ", ".join(f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept)
+    beside = figures["relaxation_seconds"]
+    assert isinstance(beside, list)
+    memories = ", ".join(f"{tau:.3g}" for tau in beside)
     return [
         *([f"creep of the displacement, behind the gears: {told}"] if told else []),
+        *([f"relaxation beside the gears: {memories} s"] if memories else []),
         f"dynamics: {'; '.join(parts)}{lag}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "
-        f"{chosen.left_out:.3g}{unit}",
+        f"{chosen.left_out:.3g}{unit}"
+        + (
+            "; whether the actuator or its sensor is late a log cannot tell: all of it will be compensated "
+            "(`sensor_delay`, `sensor_lag` take the sensor's part off)"
+            if chosen.lag > 0.0 and "sensor" not in figures
+            else ""
+        ),
         f"trust the model to {trusted:.3g} Hz{': ' + why if why else ''}",
     ]
