@@ -539,14 +539,19 @@ def test_a_lag_before_the_gears_gives_the_bits_of_compensate(slew: float | None,
             model, str(folder), name="x", sample_rate=RATE, v_min=limits.v_min, max_slew=limits.max_slew
         )
         plan = plan_cascade(model, "inverse", RATE, limits)
-        state, drive = plan.empty_state()
+        state, rest = plan.empty_state()
         rng = np.random.default_rng(seed)
         desired = random_moves(rng, model.output.minimum, model.output.maximum, 2_000)
-        begun = ModelState(state, drive=drive)
+        begun = ModelState(state, drive=rest)
         done = plan.model.simulate(desired, begun, time_step=1.0 / RATE, limits=limits)
         assert done.clipped_count > 20
-        got, _ = compiled(folder, "x", "double", summary.gears, others=("dbo_dynamics.c",))(desired)
+        play = compiled(folder, "x", "double", summary.gears, others=("dbo_dynamics.c",))
+        got, _ = play(desired)
         assert got.tobytes() == done.y.tobytes()
+        start = model.start_compensation(float(desired[0]), "auto", limits)
+        drive = model.compensate(desired, start, limits=limits, time_step=1.0 / RATE).y
+        got, _ = play(desired[1:], float(drive[0]))
+        assert np.abs(got - drive[1:]).max() <= 1e-13 * (high - low)  # the first drive is rounded by a bend
 
 
 def test_steep_gears_are_beyond_q31(tmp_path: Path) -> None:

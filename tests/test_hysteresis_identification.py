@@ -260,8 +260,10 @@ def test_what_a_user_is_warned_of() -> None:
 
 def test_options_that_contradict_the_logs() -> None:
     log = replace(record(actuator(), nested()), sample_period=None)
-    with pytest.raises(UsageError, match=r"^`delay` and `relaxation` need a clock"):
+    with pytest.raises(UsageError, match=r"^`delay`, `relaxation` and `dynamics` need a clock"):
         identify([log], IdentificationOptions(delay=0.01))
+    with pytest.raises(UsageError, match=r"and `dynamics` need a clock"):
+        identify([log], IdentificationOptions(dynamics=1))
     with pytest.raises(FitError, match=r"^log: `skip` needs a clock"):
         identify([log], IdentificationOptions(skip_seconds=1.0))
     with pytest.raises(UsageError, match=r"^`method` paper takes one log"):

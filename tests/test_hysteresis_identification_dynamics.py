@@ -99,6 +99,19 @@ def test_a_slow_and_a_fast_log_together_show_a_resonance() -> None:
     assert found.model.dynamics.resonances[0].frequency == pytest.approx(60.0, rel=0.005)
 
 
+def test_a_sweep_stays_a_sweep_beside_a_log_of_loops() -> None:
+    model = plant(Lag(1e-3), Resonance(60.0, 0.03))
+    alone = recorded(model, swept())
+    loops = recorded(model, excitation(0.0, 100.0, RATE, 8.0, 1.0, seed=3)[1], seed=2)
+    (part,), (same,) = split([alone])[1], split([alone, loops])[1]
+    assert (part.rows, part.lowest, part.highest) == (same.rows, same.lowest, same.highest)
+
+
+def test_a_resonance_below_the_sweep_is_not_found_at_its_edge() -> None:
+    log = recorded(plant(Lag(1e-3), Resonance(6.0, 0.1)), swept())
+    assert identify([log], FEW).model.dynamics is None
+
+
 def test_without_a_resonance_none_is_found_and_nothing_changes() -> None:
     log = recorded(plant(), swept())
     auto, none = (identify([log], options) for options in (FEW, IdentificationOptions(
@@ -134,7 +147,7 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
             "`sweep_amplitude` 60: give volts above 0, at most 50",
         ),
         ({"sweep_amplitude": 1.0}, "`sweep_amplitude` is that of a sweep"),
-        ({"sweep_to": 4.0}, r"`sweep_to` 4: the loops of 1 Hz are nearly as fast \(`frequency` at mo"),
+        ({"sweep_to": 4.0}, "or `frequency` 0.4 and `duration` 15"),
         ({"sweep_to": 200.0, "max_slew": 320.0}, "`sweep_amplitude` 1: at 200 Hz it needs 314"),
     ):
         if "max_slew" in more:

@@ -18,7 +18,7 @@ from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleS
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
-from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
+from dbo_cli.reports.figures import label_decades, plots_of_comparison, plots_of_log
 from dbo_cli.reports.model_figures import loop_of, plots_of_model
 from dbo_cli.reports.page import breakable, to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
@@ -218,6 +218,20 @@ def test_logarithmic_axes_are_labelled_in_plain_letters() -> None:
     labels = [label for text in drawn for label in re.findall(r"<text[^>]*>([^<]+)</text>", text)]
     assert not [label for label in labels if "$" in label or "\\" in label]
     assert {"2", "3", "5", "10", "20"} <= set(labels)  # the sweep spans less than two powers of ten
+
+
+@pytest.mark.parametrize("ends", [(0.61, 0.95), (1.05, 1.9), (0.0004, 0.0009), (3.0, 40.0), (1e-7, 1.0)])
+def test_every_logarithmic_axis_has_labels(ends: tuple[float, float]) -> None:
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    axes.set_xscale("log")
+    axes.set_xlim(*ends)
+    label_decades(axes.xaxis)
+    ticks = [*axes.xaxis.get_ticklabels(), *axes.xaxis.get_ticklabels(minor=True)]
+    shown = [one.get_text() for one in ticks if ends[0] <= one.get_position()[0] <= ends[1]]
+    labels = [text for text in shown if text]
+    assert 2 <= len(labels) <= 12 and len(set(labels)) == len(labels)
 
 
 def test_a_constant_log_can_be_drawn():

@@ -302,7 +302,8 @@ def settled_state(plan: CascadePlan, drive: float) -> ModelState:
     start = covered.whole(operator.empty() if inner <= operator.x0 else operator.settled(inner))
     _, after, _ = forward.run([inner], start)
     memory = tuple(0.0 + (inner - plan.reference) for _ in range(plan.terms)) if plan.terms else None
-    return ModelState(BacklashState(after.bits, memory), drive=inner)
+    lagging = None if plan.model.drive_lag is None else ((drive, 0.0, drive),)
+    return ModelState(BacklashState(after.bits, memory), drive=inner, drive_lag=lagging)
 
 
 def _vectors(plan: CascadePlan) -> list[Vectors]:

@@ -97,10 +97,11 @@ def export_model(
     title, origin = _title(plan), _origin(model)
     run = plan.backlash.equal_run
     rows = -(-plan.backlash.n // run)
+    again = direction == "inverse" and plan.model.drive_lag is not None  # a sample that the limits hold back
     summary = ExportSummary(
         folder=folder, name=name, direction=direction, arithmetic=arithmetic, files=(),
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=table_bytes,
-        state_bytes=_state_bytes(parts), worst_runs=rows,
+        state_bytes=_state_bytes(parts), worst_runs=rows * (2 if again else 1),
         vectors=sum(len(run.inputs) for run in parts.vectors), bounds=bounds, gears_loss=loss,
         notes=tuple(_notes(plan, loss)),
     )  # fmt: skip

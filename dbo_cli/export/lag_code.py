@@ -32,14 +32,16 @@ static double next_above(double value) {
 
 @dataclass(frozen=True)
 class LagParts:
-    """Tables and their bytes, members of the state, what clears them, and the whole step on ``x``."""
+    """Tables, and the whole step on ``x``; what is the same for all: bytes, members, and their start."""
 
     tables: str
-    size: int
-    members: tuple[str, ...]
-    clear: str
-    start: str
     step: str
+    size: int = 64
+    members: tuple[str, ...] = ("dbo_section_state lag;", "int lagging;")
+    clear: str = "    state->lagging = 0;\n"
+    start: str = (
+        "    state->lag.p = state->lag.u = drive;\n    state->lag.q = 0.0;\n    state->lagging = 1;\n"
+    )
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,7 @@ def _forward(lag: DynamicsStage, time_step: float, rest: Rest) -> LagParts:
         "    dbo_dynamics_run(1, &lag_output, &state->lag, &x, &x, 1, lag_step, 0);\n"
     )
     step += rest.before + rest.gears + "\n" + rest.behind
-    return LagParts(tables, 64, ("dbo_section_state lag;", "int lagging;"), _CLEAR, "", step)
-
-
-_CLEAR = "    state->lagging = 0;\n"
+    return LagParts(tables, step)
 
 
 def _inverse(plan: CascadePlan, lag: DynamicsStage, rest: Rest) -> LagParts:
@@ -97,15 +96,12 @@ def _inverse(plan: CascadePlan, lag: DynamicsStage, rest: Rest) -> LagParts:
     rows = struct_rows([hex_double(v) for v in row] for row in undoing_rows(numbers))
     tables = array("dbo_section_step", "lag_undone", rows)
     tables += "static const dbo_section_output lag_output = {0.0, 0.0};\n" + NEXT_ABOVE
-    members, clear, start = ["dbo_section_state lag;", "int lagging;"], _CLEAR, ""
     allowed = f"v < {hex_double(low - slack)} || v > {hex_double(high + slack)}"
     least, most, before = hex_double(low), hex_double(high), ""
     if slew is not None:
-        members.append("double trimmed; /* the drive before the first sample */")
         change = slew * plan.time_step
-        clear += f"    state->trimmed = {hex_double(plan.model.outer_drive(plan.start_drive))};\n"
-        start = "    {\n" + rest.behind + "        state->trimmed = x;\n    }\n"
-        before = "    const double last = state->lagging ? state->lag.u : state->trimmed;\n"
+        begun = hex_double(plan.model.outer_drive(plan.start_drive))
+        before = f"    const double last = state->lagging ? state->lag.u : {begun};\n"
         allowed += f" || (v > last ? v - last : last - v) > {hex_double(change + slack)}"
     text = before + "    const double wanted = x;\n    double low = " + least + ", high = " + most + ", v;\n"
     text += "    dbo_limits within = {" + ", ".join(
@@ -150,7 +146,7 @@ def _inverse(plan: CascadePlan, lag: DynamicsStage, rest: Rest) -> LagParts:
         "    state->lag.p = undone.u;\n    state->lag.u = undone.p;\n    state->lagging = 1;\n"
         f"    x = v < {least} ? {least} : v > {most} ? {most} : v;\n"
     )
-    return LagParts(tables, 64, tuple(members), clear, start, text)
+    return LagParts(tables, text)
 
 
 def _kept(members: Sequence[str]) -> tuple[str, str]:

@@ -141,6 +141,11 @@ def _start_text(plan: CascadePlan, name: str) -> str:
         f" `{name}_reset(&state, drive)` is right for an actuator that was switched on and trimmed to `drive`"
         " (an oscillation that decayed) and rests there. `dbo compensate` chooses by itself: to start as it"
         f" does, give `{name}_reset` the first drive it wrote and go on with the second sample."
+        + (
+            " What moves behind the gears is at rest at the first sample: hold that until it has rung out."
+            if plan.model.dynamics is not None
+            else ""
+        )
     )
 
 

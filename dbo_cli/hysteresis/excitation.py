@@ -90,10 +90,12 @@ def excitation(
     voltage = np.clip(v_min + span * part, v_min, v_max)
     voltage[part == 1.0] = v_max
     if sweep_to is not None:
-        if sweep_to < FASTER * frequency:
+        slower = sweep_to / FASTER
+        if 0.0 < slower < frequency:
             raise UsageError(
-                f"`sweep_to` {sweep_to:g}: the loops of {frequency:g} Hz are nearly as fast (`frequency` at "
-                f"most {sweep_to / FASTER:g}, with the `duration` in its proportion)"
+                f"`sweep_to` {sweep_to:g}: the loops of {frequency:g} Hz are nearly as fast (a sweep to "
+                f"{FASTER * frequency:g}, or `frequency` {slower:g} and `duration` "
+                f"{duration * frequency / slower:.6g})"
             )
         small = sweep(v_min, v_max, sample_rate, sweep_to, sweep_amplitude, max_slew)
         voltage = np.concatenate([voltage, small])

@@ -51,13 +51,15 @@ def decade(value: float, _: float = 0.0) -> str:
 
 
 def label_decades(axis: Axis) -> None:
-    """Label a logarithmic axis: every power of ten, and 2, 3 and 5 between where it spans less than two.
+    """Label a logarithmic axis: every power of ten, 2, 3 and 5 where it spans less than two, all within one.
 
     Matplotlib's own labels between are formulas, which are not set here (a dollar in a name is a dollar).
     """
 
     def between(value: float, _: float = 0.0) -> str:
         low, high = sorted(axis.get_view_interval())
+        if high < 10.0 * low:
+            return f"{value:.6g}"
         lead, exponent = f"{value:.0e}".split("e")
         if high > 100.0 * low or lead not in {"2", "3", "5"}:
             return ""

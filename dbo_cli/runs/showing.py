@@ -53,6 +53,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "gears": backlash.n if backlash else None,
         "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
+        "segments_at_the_drive": _at_the_drive(model),
         "relaxation_seconds": relaxation,
         "delay_seconds": delay,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
@@ -134,11 +135,20 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
 
 def _asymmetry(content: Mapping[str, Any]) -> str:
     """Say how many segments the points have, and on which side of the gears where they stand on both."""
-    counts = content["segments"]
-    if len(counts) != 2:
-        return "".join(f", {count} segments of asymmetry" for count in counts)
-    before, behind = counts if content["direction"] == "forward" else counts[::-1]
-    return f", {before} segments of asymmetry on the drive's side and {behind} on the displacement's"
+    before, every = content["segments_at_the_drive"], sum(content["segments"])
+    if 0 < before < every:
+        behind = every - before
+        return f", {before} segments of asymmetry on the drive's side and {behind} on the displacement's"
+    return f", {every} segments of asymmetry" if every else ""
+
+
+def _at_the_drive(model: ActuatorModel) -> int:
+    """Return how many segments stand between the drive and the gears."""
+    gears = next((k for k, s in enumerate(model.stages) if isinstance(s, BacklashStage)), None)
+    if gears is None:
+        return 0
+    side = model.stages[:gears] if model.direction == "forward" else model.stages[gears:]
+    return sum(stage.m for stage in side if isinstance(stage, PointStage))
 
 
 def _lag(content: Mapping[str, Any]) -> str:

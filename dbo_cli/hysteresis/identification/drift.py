@@ -198,7 +198,10 @@ def _trials(
     ``creeping``: also beside memories of the displacement, by the measured one, as regressors of each log.
     """
     basis = Basis(TRIAL_SLOPES, low, high, TRIAL_SPLIT, _time_constants(logs))
-    slow = basis.time_constants[-SLOW_MEMORIES:] if creeping else ()
+    # Of a log much shorter than a memory the memory is its own negative, and explains whatever is in it.
+    shortest = min(float(log.seconds[-1]) for log in logs if log.seconds is not None)
+    offered_memories = [tau for tau in basis.time_constants if tau <= LONGEST * shortest]
+    slow = tuple(offered_memories[-SLOW_MEMORIES:]) if creeping else ()
     some = _scaled(fewer_rows(logs))
     together = [replace(log, drift=np.hstack((_columns(log), _crept(log, slow)))) for log in some]
     statistics = gather(together, basis, TRIAL_SEGMENTS)

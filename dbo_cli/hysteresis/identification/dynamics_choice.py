@@ -13,6 +13,7 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from dbo_cli.hysteresis.identification.dynamics_fit import (
+    MOST_BESIDE,
     Band,
     Candidate,
     Signals,
@@ -42,6 +43,7 @@ the lag (by 3 % of what was beyond the noise, up to 553, where they had not); on
 more. Without such a mode lags came out 2 to 4 % wrong (0.634 ms for 0.612), and moves at f_r/10 missed by
 0.1 to 0.25 % instead of 0.02 to 0.05.
 """
+INSIDE = 1.02  # times the bound at which a fit would like to go on: what it found there is something else
 APART = 0.3  # of the logarithms of two resonances, at least
 NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
 WHITE = 4.0
@@ -89,7 +91,10 @@ def _earned(signals: Sequence[Signals], more: Candidate, best: Candidate, band: 
     """Return whether the error on blocks left out asks for more, all of it inside the swept band."""
     found = [one.frequency for one in more.resonances]
     found += [one.antiresonance.frequency for one in more.resonances if one.antiresonance]
-    if not all(band[0] < one < band[1] for one in found):
+    if not all(INSIDE * band[0] < one < band[1] for one in found):
+        return False
+    pairs = [(one.damping, one.antiresonance.damping) for one in more.resonances if one.antiresonance]
+    if any(max(pair) > MOST_BESIDE / INSIDE for pair in pairs):
         return False
     if more.left_out <= EARNED * best.left_out:
         return True

@@ -47,19 +47,27 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     slow: list[Recording] = []
     fast: list[FastPart] = []
     span = max(float(np.ptp(log.voltage)) for log in recordings)
-    halves = [_median_half_period(log, span) for log in recordings]
+    steps = [even_step(log) for log in recordings]
+    sweeps = [
+        None if step is None else _sweep(log, span, step) for log, step in zip(recordings, steps, strict=True)
+    ]
+    # Beside loops, a sweep's many swings do not make a log a fast one.
+    loops = [
+        log if found is None else _without(log, found.rows)
+        for log, found in zip(recordings, sweeps, strict=True)
+    ]
+    halves = [_median_half_period(rest, span) for rest in loops]
+    halves = [_median_half_period(log, span) if half is None else half
+              for log, half in zip(recordings, halves, strict=True)]  # fmt: skip
     slowest = max((half for half in halves if half is not None), default=None)
-    for log, half in zip(recordings, halves, strict=True):
-        step = even_step(log)
+    for log, step, found, rest, half in zip(recordings, steps, sweeps, loops, halves, strict=True):
         if step is not None and half is not None and slowest is not None and FASTER * half <= slowest:
             fast.append(FastPart(log, slice(0, log.voltage.size), step, *_band(log, span, step)))
-            continue
-        found = None if step is None else _sweep(log, span, step)
-        if found is None:
+        elif found is not None:
+            fast.append(found)
+            slow.append(rest)
+        else:
             slow.append(log)
-            continue
-        fast.append(found)
-        slow.append(_without(log, found.rows))
     return slow, fast
 
 

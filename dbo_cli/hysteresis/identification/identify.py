@@ -76,9 +76,10 @@ def identify(
     if options.method == "paper":
         return _paper(recordings, options, validation)
     clocked = all(log.seconds() is not None for log in recordings)
-    if not clocked and (options.delay or options.relaxation):
+    if not clocked and (options.delay or options.relaxation or options.dynamics):
         raise UsageError(
-            "`delay` and `relaxation` need a clock: name the time column (`time`) or give `sample_rate`"
+            "`delay`, `relaxation` and `dynamics` need a clock: name the time column (`time`) or give "
+            "`sample_rate`"
         )
     if clocked and (options.dynamics or (options.dynamics is None and split(recordings)[1])):
         # The signal processing behind it takes half a second to import, and few logs need it.
