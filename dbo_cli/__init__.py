@@ -21,9 +21,9 @@ if TYPE_CHECKING:
         OutputError,
         UsageError,
     )
+    from dbo_cli.remarks import DboWarning
     from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
     from dbo_cli.runs.model import Model
-    from dbo_cli.runs.remarks import DboWarning
 
 __all__ = [
     "DboError",
@@ -44,7 +44,7 @@ __all__ = [
     "simulate",
 ]
 
-_ROOMS = {"Model": "runs.model", "DboWarning": "runs.remarks"}
+_ROOMS = {"Model": "runs.model", "DboWarning": "remarks"}
 
 
 def __getattr__(name: str) -> Any:

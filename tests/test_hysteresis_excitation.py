@@ -1,4 +1,4 @@
-"""Conditioning, excitation, and reading ahead."""
+"""Excitation, and reading ahead."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_hysteresis_model import build, limits_of, wanted
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.conditioning import condition
 from dbo_cli.hysteresis.delay import read_ahead
 from dbo_cli.hysteresis.excitation import excitation
 from dbo_cli.hysteresis.model import DriveLimits
@@ -29,37 +27,6 @@ def test_swing_samples_keep_the_slew() -> None:
     drive = swings([0.0, 5.0], [count])
     assert 0.99 * 100.0 < np.diff(drive).max() / 0.001 <= 100.0
     assert swing_samples(5.0, 0.001, 0.01) == 10
-
-
-@pytest.mark.parametrize("relaxation", [False, True])
-def test_conditioning_leads_to_the_state_compensation_goes_on_from(relaxation: bool) -> None:
-    for seed in range(6):
-        model = build(seed, relaxation)
-        desired = wanted(model, seed)
-        limits = limits_of(model, slew=200.0 * model.input.span)
-        sweep = condition(model, desired[0], limits, 0.001)
-        drive = model.compensate(desired, sweep.state, limits=limits, time_step=0.001)
-        both = np.concatenate([sweep.voltage, drive.y])
-        assert sweep.time[-1] == -0.001
-        assert np.all(np.diff(sweep.time) > 0.0)
-        assert np.abs(np.diff(both)).max() <= 0.2 * model.input.span * (1.0 + 1e-9)
-        assert both.min() >= limits.v_min
-        assert both.max() <= limits.v_max
-        back = model.simulate(both, model.start(both[0]), time_step=0.001)
-        assert back.state == drive.state
-        late = slice(100, None)  # the slew limit may hold back the first samples
-        error = np.abs(back.y[-desired.size :] - desired)[late]
-        assert error.max() <= 1e-11 * model.output.span
-
-
-def test_conditioning_joins_the_trajectory_where_the_memory_has_brought_it() -> None:
-    for seed in range(6):
-        model = build(seed, relaxation=True)
-        desired = wanted(model, seed, share=0.3)
-        limits = limits_of(model)
-        sweep = condition(model, desired[0], limits, 0.001)
-        drive = model.compensate(desired[:1], sweep.state, limits=limits, time_step=0.001)
-        assert drive.y[0] == pytest.approx(sweep.voltage[-1], abs=1e-8 * model.input.span)
 
 
 def excited(**change: Any) -> Any:

@@ -13,8 +13,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
-ORDER = ["version", "errors", "hysteresis", "logs", "relatives", "reports", "export", "runs", "cli"]
-SIBLINGS = [{"hysteresis", "logs"}, {"relatives", "logs"}, {"reports", "export"}, {"relatives", "export"}]
+ORDER = [
+    "version", "errors", "remarks", "hysteresis", "logs", "relatives", "drives", "reports", "export", "runs", "cli"
+]  # fmt: skip
+SIBLINGS = [{"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export"}, {"relatives", "export"}]
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}
 spec = importlib.util.spec_from_file_location("draw_imports", ROOT / "docs" / "draw_imports.py")
@@ -22,7 +24,9 @@ assert spec is not None and spec.loader is not None
 draw_imports = importlib.util.module_from_spec(spec)
 sys.modules["draw_imports"] = draw_imports
 spec.loader.exec_module(draw_imports)
-COMMANDS = ["identify", "show", "invert", "simulate", "compensate", "report", "excite", "export", "compare"]
+COMMANDS = [
+    "identify", "show", "invert", "simulate", "compensate", "check", "report", "excite", "export", "compare"
+]  # fmt: skip
 
 
 def imported(path: Path) -> set[str]:

@@ -14,7 +14,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.logs.plain_text import cleaned
 
 if TYPE_CHECKING:
-    from dbo_cli.runs.remarks import Remarks
+    from dbo_cli.remarks import Remarks
 
 _PARAMETER = re.compile(r"`([a-z]\w*)`")
 
@@ -24,7 +24,7 @@ def shell_line(text: str) -> str:
 
     Names out of files hold no command that a terminal would obey.
     """
-    return _PARAMETER.sub(lambda found: "--" + found[1].replace("_", "-"), cleaned(text))
+    return _PARAMETER.sub(lambda found: "--" + found[1].rstrip("_").replace("_", "-"), cleaned(text))
 
 
 @dataclass(frozen=True)

@@ -338,6 +338,70 @@ OnLimit = Annotated[
 MaxSlew = Annotated[
     float | None, _option("--max-slew", "VOLT/S", "Fastest change of the drive.", parse=values.positive)
 ]
+MaxCurrent = Annotated[
+    float | None,
+    _option(
+        "--max-current",
+        "AMPERE",
+        "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
+        parse=values.positive,
+    ),
+]
+Capacitance = Annotated[
+    float | None,
+    _option("--capacitance", "FARAD", "Of the actuator, with --max-current.", parse=values.positive),
+]
+From = Annotated[
+    float | None,
+    _option(
+        "--from", "VOLT", "What the amplifier stands at before the first row.", parse=values.number
+    ),
+]
+Approach = Annotated[
+    float | Literal["auto"] | None,
+    _option(
+        "--approach",
+        "SECONDS|auto",
+        "Ramp from there to the first row (time < 0); auto: as fast as the slew allows.",
+        parse=values.seconds_or_auto,
+    ),
+]
+Lead = Annotated[
+    float | Literal["auto"] | None,
+    _option(
+        "--lead",
+        "SECONDS|auto",
+        "The drive that dynamics and delay need before a move that begins in motion (time < 0).",
+        parse=values.seconds_or_auto,
+    ),
+]
+Return = Annotated[
+    float | Literal["auto"] | None,
+    _option(
+        "--return",
+        "SECONDS|auto",
+        "Ramp back at the end, to where the drive came from, else to 0; its rows have no desired value.",
+        parse=values.seconds_or_auto,
+    ),
+]
+Summary = Annotated[
+    str | None, _common("--summary", "FILE", "Also write what was done as JSON (dbo-summary).")
+]
+Drive = Annotated[str, _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")]
+DriveColumn = Annotated[str | None, _reading("--voltage", COLUMN, "The drive; guessed by name.")]
+Loop = Annotated[bool, _option("--loop", None, "The drive is looped: from its last row to its first, too.")]
+Against = Annotated[
+    str | None, _option("--against", "FILE", "Was this drive what was played? Rows, lag, gain, offset.")
+]
+Tolerance = Annotated[
+    float | None,
+    _option(
+        "--tolerance",
+        "VOLT",
+        "With --against, the largest difference allowed [default: a thousandth of the range].",
+        parse=values.positive,
+    ),
+]
 Condition = Annotated[
     bool,
     _option(

@@ -25,6 +25,7 @@ def simulate(
     save_state: options.SaveState,
     input_column: options.Input,
     flush: options.Flush,
+    summary: options.Summary,
     output: options.Output,
 ) -> None:
     """Run a model over its input signal and write the output signal.
@@ -40,7 +41,7 @@ def simulate(
     remarks = simulate_log(
         model,
         log,
-        Destination(output, save_state, [model, log, state], flush, shlex.join(["dbo", *typed])),
+        Destination(output, save_state, [model, log, state], flush, shlex.join(["dbo", *typed]), summary),
         reading,
         column=input_column,
         outside=outside,

@@ -29,7 +29,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.version import __version__
 
 COMMANDS = (
-    "identify", "show", "invert", "simulate", "compensate", "report", "excite", "export", "compare"
+    "identify", "show", "invert", "simulate", "compensate", "check", "report", "excite", "export", "compare"
 )  # fmt: skip
 SHELLS = ("bash", "zsh", "fish")
 PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
@@ -71,10 +71,36 @@ def voice_of(values: Mapping[str, Any]) -> Voice:
     return Voice(quiet=values["quiet"], verbose=values["verbose"])
 
 
+DRIVE: dict[str, Any] = {
+    "v_min": options.VoltageMin,
+    "v_max": options.VoltageMax,
+    "max_slew": options.MaxSlew,
+    "max_current": options.MaxCurrent,
+    "capacitance": options.Capacitance,
+    "on_limit": options.OnLimit,
+    "from_": options.From,
+    "approach": options.Approach,
+    "condition": options.Condition,
+    "lead": options.Lead,
+    "return_": options.Return,
+    "bandwidth": options.Bandwidth,
+    "periodic": options.Periodic,
+    "passes": options.Passes,
+}
+
+
+def drive_of(values: Mapping[str, Any]) -> Any:
+    """Return what is asked of a drive; the state is read with the model."""
+    from dbo_cli.drives.options import DriveOptions
+
+    return DriveOptions(**{name: values[name] for name in DRIVE})
+
+
 Bundle = tuple[dict[str, Any], Callable[[Mapping[str, Any]], Any]]
 BUNDLES: dict[str, Bundle] = {
     "reading": (READING, reading_of),
     "log_reading": (READING | {"format": options.LogFormat}, reading_of),
+    "drive": (DRIVE, drive_of),
     "voice": (VOICE, voice_of),
     "typed": ({}, lambda values: TYPED.get()),
 }

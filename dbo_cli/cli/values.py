@@ -97,6 +97,11 @@ def rows(option: str, text: str) -> tuple[int, int | None]:
     return parse_rows(text)
 
 
+def seconds_or_auto(option: str, text: str) -> float | str:
+    """Return seconds above 0, or ``auto``."""
+    return text if text == "auto" else positive(option, text)
+
+
 def names(option: str, text: str) -> tuple[str, ...]:
     """Return names that commas divide."""
     found = tuple(name.strip() for name in text.split(","))

@@ -167,7 +167,7 @@ def plan_cascade(
         turned,
         None if sample_rate is None else 1.0 / sample_rate,
         limits,
-        None if limits is None else turned._inner_limits(limits),
+        None if limits is None else turned.inner_limits(limits),
         covered.operator.n,
         covered.spare_bits,
         covered.operator.x0,

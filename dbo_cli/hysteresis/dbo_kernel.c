@@ -492,9 +492,18 @@ INLINE double solve_within(const dbo_backlash *op, walk *w, double u, double kap
     return y;
 }
 
+/* last + step, rounded towards `last`: what the sum lost (two-sum, exact) tells which way it was rounded, and
+ * one part in 2^52 is at least its last digit. A slew limit is then kept to the last bit. */
+INLINE double towards(double last, double step) {
+    const double sum = last + step, part = sum - last;
+    const double lost = (last - (sum - part)) + (step - part);
+    const double digit = (sum < 0.0 ? -sum : sum) * 2.220446049250313e-16;
+    return step > 0.0 ? (lost < 0.0 ? sum - digit : sum) : (lost > 0.0 ? sum + digit : sum);
+}
+
 /* The limits of one sample, the largest change since the one before among them; the range wins. */
 INLINE void window(const dbo_limits *limits, double step, double last, double *low, double *high) {
-    const double least = last - step, most = last + step;
+    const double least = towards(last, -step), most = towards(last, step);
     *low = least < limits->low ? limits->low : least > limits->high ? limits->high : least;
     *high = most > limits->high ? limits->high : most < limits->low ? limits->low : most;
 }

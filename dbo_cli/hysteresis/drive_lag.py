@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
+from dbo_cli.hysteresis.kernel import towards
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.operators import Counts, Outside
 
@@ -85,6 +86,10 @@ class Prompt(Protocol):
     def outer_drive(self, drive: float) -> float:
         """See ``ActuatorModel.outer_drive``."""
 
+    @property
+    def drive_span(self) -> float:
+        """See ``ActuatorModel.drive_span``."""
+
 
 def simulate(
     lag: DynamicsStage,
@@ -105,7 +110,7 @@ def simulate(
         done = rest.simulate(x, state, time_step=steps, outside=outside)
         v, held = undone(numbers, done.y, state.drive_lag)
         return done._replace(y=v, state=replace(done.state, drive_lag=held))
-    return _limited(rest, x, state, steps, numbers, limits)
+    return _limited(rest, x, state, steps, numbers, limits, rest.drive_span)
 
 
 def _limited(
@@ -115,20 +120,21 @@ def _limited(
     steps: Steps,
     numbers: Coefficients,
     limits: DriveLimits,
+    span: float,
 ) -> Simulated:
     """Return the drive within its limits; what they hold back does not reach the gears.
 
     As many samples at once as stay within the limits, each other one alone: the bits are those of one sample
     after the other, however many are tried at once.
     """
-    wide = DriveLimits(limits.v_min, limits.v_max)
+    wide, slack = DriveLimits(limits.v_min, limits.v_max), limits.slack(span)
     drives, total, missed, at, chunk = [np.zeros(0)], Counts(), 0.0, 0, x.size
     while at < x.size:
         part = slice(at, min(at + chunk, x.size))
         own = numbers.of(part)
         slices = _part(steps, part)
-        slew = limits.max_slew
-        allowed = None if slew is None else np.broadcast_to(slew * slices, x[part].shape)
+        most = limits.largest_step(slices)
+        allowed = None if most is None else np.broadcast_to(most, x[part].shape)
         before = _last_drive(rest, state)
         done = rest.simulate(x[part], state, time_step=slices, limits=wide)
         v, held = undone(own, done.y, state.drive_lag)
@@ -142,10 +148,11 @@ def _limited(
             else:
                 part, slices = slice(at, at + 1), _part(steps, slice(at, at + 1))
                 step = None if allowed is None else float(allowed[0])
-                done, v, held = _held_back(
-                    rest, x[part], state, slices, (float(own.part[0]), float(own.rise[0])),
-                    _bounds(before, step, limits),
-                )  # fmt: skip
+                bounds = _bounds(before, step, limits)
+                beyond = max(float(v[0]) - bounds[1], bounds[0] - float(v[0]))
+                lag = (float(own.part[0]), float(own.rise[0]))
+                done, v, held = _held_back(rest, x[part], state, slices, lag, bounds)
+                done = done._replace(clipped_count=int(beyond > slack), first_clipped=0)
         else:
             chunk = min(2 * chunk, x.size)
         total = total + Counts(
@@ -171,11 +178,9 @@ def _last_drive(rest: Prompt, state: ModelState) -> float | None:
 
 def _within(v: Floats, before: float | None, allowed: Floats | None, limits: DriveLimits) -> int:
     """Return how many samples, the first ones, keep the limits."""
-    slack = NEGLIGIBLE * (limits.v_max - limits.v_min)
-    bad = (v < limits.v_min - slack) | (v > limits.v_max + slack)
+    bad = (v < limits.v_min) | (v > limits.v_max)
     if allowed is not None:
-        changes = np.abs(np.diff(v, prepend=v[0] if before is None else before))
-        bad |= changes > allowed + slack
+        bad |= np.abs(np.diff(v, prepend=v[0] if before is None else before)) > allowed
     return int(np.argmax(bad)) if bad.any() else v.size
 
 
@@ -184,7 +189,7 @@ def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tu
     if before is None or step is None:
         return limits.v_min, limits.v_max
     held = min(max(before, limits.v_min), limits.v_max)
-    return max(limits.v_min, held - step), min(limits.v_max, held + step)
+    return max(limits.v_min, towards(held, -step)), min(limits.v_max, towards(held, step))
 
 
 def _held_back(
@@ -197,15 +202,17 @@ def _held_back(
 ) -> tuple[Simulated, Floats, SectionStates]:
     """Return one sample whose drive is the bound that holds it back."""
     part, rise = numbers
-    if state.drive_lag is None:  # at rest at this sample: the lag passes on what it gets
-        low, high = bounds
-    else:
-        p, _, u = state.drive_lag[0]
+    p, _, u = (0.0, 0.0, 0.0) if state.drive_lag is None else state.drive_lag[0]
+    low, high = bounds
+    if state.drive_lag is not None:  # else at rest at this sample: the lag passes on what it gets
         low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
     if not low < high:  # the slew limit allows nothing in no time
         high = np.nextafter(low, np.inf)
     done = rest.simulate(x, state, time_step=steps, limits=DriveLimits(low, high))
     w = done.y.item()
-    drive = bounds[0] if w - low <= high - w else bounds[1]
-    counted = done._replace(clipped_count=1, first_clipped=0)
-    return counted, np.array([drive]), ((w, 0.0, drive),)
+    if min(w - low, high - w) <= NEGLIGIBLE * (high - low):
+        drive = bounds[0] if w - low <= high - w else bounds[1]
+    else:  # only rounding was in the way
+        drive = w if state.drive_lag is None else u + ((w - p) - part * (u - p)) / rise
+        drive = min(max(drive, bounds[0]), bounds[1])
+    return done, np.array([drive]), ((w, 0.0, drive),)

@@ -192,7 +192,22 @@ def _window(low: float, high: float, step: float | None, last: float) -> tuple[f
     """Return the output limits of one sample; the range wins over the slew limit."""
     if step is None or math.isnan(last):
         return low, high
-    return min(max(last - step, low), high), max(min(last + step, high), low)
+    return min(max(towards(last, -step), low), high), max(min(towards(last, step), high), low)
+
+
+def towards(last: float, step: float) -> float:
+    """Return last + step, rounded towards ``last``, so that a slew limit is kept to the last bit.
+
+    What the sum lost (two-sum, exact) tells which way it was rounded; one part in 2^52 is at least its last
+    digit.
+    """
+    total = last + step
+    part = total - last
+    lost = (last - (total - part)) + (step - part)
+    digit = abs(total) * 2.220446049250313e-16
+    if step > 0.0:
+        return total - digit if lost < 0.0 else total
+    return total + digit if lost > 0.0 else total
 
 
 def backlash_run(

@@ -238,6 +238,26 @@ class ActuatorModel:
         lag = self.drive_lag
         return dataclasses.replace(self, stages=tuple(s for s in self.stages if s is not lag))
 
+    @cached_property
+    def without_lag(self) -> ActuatorModel:
+        """The same model without dynamics, drive lag and delay: gears, memories and curves."""
+        kept = tuple(s for s in self.stages if not isinstance(s, DynamicsStage | DelayStage))
+        return dataclasses.replace(self, stages=kept)
+
+    def drive_of(self, state: ModelState) -> float | None:
+        """Return the voltage at which a state of this forward model was left, where it knows."""
+        if state.drive_lag is not None:
+            return state.drive_lag[0][2]
+        return None if state.drive is None else self._inverted.outer_drive(state.drive)
+
+    def displacement_of(self, state: ModelState) -> float:
+        """Return the displacement that gears and memories of a state hold, at its own voltage."""
+        assert state.drive is not None
+        slow = self.without_lag
+        held = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
+        voltage = self._inverted.outer_drive(state.drive)
+        return float(slow.simulate([voltage], held, time_step=0.0).y[0])
+
     @property
     def delay(self) -> DelayStage | None:
         """The delay as it stands in this model, or None."""
@@ -281,8 +301,8 @@ class ActuatorModel:
         """Return what reaches the backlash stage of this model."""
         return through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
 
-    def _inner_limits(self, limits: DriveLimits) -> DriveLimits:
-        """Limits on the drive as the backlash stage of an inverse model meets them.
+    def inner_limits(self, limits: DriveLimits) -> DriveLimits:
+        """Return limits on the drive as the backlash stage of an inverse model meets them.
 
         Where points stand between, the steepest step they may let through is counted on everywhere, so that
         the slew limit is kept with something to spare.
@@ -295,7 +315,15 @@ class ActuatorModel:
         if slew is not None:
             for stage in bent:
                 slew *= least_slope(stage)
+            slew *= 1.0 - NEGLIGIBLE  # the points round
         return DriveLimits(float(ends.min()), float(ends.max()), slew)
+
+    def output_limits(self, limits: DriveLimits, steps: float | Floats | None) -> OutputLimits:
+        """Return limits that the backlash stage of an inverse model meets, in the operator's terms."""
+        low, high = self.backlash.y_range
+        return OutputLimits(
+            limits.v_min, limits.v_max, limits.largest_step(steps), limits.slack(high - low)
+        )
 
     def start(
         self,
@@ -316,7 +344,7 @@ class ActuatorModel:
         if self.direction == "forward" or state in {"empty", "full"}:
             return ModelState(covered.whole(start_state(operator, value, state)))
         start_state(operator, value, state)  # refuses a name that is none
-        inner = None if limits is None else self._inner_limits(limits)
+        inner = None if limits is None else self.inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
         first = start_drive(operator, value, *bounds)
         first = first._replace(state=covered.whole(first.state))
@@ -377,7 +405,7 @@ class ActuatorModel:
         if outside == "hold":
             signal = self._held(signal)
         steps = self._steps(time_step, signal.size, state, limits)
-        inner = None if limits is None else self._inner_limits(limits)
+        inner = None if limits is None else self.inner_limits(limits)
         y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
         counts = self._with_uncovered(x, counts)
         if outside == "error" and counts.outside:
@@ -414,6 +442,11 @@ class ActuatorModel:
         if outside == "error" and counts.outside:
             raise OutsideError(counts.first_outside, float(signal[counts.first_outside]), *self._covered)
         return done._replace(outside_count=counts.outside, first_outside=counts.first_outside)
+
+    @property
+    def drive_span(self) -> float:
+        """Length of the range of voltages that the model covers."""
+        return (self.input if self.direction == "forward" else self.output).span
 
     def outer_drive(self, drive: float) -> float:
         """Return the voltage of an inverse model for a drive at its backlash stage."""
@@ -480,7 +513,7 @@ class ActuatorModel:
             state.backlash,
             decay=relaxation.decay(steps) if relaxation and steps is not None else None,
             outside=outside,
-            limits=None if limits is None else _output_limits(limits, steps),
+            limits=None if limits is None else self.output_limits(limits, steps),
             last=state.drive,
         )
         after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
@@ -568,7 +601,7 @@ class ActuatorModel:
         """
         self.require("forward")
         begun = self._inverted.start(first_desired, state, limits)
-        inner = self._inverted._inner_limits(limits)
+        inner = self._inverted.inner_limits(limits)
         if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
             drive = self._covered_gears.operator.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
@@ -591,9 +624,3 @@ class ActuatorModel:
     @cached_property
     def _inverted(self) -> Self:
         return self.inverse()
-
-
-def _output_limits(limits: DriveLimits, steps: float | Floats | None) -> OutputLimits:
-    """Return the limits of a block in the operator's terms."""
-    step = None if limits.max_slew is None or steps is None else limits.max_slew * steps
-    return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))

@@ -69,9 +69,21 @@ class Quantity:
         return self.maximum - self.minimum
 
 
+_INWARDS = 1.0 - 2.0**-51
+"""Three roundings (the step in time, the product, this factor) of one part in 2^53 each stay inside it."""
+
+
 @dataclass(frozen=True)
 class DriveLimits:
-    """Limits on the drive voltage of a compensation: its range and, per second, its change."""
+    """Limits on the drive voltage of a compensation: its range and, per second, its change.
+
+    An infinite slew limit is none.
+
+    Raises
+    ------
+    ModelError
+        The range is empty, a limit is not a number, or the slew is not above 0.
+    """
 
     v_min: float
     v_max: float
@@ -85,6 +97,23 @@ class DriveLimits:
             )
         if self.max_slew is not None and not self.max_slew > 0.0:
             raise ModelError(f"the largest slew, {self.max_slew!r}, is not greater than 0")
+        if self.max_slew == math.inf:  # times a step of 0 s it would be no number
+            object.__setattr__(self, "max_slew", None)
+
+    def largest_step(self, time_step: float | Floats | None) -> float | Floats | None:
+        """Return the largest change of the drive in a time step (s), rounded down; None where any is."""
+        if self.max_slew is None or time_step is None:
+            return None
+        return self.max_slew * time_step * _INWARDS
+
+    def largest_change(self, time_step: float | None) -> float | None:
+        """Return ``largest_step`` for a single time step."""
+        step = self.largest_step(time_step)
+        return None if step is None else float(step)
+
+    def slack(self, span: float) -> float:
+        """Return by how much clipping must move a sample to count, for a drive whose range is ``span``."""
+        return NEGLIGIBLE * min(self.v_max - self.v_min, span)
 
 
 @dataclass(frozen=True)
@@ -109,6 +138,8 @@ class ModelState:
         What the inverse of the dynamics remembers, after a compensation.
     drive_lag : tuple, or None
         (p, q, u) of the lag before the gears; None: at rest at the sample to come.
+    model : str, or None
+        The digest of the model that it is of, where it was handed out.
     """
 
     backlash: BacklashState
@@ -119,6 +150,7 @@ class ModelState:
     dynamics: SectionStates | None = None
     undoing: InverseMemory | None = None
     drive_lag: SectionStates | None = None
+    model: str | None = None
 
 
 class Simulated(NamedTuple):

@@ -96,9 +96,8 @@ class BacklashStepper:
         """The output of the last step committed."""
         return self._last
 
-    def set(self, state: BacklashState, last: float) -> None:
-        """Take a state over from the exchanged operator: its bits and memory mean the same."""
-        self._words[:] = self._operator._words(state)
-        if self._remembers:
-            self._memory[:] = state.memory
+    def take(self, other: BacklashStepper, last: float = math.nan) -> None:
+        """Go on from the committed state of the exchanged operator: bits and memory mean the same."""
+        self._words[:] = other._words
+        self._memory[:] = other._memory
         self._last = last

@@ -16,11 +16,10 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.sources import ArraySource, is_file, is_table, table_source
+from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.model import Model, read_model
-from dbo_cli.runs.remarks import DboWarning, Remarks
 from dbo_cli.runs.roles import recording_wishes, short_names
-from dbo_cli.runs.source import ArraySource
-from dbo_cli.runs.tables import is_file, is_table, table_source
 
 if TYPE_CHECKING:
     import pandas

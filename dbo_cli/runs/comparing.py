@@ -16,10 +16,10 @@ from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.relatives.comparison import NAMES, compare
+from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import check_folder, save
 from dbo_cli.reports.model_comparison import ModelComparison
 from dbo_cli.runs.identifying import read_recordings
-from dbo_cli.runs.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.reporting import ENDINGS
 
 

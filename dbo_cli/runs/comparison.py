@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NoReturn
 
+from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.column_names import wish
@@ -15,13 +16,12 @@ from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import SampleBlock
+from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock
 from dbo_cli.reports.trajectory_match import TrajectoryMatch
-from dbo_cli.runs.model_run import ModelRun
-from dbo_cli.runs.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import bring_to
-from dbo_cli.runs.source import Source, remarks_of
 
 if TYPE_CHECKING:
     import pandas

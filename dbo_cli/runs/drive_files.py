@@ -6,20 +6,23 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from dbo_cli.drives.gate import DriveGate
+from dbo_cli.drives.model_run import reads_ahead
+from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.planning import compensation
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import check_format, format_for
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.relatives.model_file import read_model
-from dbo_cli.runs.compensation import check_range, compensation
+from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.files import Destination, check_order, opened, spoken, write_response
-from dbo_cli.runs.model_run import reads_ahead
-from dbo_cli.runs.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import bring_to, quantity_wish
+from dbo_cli.runs.roles import bring_to, quantity_wish, tracked_of, tracked_wishes
 from dbo_cli.runs.starts import start_of
 
 if TYPE_CHECKING:
-    from dbo_cli.runs.learning import Tracked
+    from dbo_cli.drives.learning import Tracked
 
 
 def compensate_trajectory(
@@ -27,24 +30,16 @@ def compensate_trajectory(
     trajectory: str,
     destination: Destination,
     reading: ReadingOptions,
+    options: DriveOptions,
     *,
     column: str | None = None,
-    v_min: float | None = None,
-    v_max: float | None = None,
-    max_slew: float | None = None,
-    refuse_clipping: bool = False,
     state: str = "auto",
-    condition: bool = False,
-    bandwidth: float | None = None,
     tracked: Sequence[str] = (),
     voltage: str | None = None,
     measured: str | None = None,
-    periodic: bool = False,
-    passes: int = 0,
     listener: Listener = SILENT,
 ) -> Remarks:
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
-    check_range(v_min, v_max)
     destination = destination.beside(column, voltage, measured, reading.time)
     destination.check()
     check_order(model_file, trajectory)
@@ -53,25 +48,12 @@ def compensate_trajectory(
     model.require("forward", spoken(model_file))
     wanted = model.output
     want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
-    ahead = (reads_ahead(model) or bandwidth is not None) and not (tracked or periodic)
+    ahead = (reads_ahead(model) or options.bandwidth is not None) and not (tracked or options.periodic)
     recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
     with opened(trajectory, want, reading, destination.live, listener, ahead) as log:
         bring_to(log, wanted.quantity, wanted, spoken(model_file))
-        run = compensation(
-            model,
-            log,
-            v_min=v_min,
-            v_max=v_max,
-            max_slew=max_slew,
-            refuse_clipping=refuse_clipping,
-            start="auto" if state == "auto" else start_of(state, model),
-            condition=condition,
-            bandwidth=bandwidth,
-            tracked=recordings,
-            periodic=periodic,
-            passes=passes,
-            last_row=reading.rows[1] if ahead else None,
-        )
+        options = dataclasses.replace(options, state=start_of(state, model))
+        run = compensation(model, log, options, recordings, reading.rows[1] if ahead else None)
         # Not under the name of what will be measured: a drive must not be taken for a recording.
         given = OutColumn("desired", log.columns[wanted.quantity].unit or wanted.unit, "desired")
         return write_response(run, log, given, destination, reading, listener)
@@ -86,8 +68,6 @@ def _recorded(
     listener: Listener,
 ) -> Tracked:
     """Read the recording of a pass; ``rows`` are the trajectory's."""
-    from dbo_cli.runs.learning import tracked_of, tracked_wishes
-
     want = tracked_wishes(model, voltage, measured)
     with opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
         return tracked_of(log, model)
@@ -112,6 +92,7 @@ def write_excitation(
     time, voltage = excitation(
         v_min, v_max, sample_rate, duration, frequency, max_slew, seed, sweep_to, sweep_amplitude
     )
+    DriveGate(DriveLimits(v_min, v_max, max_slew)).admit(voltage, 1.0 / sample_rate)
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": sample_rate}

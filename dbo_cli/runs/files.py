@@ -6,10 +6,13 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from dbo_cli.drives.compensation import Compensation, DriveFigures
+from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
@@ -29,8 +32,7 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.relatives.model_file import read_model
-from dbo_cli.runs.model_run import ModelRun, reads_ahead
-from dbo_cli.runs.remarks import SILENT, Listener, Remarks
+from dbo_cli.remarks import SILENT, Listener, Remarks, plain
 from dbo_cli.runs.roles import bring_to, quantity_wish
 from dbo_cli.runs.starts import start_of
 
@@ -38,7 +40,7 @@ from dbo_cli.runs.starts import start_of
 class Destination(NamedTuple):
     """Where a response goes: the file, the state after it, and the inputs that must not be overwritten.
 
-    ``command`` is what an HDF5 output says it was made by.
+    ``command`` is what an HDF5 output says it was made by; ``summary`` a file for what was done, as JSON.
     """
 
     output: str
@@ -46,6 +48,7 @@ class Destination(NamedTuple):
     protect: Sequence[str] = ()
     live: bool = False
     command: str = ""
+    summary: str | None = None
 
     def beside(self, *selectors: str | None) -> Destination:
         """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
@@ -56,7 +59,10 @@ class Destination(NamedTuple):
         if list(self.protect).count("-") > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
         parse_output(self.output)
-        check_outputs([one for one in (self.output, self.save_state) if one is not None], self.protect)
+        outputs = (self.output, self.save_state, self.summary)
+        check_outputs([one for one in outputs if one is not None], self.protect)
+        if self.summary is not None:
+            check_document(self.summary, "a summary", "json")
         if self.save_state is not None:
             check_document(self.save_state, "a state", "json")
 
@@ -84,7 +90,7 @@ def simulate_log(
     with opened(log_file, want, reading, destination.live, listener, ahead) as log:
         bring_to(log, taken.quantity, taken, spoken(model_file))
         last = reading.rows[1] if ahead else None
-        run = ModelRun(model, log, start_of(state, model), outside, last_row=last)
+        run = ModelRun(model, log, start_of(state, model), outside, last)
         given = _column_of(log, taken)
         return write_response(run, log, given, destination, reading, listener)
 
@@ -136,6 +142,7 @@ def write_response(
     responses = run.responses()
     # Computed before anything is opened: a log that is bad from the start leaves not even a header.
     first = next(responses)
+    figures = DriveFigures()
     with all_or_none():
         try:
             with signal_writer(
@@ -148,6 +155,7 @@ def write_response(
             ) as writer:
                 for response in chain([first], responses):
                     writer.write(*(response if response.time is not None else response[1:]))
+                    figures.see(response.result, None)
                     listener.progressed(len(response.result))
                 listener.finished()
         except BrokenPipeError:
@@ -158,10 +166,38 @@ def write_response(
             ) from None
         if destination.save_state is not None and run.state is not None:
             write_whole(destination.save_state, state_to_bytes(run.state, run.model))
+        if destination.summary is not None:
+            done = summary_of(run, log.reading_record(), figures, destination.command)
+            write_whole(destination.summary, (json.dumps(done, indent=2, ensure_ascii=False) + "\n").encode())
     told = run.remarks()
     if destination.live:
         told.read.clear()  # it was said when the stream began
     return told
+
+
+def summary_of(
+    run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str
+) -> dict[str, Any]:
+    """Return what a run did as plain values (``dbo-summary``); voltages and lengths in the model's units."""
+    remarks, expected, percent, clipped = run.remarks(), None, None, 0
+    if isinstance(run, Compensation):
+        expected, percent = run.expected_rmse()
+        clipped = run.clipped.count
+    kept = {key: read[key] for key in ("rows", "seconds", "columns") if key in read}
+    return {
+        "format": "dbo-summary",
+        "version": 1,
+        "command": command,
+        "read": [{"file": run.source.name, **kept}],
+        "rows": figures.rows,
+        "clipped": clipped,
+        "range": [figures.low, figures.high],
+        "largest_step": figures.largest_step,
+        "expected_rmse": expected,
+        "expected_percent": percent,
+        "notes": [plain(text) for text in remarks.notes],
+        "warnings": [plain(text) for text in remarks.warnings],
+    }
 
 
 def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:

@@ -19,10 +19,10 @@ from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
-from dbo_cli.runs.remarks import SILENT, Listener, Remarks
+from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import recording_wishes, short_names
-from dbo_cli.runs.source import Source, remarks_of
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dbo_cli.drives.compensation import Compensation
+from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -20,21 +22,19 @@ from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.sources import ArraySource, Source, checked_rate, is_file, is_table, table_source
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.relatives.model_file import read_model as read_model_file
 from dbo_cli.relatives.model_file import read_state
-from dbo_cli.runs.model_run import ModelRun
-from dbo_cli.runs.remarks import DboWarning, Remarks
-from dbo_cli.runs.roles import quantity_wish
-from dbo_cli.runs.source import ArraySource, Source
+from dbo_cli.remarks import DboWarning, Remarks
+from dbo_cli.runs.roles import bring_to, quantity_wish
 from dbo_cli.runs.starts import start_of
-from dbo_cli.runs.tables import is_file, is_table, table_source
 
 if TYPE_CHECKING:
-    from dbo_cli.runs.controller import Controller
-    from dbo_cli.runs.learning import Tracked
+    from dbo_cli.drives.controller import Controller
+    from dbo_cli.drives.learning import Tracked
 
 Floats = NDArray[np.float64]
 Start = StartName | ModelState | str | os.PathLike[str]
@@ -152,15 +152,18 @@ class Model:
         return read_state(os.fspath(path), self.actuator)
 
     @overload
-    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., state: Start = ...,
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                 rows: str | None = ..., state: Start = ...,
                  outside: Outside = ..., return_state: Literal[False] = ..., details: Literal[False] = ...,
                  ) -> Floats: ...  # fmt: skip
     @overload
-    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., state: Start = ...,
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                 rows: str | None = ..., state: Start = ...,
                  outside: Outside = ..., return_state: Literal[True], details: Literal[False] = ...,
                  ) -> tuple[Floats, ModelState]: ...  # fmt: skip
     @overload
-    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., state: Start = ...,
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                 rows: str | None = ..., state: Start = ...,
                  outside: Outside = ..., return_state: bool = ..., details: Literal[True],
                  ) -> Result: ...  # fmt: skip
     def simulate(
@@ -169,6 +172,7 @@ class Model:
         *,
         time: Any = None,
         sample_rate: float | None = None,
+        rows: str | None = None,
         state: Start = "auto",
         outside: Outside = "extend",
         return_state: bool = False,
@@ -182,6 +186,8 @@ class Model:
             The input, in the unit of ``input``; an inverse model reads it ahead by its delay.
         time : array_like of shape (samples,), or a column's name
             Seconds; needed (or ``sample_rate``, Hz) by a model with lag, creep or delay.
+        rows : str
+            ``A:B``: the rows to answer, from 1; an inverse model reads what stands after them ahead.
         state
             ``auto``, ``empty``, ``full``, ``settled``, a state returned before, or a state file.
         outside : {"extend", "hold", "error"}
@@ -205,9 +211,10 @@ class Model:
         UsageError
             No state is called so.
         """
-        role = self.input.quantity
-        source = _source(x, role, quantity_wish(self.input, option="x"), time, sample_rate)
-        run = ModelRun(self.actuator, source, self._start(state), _one_of("outside", outside, OUTSIDE))
+        want, ahead = quantity_wish(self.input, option="x"), self.direction == "inverse"
+        source, last = _source(x, self.input, want, time, sample_rate, rows, ahead)
+        beyond = _one_of("outside", outside, OUTSIDE)
+        run = ModelRun(self.actuator, source, self._start(state), beyond, last)
         return _finished(run, return_state, details)
 
     def compensate(
@@ -216,18 +223,11 @@ class Model:
         *,
         time: Any = None,
         sample_rate: float | None = None,
-        v_min: float | None = None,
-        v_max: float | None = None,
-        max_slew: float | None = None,
-        on_limit: Literal["clip", "error"] = "clip",
-        state: Start = "auto",
-        condition: bool = False,
-        bandwidth: float | None = None,
+        rows: str | None = None,
         tracked: Any = (),
-        periodic: bool = False,
-        passes: int = 0,
         return_state: bool = False,
         details: bool = False,
+        **options: Any,
     ) -> Any:
         """Return the drive that makes the actuator follow a trajectory.
 
@@ -239,25 +239,18 @@ class Model:
             The desired displacement, in the unit of ``output``.
         time : array_like of shape (samples,), or a column's name
             Seconds; needed (or ``sample_rate``, Hz) by a model with lag, creep or delay and by ``max_slew``.
-        v_min, v_max, max_slew : float, optional
-            What the drive may do, in the unit of ``input`` (and per second); by default the model's range.
-        on_limit : {"clip", "error"}
-            Clip and count, or raise LimitError, where a limit is met.
-        state, return_state, details
-            As in ``simulate``.
-        condition : bool
-            Put the sweep that brings the actuator into a known state before the trajectory; the drive is
-            then longer than the trajectory, and ``details`` tells the times.
-        bandwidth : float, optional
-            Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first; with ``tracked``
-            that of what is learned.
+        rows : str
+            ``A:B``: the rows to answer, from 1; what stands after them is only read ahead.
         tracked : table, file name, or pair of arrays (voltage, measured); or a list of these
             The last pass of this trajectory, recorded once or several times: the drive becomes the next one
             of a repeated move, better by what the recording shows.
-        periodic : bool
-            The trajectory is one period of a loop; the drive is that of the settled loop.
-        passes : int
-            With ``periodic``, so many passes of run-in stand before it (``details`` tells the times).
+        return_state, details
+            As in ``simulate``.
+        **options
+            What ``DriveOptions`` knows: ``v_min``, ``v_max``, ``max_slew``, ``max_current``, ``capacitance``,
+            ``on_limit``, ``state``, ``from_``, ``approach``, ``condition``, ``lead``, ``return_``,
+            ``bandwidth``, ``periodic``, ``passes``. With rows before or after the trajectory the drive is
+            longer than it, and ``details`` has the times.
 
         Returns
         -------
@@ -268,28 +261,22 @@ class Model:
         InputError, ModelError, UsageError
             As in ``simulate``; the model is an inverse one; the limits are not in order.
         LimitError
-            A limit was met and ``on_limit`` is ``error``.
+            A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
         """
-        from dbo_cli.runs.compensation import compensation
+        from dbo_cli.drives.options import DriveOptions
+        from dbo_cli.drives.planning import compensation
 
-        role = self.output.quantity
-        source = _source(
-            wanted, role, quantity_wish(self.output, option="wanted", trajectory=True), time, sample_rate
-        )
-        run = compensation(
-            self.actuator,
-            source,
-            v_min=v_min,
-            v_max=v_max,
-            max_slew=max_slew,
-            refuse_clipping=_one_of("on_limit", on_limit, ON_LIMIT) == "error",
-            start=self._start(state),
-            condition=condition,
-            bandwidth=bandwidth,
-            tracked=_tracked(tracked, self.actuator),
-            periodic=periodic,
-            passes=passes,
-        )
+        known = {field.name for field in dataclasses.fields(DriveOptions)}
+        for name in options:
+            if name not in known:
+                there_are = ", ".join(sorted(known))
+                raise UsageError(f"`{name}` is no parameter of compensate; there are: {there_are}")
+        asked = DriveOptions(**options | {"state": self._start(options.get("state", "auto"))})
+        self.actuator.require("forward")
+        want = quantity_wish(self.output, option="wanted", trajectory=True)
+        ahead = not (asked.periodic or np.size(tracked))
+        source, last = _source(wanted, self.output, want, time, sample_rate, rows, ahead)
+        run = compensation(self.actuator, source, asked, _tracked(tracked, self.actuator), last)
         return _finished(run, return_state, details)
 
     def controller(
@@ -300,6 +287,7 @@ class Model:
         v_max: float | None = None,
         max_slew: float | None = None,
         state: Start = "auto",
+        from_: float | None = None,
         dac: ArrayLike | None = None,
         ahead: bool = False,
     ) -> Controller:
@@ -309,7 +297,7 @@ class Model:
         ----------
         sample_rate : float, optional
             Samples a second (Hz); needed by a model with lag or creep and by ``max_slew``.
-        v_min, v_max, max_slew, state
+        v_min, v_max, max_slew, state, from_
             As in ``compensate``.
         dac : array_like, optional
             The voltage of every code of a digital-to-analogue converter, from code 0 on; codes are then
@@ -324,7 +312,7 @@ class Model:
         UsageError
             The rate is missing, or the limits or the converter's curve are not in order.
         """
-        from dbo_cli.runs.controller import Controller
+        from dbo_cli.drives.controller import Controller
 
         return Controller(
             self.actuator,
@@ -333,6 +321,7 @@ class Model:
             v_max=v_max,
             max_slew=max_slew,
             state=self._start(state),
+            from_=from_,
             dac=dac,
             ahead=ahead,
         )
@@ -342,7 +331,6 @@ class Model:
 
 
 OUTSIDE = ("extend", "hold", "error")
-ON_LIMIT = ("clip", "error")
 
 
 def read_model(path: str | os.PathLike[str]) -> Model:
@@ -358,16 +346,32 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     return Model(actuator, remarks=Remarks(warnings=list(said) if isinstance(said, list) else []))
 
 
-def _source(data: Any, role: str, want: ColumnWish, time: Any, sample_rate: float | None) -> Source:
+def _source(
+    data: Any,
+    quantity: Quantity,
+    want: ColumnWish,
+    time: Any,
+    sample_rate: float | None,
+    rows: str | None,
+    ahead: bool,
+) -> tuple[Source, int | None]:
+    """Return a file, table or array as a source in the model's unit, and the last row to answer."""
+    taken = ALL_ROWS if rows is None else parse_rows(rows)
+    last, role = (taken[1] if ahead else None), quantity.quantity
+    taken = (taken[0], None) if ahead else taken
     if is_file(data):
-        return open_log(os.fspath(data), {role: want}, ReadingOptions(time=time, sample_rate=sample_rate))
-    if is_table(data):
-        return table_source(data, {role: want}, time, sample_rate)
-    name = want.option
-    source = ArraySource({name: data}, time, sample_rate, name=f"`{name}`")
-    source.values = {role: source.values[name]}
-    source.columns = {role: dataclasses.replace(source.columns[name], unit=None)}
-    return source
+        options = ReadingOptions(time=time, sample_rate=checked_rate(sample_rate), rows=taken)
+        source: Source = open_log(os.fspath(data), {role: want}, options)
+    elif is_table(data):
+        source = table_source(data, {role: want}, time, sample_rate, taken)
+    else:
+        name = want.option
+        arrays = ArraySource({name: data}, time, sample_rate, name=f"`{name}`", rows=taken)
+        arrays.values = {role: arrays.values[name]}
+        arrays.columns = {role: dataclasses.replace(arrays.columns[name], unit=None)}
+        source = arrays
+    bring_to(source, role, quantity, "the model")
+    return source, last
 
 
 def _tracked(given: Any, model: ActuatorModel) -> list[Tracked]:
@@ -378,7 +382,7 @@ def _tracked(given: Any, model: ActuatorModel) -> list[Tracked]:
 
 
 def _one_tracked(one: Any, number: int, model: ActuatorModel) -> Tracked:
-    from dbo_cli.runs.learning import tracked_of, tracked_wishes
+    from dbo_cli.runs.roles import tracked_of, tracked_wishes
 
     want = tracked_wishes(model)
     if is_file(one):
@@ -403,6 +407,7 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     values = np.concatenate([response.result for response in responses])
     told = run.remarks()
     assert run.state is not None
+    run.state = dataclasses.replace(run.state, model=run.model.digest)
     if details:
         times = [response.time for response in responses if response.time is not None]
         return Result(
@@ -411,7 +416,7 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
             run.state,
             told.notes,
             told.warnings,
-            run.clipped.count,
+            run.clipped.count if isinstance(run, Compensation) else 0,
             run.beyond.count,
         )
     for text in told.warnings:

@@ -15,6 +15,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.relatives.model_file import read_model
+from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import check_folder, refuse_picture
 from dbo_cli.reports.report import Report, ReportOptions, check_limits
 from dbo_cli.reports.sample_pairs import rows_to_read
@@ -25,7 +26,6 @@ from dbo_cli.runs.comparison import (
     refuse_both,
     trajectory_wishes,
 )
-from dbo_cli.runs.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import short_names
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}

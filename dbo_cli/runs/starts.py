@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 
 from dbo_cli.errors import UsageError
@@ -19,9 +20,11 @@ def start_of(
     Raises
     ------
     UsageError
-        There is neither a start nor a file of that name.
+        There is neither a start nor a file of that name, or the state is of another model.
     """
     if isinstance(state, ModelState):
+        if state.model not in (None, model.digest):
+            raise UsageError("`state`: is of another model (go on with the model that returned it)")
         return state
     path = os.fspath(state)
     if path in START_NAMES:
@@ -29,4 +32,4 @@ def start_of(
     if not os.path.exists(path):
         names = ", ".join(START_NAMES)
         raise UsageError(f"`state`: '{path}' is none of {names}, and there is no such file")
-    return read_state(path, model)
+    return dataclasses.replace(read_state(path, model), model=model.digest)

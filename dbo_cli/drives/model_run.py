@@ -9,21 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.errors import InputError, LimitError
+from dbo_cli.drives.inputs import Inputs, Transforms
+from dbo_cli.drives.time_steps import TimeSteps
+from dbo_cli.errors import InputError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Quantity
+from dbo_cli.hysteresis.model_state import ModelState, OutsideError, Quantity, Simulated
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
-from dbo_cli.runs.inputs import Inputs, Transforms
-from dbo_cli.runs.remarks import Remarks
-from dbo_cli.runs.source import Source, remarks_of
-from dbo_cli.runs.time_steps import TimeSteps
+from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.remarks import Remarks
 
 LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word
 ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word
-REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 FASTER = 2.0
 """Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess. After
 logs of at most 1.3 ranges a second the error at 3 to 6 ranges a second was twice that at the logs' speeds."""
@@ -58,25 +57,18 @@ class Response(NamedTuple):
 class ModelRun:
     """One run of a model over a source.
 
-    Without ``limits`` the model is simulated as it stands. With them it must be a forward one, and what
-    comes out is the drive that makes its output follow the source (see ``compensation``).
-
     Attributes
     ----------
     model, source
-        What is run over what; the source has the model's input (or, with ``limits``, output) as a role.
+        What is run over what; the source has the model's input as a role.
     start : str or ModelState
         ``auto``, ``empty``, ``full``, ``settled``, or a state to go on from.
     outside : {"extend", "hold", "error"}
         Beyond the model's range: go on with the last slope, hold, or refuse.
-    limits : DriveLimits, optional
-        What the drive may do.
-    refuse_clipping : bool
-        Raise LimitError where the limits are met.
     last_row : int, optional
         The last row that is answered; rows after it are only read ahead.
-    bandwidth : float, optional
-        Cut-off (Hz) of the low-pass that rounds a trajectory first.
+    why_time : str, optional
+        Why the time between samples is needed, besides the model's own reasons.
     state : ModelState, or None
         After the samples run so far.
     """
@@ -85,8 +77,6 @@ class ModelRun:
     source: Source
     start: StartName | ModelState = "auto"
     outside: Outside = "extend"
-    limits: DriveLimits | None = None
-    refuse_clipping: bool = False
     last_row: int | None = None
     why_time: str | None = None
     bandwidth: float | None = None
@@ -95,42 +85,46 @@ class ModelRun:
     last_drive: float | None = None
     rows: int = 0
     beyond: Tally = field(default_factory=Tally)
-    clipped: Tally = field(default_factory=Tally)
     fast: Tally = field(default_factory=Tally)
-    missed: float = 0.0
-    unreachable: int = 0
     assumed: float = 0.0
     steps: TimeSteps = field(init=False)
-    prepared: Inputs = field(init=False)
+    inputs: Inputs = field(init=False)
 
     def __post_init__(self) -> None:
         """Refuse a source without time where the model needs one."""
         why = self.why_time
-        inverting = self.limits is not None or self.model.direction == "inverse"
-        if self.model.needs_time or (inverting and reads_ahead(self.model)):
+        if self.model.needs_time or (self.inverting and reads_ahead(self.model)):
             why = LAG_DEPENDS
-        if self.bandwidth is not None and why is None:
-            why = "`bandwidth` depends on it"
         begun = self.start if isinstance(self.start, ModelState) else None
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
         what = Transforms(
             self.taken.quantity,
-            self.model.delay_seconds if inverting else 0.0,
-            self.model.dynamics if inverting else None,
+            self.model.delay_seconds if self.inverting else 0.0,
+            self.model.dynamics if self.inverting else None,
             self.bandwidth,
             self.last_row,
         )
-        self.prepared = Inputs(self.source, what, begun, self.taken)
+        self.inputs = Inputs(self.source, what, begun, self.taken)
+
+    @property
+    def inverting(self) -> bool:
+        """Whether a displacement goes in and a drive comes out."""
+        return self.model.direction == "inverse"
 
     @property
     def taken(self) -> Quantity:
         """What the run takes in."""
-        return self.model.input if self.limits is None else self.model.output
+        return self.model.input
 
     @property
     def given(self) -> Quantity:
         """What the run gives."""
-        return self.model.output if self.limits is None else self.model.input
+        return self.model.output
+
+    @property
+    def displacement(self) -> Quantity:
+        """The displacement, whichever end of the run it is."""
+        return self.taken if self.inverting else self.given
 
     def responses(self) -> Iterator[Response]:
         """Run over the whole source; the blocks may be of any length, their samples always the same.
@@ -139,25 +133,9 @@ class ModelRun:
         ------
         InputError
             The source is bad, time goes backwards, or a sample is outside where that is refused.
-        LimitError
-            A limit of the drive was met, and that is refused.
         """
-        role = self.taken.quantity
-        for block, x in self.inputs():
-            yield Response(block.time, block.values[role], self.feed(block, x))
-        self.check_reach()
-
-    def check_reach(self) -> None:
-        """Refuse a trajectory that lies outside what the model reaches from its first row to its last."""
-        if self.rows and self.unreachable == self.rows:
-            raise InputError(
-                f"{self.source.name}: every row is outside what the model reaches ({self._range()}): check "
-                "unit, column and zero of the trajectory"
-            )
-
-    def inputs(self) -> Iterator[tuple[SampleBlock, FloatArray]]:
-        """Return each block with what goes into the model (see ``Inputs``)."""
-        return self.prepared.blocks()
+        for block, x in self.inputs.blocks(self.source.blocks()):
+            yield Response(block.time, block.values[self.taken.quantity], self.feed(block, x))
 
     def feed(self, block: SampleBlock, x: FloatArray) -> FloatArray:
         """Return the output for one block, and go on from there."""
@@ -165,38 +143,29 @@ class ModelRun:
         if self.state is None:
             self.state = self._begun(float(x[0]))
         try:
-            if self.limits is None:
-                done = self.model.simulate(x, self.state, time_step=steps, outside=self.outside)
-            else:
-                done = self.model.compensate(x, self.state, limits=self.limits, time_step=steps)
+            done = self._run(x, self.state, steps)
         except OutsideError as problem:
             raise InputError(
                 f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
                 f"range of the model ({self._range()}) (`outside` extend or hold)"
             ) from None
         time = None if block.time is None else float(block.time[-1])
-        self.state = dataclasses.replace(done.state, time=time, undoing=self.prepared.memory)
+        self.state = dataclasses.replace(done.state, time=time, undoing=self.inputs.memory)
         self.rows += len(x)
-        if self.limits is not None:
-            reach, slack = self.model.output, REACH_SLACK * self.model.output.span
-            wanted = x if self.model.dynamics is None else block.values[self.taken.quantity]
-            outside = (wanted < reach.minimum - slack) | (wanted > reach.maximum + slack)
-            self.unreachable += int(np.count_nonzero(outside))
         if done.outside_count:
             self.beyond.add(done.outside_count, done.first_outside, block)
-        if done.clipped_count:
-            self.clipped.add(done.clipped_count, done.first_clipped, block)
-        self.missed = self.missed or done.first_missed
-        if self.refuse_clipping and self.clipped.count:
-            raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
+        self._watch(done, block, x, steps)
         if steps is not None and self.model.direction == "forward":
-            self._watch_speed(x if self.limits is None else done.y, steps, block)
+            self._watch_speed(done.y if self.inverting else x, steps, block)
         return done.y
 
-    @property
-    def may_condition(self) -> bool:
-        """Whether a sweep before the first sample could bring the actuator into the start."""
-        return self.limits is not None
+    def _run(self, x: FloatArray, state: ModelState, steps: float | FloatArray | None) -> Simulated:
+        return self.model.simulate(x, state, time_step=steps, outside=self.outside)
+
+    def _watch(
+        self, done: Simulated, block: SampleBlock, x: FloatArray, steps: float | FloatArray | None
+    ) -> None:
+        """Look at what came out of a block."""
 
     def _watch_speed(self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock) -> None:
         """Count the samples whose drive is faster than any that the model was identified from."""
@@ -211,56 +180,46 @@ class ModelRun:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far."""
-        told = remarks_of(self.source)
-        told.add(self.prepared.remarks())
+        remarks = remarks_of(self.source)
+        remarks.add(self.inputs.remarks())
         if self.found_start:
-            told.notes.append(f"{self.source.name}: starts {self.found_start}, as the identification found")
-        if self.assumed:
-            displacement = self.model.output if self.model.direction == "forward" else self.model.input
-            told.notes.append(
-                f"{self.source.name}: where it starts, the displacement depends on the past by up to "
-                f"{self.assumed:.3g}{unit_of(displacement)}; the actuator is taken to have settled there "
-                f"({'`condition` sweeps it there, ' if self.may_condition else ''}`state` empty where it "
-                "comes from its lower end)"
+            remarks.notes.append(
+                f"{self.source.name}: starts {self.found_start}, as the identification found"
             )
-        if self.clipped.count:
-            told.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
-        elif self.beyond.count:
-            fate = "held" if self.outside == "hold" else "extended with the last slope"
-            counted = self._counted(self.beyond)
-            told.warn(f"{counted} outside the range of the model ({self._range()}): {fate}")
+        if self.assumed:
+            remarks.notes.append(
+                f"{self.source.name}: where it starts, the displacement depends on the past by up to "
+                f"{self.assumed:.3g}{unit_of(self.displacement)}; the actuator is taken to have settled "
+                f"there ({self._remedies()}`state` empty where it comes from its lower end)"
+            )
+        self._add_limits(remarks)
         if self.fast.count > FAST_PART * self.rows:
-            told.warn(
+            remarks.warn(
                 f"{self._counted(self.fast)} move the drive more than {FASTER:g} times as fast as the logs "
                 "of the identification did: how late the actuator is there was not seen; identify at the "
                 "speed of use"
             )
-        if self.missed:
-            told.warn(
-                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{unit_of(self.taken)} off the "
-                "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
-            )
         if kernel.KIND == "python" and self.rows >= LONG_WORK:
-            told.warn("the compiled kernel is not there and Python does the work, a hundred times slower")
-        drive = self.model.input
-        if self.limits and (self.limits.v_min < drive.minimum or self.limits.v_max > drive.maximum):
-            told.warn(
-                f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}"
-                f"{unit_of(drive)}, where the model was identified; it extrapolates there"
+            remarks.warn(
+                "the compiled kernel is not there and Python does the work, a hundred times slower"
             )
-        return told
+        return remarks
 
-    def _clipping(self) -> str:
-        """Say how much of a trajectory the drive's limits do not allow."""
-        assert self.limits is not None
-        drive = self.model.input
-        limits = f"{drive.quantity} {self.limits.v_min:.6g} to {self.limits.v_max:.6g}{unit_of(drive)}"
-        if self.limits.max_slew is not None:
-            limits += f", {self.limits.max_slew:.6g}{unit_of(drive)}/s"
-        return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({limits})"
+    def _remedies(self) -> str:
+        """Name, in front of others, what would bring the actuator into the start."""
+        return ""
+
+    def _add_limits(self, remarks: Remarks) -> None:
+        """Say what lay outside."""
+        if self.beyond.count:
+            fate = "held" if self.outside == "hold" else "extended with the last slope"
+            remarks.warn(
+                f"{self._counted(self.beyond)} outside the range of the model ({self._range()}): {fate}"
+            )
 
     def _counted(self, tally: Tally) -> str:
-        first = f"row {tally.first_row:,}" if tally.count == 1 else f"first in row {tally.first_row:,}"
+        place = f"row {tally.first_row:,}" if tally.first_row > 0 else "the rows before row 1"
+        first = place if tally.count == 1 else f"first in {place}"
         return f"{self.source.name}: {tally.count:,} of {self.rows:,} samples ({first})"
 
     def _range(self) -> str:
@@ -268,17 +227,17 @@ class ModelRun:
         return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{unit_of(taken)}"
 
     def _begun(self, first: float) -> ModelState:
-        if self.limits is None:
-            if self.start == "auto":
-                self.found_start = found_start(self.model, self.source.name, first)
-            begun = self.model.start(first, self.found_start or self.start)
-        else:
-            begun = self.model.start_compensation(first, self.start, self.limits)
+        if self.start == "auto":
+            self.found_start = found_start(self.model, self.source.name, first)
+        begun = self.model.start(first, self.found_start or self.start)
+        self._note_assumed(begun, first)
+        return begun
+
+    def _note_assumed(self, begun: ModelState, first: float) -> None:
+        """Remember by how much the displacement at the start depends on an unknown past."""
         if self.start == "auto" and not self.found_start:
             spread = self.model.start_spread(begun, first)
-            displacement = self.model.output if self.model.direction == "forward" else self.model.input
-            self.assumed = spread if spread > ASSUMED_SPREAD * displacement.span else 0.0
-        return begun
+            self.assumed = spread if spread > ASSUMED_SPREAD * self.displacement.span else 0.0
 
 
 def found_start(model: ActuatorModel, name: str, first: float) -> StartName | None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
-from dbo_cli.runs.source import Source
+from dbo_cli.logs.sources import Source
 
 SAME_STEP = 1e-6
 """A run goes on without a pause where its first sample comes one step after the last one's, to this fraction.
@@ -71,12 +71,13 @@ class TimeSteps:
         """Find when the sample before the first one was.
 
         Only after a saved state does the very first step count. Where the state does not know its time, or
-        the clock began anew since, the first sample comes one step after it.
+        the clock began anew since, the first sample comes one step after it. The stamp of the state's own
+        last sample is a repeated one: no time has passed.
         """
         self._begun = True
         first = float(time[0])
         usual = self.step if self.step is not None else float(time[1]) - first if len(time) > 1 else 0.0
-        if self._last is None or self._last >= first:
+        if self._last is None or self._last > first or (self.step is not None and self._last == first):
             self._last = first - usual
         elif self.step is not None and abs(first - self._last - self.step) > SAME_STEP * self.step:
             self.step = None  # a pause: from here on the stamps count

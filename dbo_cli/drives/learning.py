@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.loops import settled_output
@@ -23,10 +24,8 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.clock import even_step
-from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.sample_block import FloatArray, joined
-from dbo_cli.runs.roles import bring_to, quantity_wish
-from dbo_cli.runs.source import Source, WholeSource
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.sources import Source, WholeSource
 
 RESONANCE_PART = 3.0
 """A model is trusted to its lowest resonance over this, where its identification says nothing else.
@@ -70,24 +69,6 @@ class Lesson(NamedTuple):
     request: FloatArray
     cutoff: float
     notes: list[str]
-
-
-def tracked_wishes(
-    model: ActuatorModel, voltage: str | None = None, measured: str | None = None
-) -> dict[str, ColumnWish]:
-    """Return the columns of a recording of a pass."""
-    return {
-        "voltage": quantity_wish(model.input, voltage, option="voltage"),
-        "measured": quantity_wish(model.output, measured, option="measured"),
-    }
-
-
-def tracked_of(source: Source, model: ActuatorModel) -> Tracked:
-    """Read a recording whole, in the units of the model."""
-    bring_to(source, "voltage", model.input, "the model")
-    bring_to(source, "measured", model.output, "the model")
-    block = joined(list(source.blocks()))
-    return Tracked(source.name, block.values["voltage"], block.values["measured"], block.time)
 
 
 def lesson(
@@ -154,12 +135,7 @@ def lesson(
 
 
 def learned_source(
-    model: ActuatorModel,
-    source: Source,
-    recordings: Sequence[Tracked],
-    start: StartName | ModelState,
-    bandwidth: float | None,
-    loop: bool,
+    model: ActuatorModel, source: Source, recordings: Sequence[Tracked], options: DriveOptions
 ) -> tuple[WholeSource, FloatArray, Lesson]:
     """Return a source of what to ask for next, the trajectory itself, and the lesson."""
     whole = WholeSource(source)
@@ -168,7 +144,10 @@ def learned_source(
     source.require_time("`tracked` needs an even clock")
     assert time is not None
     step = whole.even_step("`tracked` needs an even clock")
-    learned = lesson(model, desired, time, step, recordings, start=start, bandwidth=bandwidth, loop=loop)
+    learned = lesson(
+        model, desired, time, step, recordings,
+        start=options.state, bandwidth=options.bandwidth, loop=options.periodic,
+    )  # fmt: skip
     whole.block = dataclasses.replace(whole.block, values={role: learned.request})
     return whole, desired, learned
 
@@ -202,6 +181,8 @@ def _one_pass(
             np.searchsorted(one.time, time[0] - 0.5 * step)
         )  # what stands before is a sweep or run-in
     rows = one.voltage.size - begin
+    if rows > count and not loop and one.time is not None:
+        rows = count  # what stands behind is a return
     if rows < count or (rows % count if loop else rows != count):
         whole = " or whole periods of it" if loop else ""
         raise InputError(
@@ -217,7 +198,8 @@ def _one_pass(
         return _Pass(voltage, settled_output(model, voltage, step, start), measured)
     begun = model.start(float(one.voltage[0]), start if begin == 0 else "auto")
     believed = model.simulate(one.voltage, begun, time_step=step).y
-    return _Pass(one.voltage[begin:], believed[begin:], one.measured[begin:])
+    own_rows = slice(begin, begin + count)
+    return _Pass(one.voltage[own_rows], believed[own_rows], one.measured[own_rows])
 
 
 def _same_drive(model: ActuatorModel, recordings: Sequence[Tracked], drives: Sequence[FloatArray]) -> None:

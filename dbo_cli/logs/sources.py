@@ -1,20 +1,32 @@
-"""Where a run takes its samples from: a log, or arrays that look like one."""
+"""The one way in: logs, tables and arrays as sources of samples, with the same checks for all.
+
+A source hands out blocks of finite float64 samples by role, in the unit that is asked for, and knows its
+clock. ``SignalLog`` is one for files; arrays and tables become one here.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterator, Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import TimeCheck, require_even
-from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
+from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.logs.units import match_units
-from dbo_cli.runs.remarks import Remarks
+from dbo_cli.remarks import Remarks
+
+if TYPE_CHECKING:
+    import pandas
+
+TABLE = "the table"
 
 
 class Source(Protocol):
@@ -62,11 +74,15 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
     Raises
     ------
     InputError
-        It has another shape, no samples, or one that is not a finite number.
+        It has another shape, no samples, masked ones, or one that is not a finite number; or it holds truth
+        values or times.
     """
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
+        row = int(np.argmax(np.ma.getmaskarray(values)))
+        raise InputError(f"`{name}`: sample {row + 1} is masked (leave it out, or fill it with what it was)")
     try:
         given = np.asarray(values)
-        if np.iscomplexobj(given):
+        if given.dtype.kind not in "iufO" or any(isinstance(one, bool | np.bool_) for one in _objects(given)):
             raise TypeError
         signal = np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError):
@@ -82,6 +98,54 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
     return signal
 
 
+def _objects(given: np.ndarray[Any, Any]) -> list[Any]:
+    """Return what an array of objects holds; nothing of an array of numbers."""
+    return list(given.reshape(-1)) if given.dtype.kind == "O" else []
+
+
+def stamps(values: ArrayLike) -> FloatArray:
+    """Return time stamps in seconds: numbers as they are, dates and durations of any unit converted.
+
+    Raises
+    ------
+    InputError
+        See ``samples``; or a date is missing (NaT).
+    """
+    given = values if np.ma.isMaskedArray(values) else np.asarray(values)
+    if given.dtype.kind == "O" and given.size and hasattr(given.reshape(-1)[0], "isoformat"):
+        given = given.astype("datetime64[us]")
+    elif given.dtype.kind == "O" and given.size and hasattr(given.reshape(-1)[0], "total_seconds"):
+        given = given.astype("timedelta64[us]")
+    if given.dtype.kind not in "mM":
+        return samples("time", values)
+    if np.isnat(given).any():
+        row = int(np.argmax(np.isnat(given)))
+        raise InputError(f"`time`: sample {row + 1} is missing (NaT) (leave it out)")
+    count, second = given.astype(f"{given.dtype.kind}8[ns]").astype(np.int64), 1_000_000_000
+    return samples("time", count // second + (count % second) / 1e9)
+
+
+def checked_rate(sample_rate: float | None) -> float | None:
+    """Return samples a second (Hz), or refuse what is no rate (UsageError)."""
+    if sample_rate is None:
+        return None
+    number = isinstance(sample_rate, int | float | np.number) and not isinstance(sample_rate, bool)
+    if not number or not 0.0 < sample_rate < float("inf"):
+        shown = f"{sample_rate:g}" if number else repr(sample_rate)
+        raise UsageError(f"`sample_rate` {shown}: give a positive number of samples a second")
+    return float(sample_rate)
+
+
+def is_table(data: object) -> bool:
+    """Tell whether something is a DataFrame, without importing pandas for it."""
+    return hasattr(data, "columns") and hasattr(data, "iloc")
+
+
+def is_file(data: object) -> bool:
+    """Tell whether something names a file."""
+    return isinstance(data, str | os.PathLike)
+
+
 class ArraySource:
     """Arrays as a source: one block.
 
@@ -90,13 +154,15 @@ class ArraySource:
     values : mapping of str to array_like
         Role to signal; all of one length.
     time : array_like, optional
-        Seconds, of the same length.
+        Seconds (or dates, or durations), of the same length.
     sample_rate : float, optional
         Samples a second (Hz) where ``time`` is not given.
     columns : mapping, optional
         What is known of each role's column.
     name : str
         How messages call the arrays.
+    rows : (first, last)
+        The samples to hand out, counted from 1, both ends included.
 
     Raises
     ------
@@ -113,17 +179,18 @@ class ArraySource:
         sample_rate: float | None = None,
         columns: Mapping[str, ColumnInfo] | None = None,
         name: str = "the arrays",
+        rows: Rows = ALL_ROWS,
     ) -> None:
         if time is not None and sample_rate is not None:
             raise UsageError("`time` and `sample_rate` exclude each other: give the one or the other")
-        if sample_rate is not None and not 0.0 < sample_rate < float("inf"):
-            raise UsageError(f"`sample_rate` {sample_rate:g}: give a positive number of samples a second")
+        sample_rate = checked_rate(sample_rate)
         self.name = name
         self.notes: list[str] = []
         self.warnings: list[str] = []
         self.clock_was_judged = False
         self.values = {role: samples(role, signal) for role, signal in values.items()}
-        self.time = None if time is None else samples("time", time)
+        self.time = None if time is None else stamps(time)
+        self.rows = rows
         first, count = next((role, signal.size) for role, signal in self.values.items())
         for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
             if signal.size != count:
@@ -180,7 +247,10 @@ class ArraySource:
                     f"{self.name}: `time` repeats its stamps in {check.repeat.count:,} of {count:,} samples:"
                     " too few digits for the rate (`sample_rate` HZ gives the time instead)"
                 )
-        yield SampleBlock(rows, None, time, self.values)
+        first, last = self.rows
+        if first > count:
+            raise InputError(f"{self.name}: there is no row {first}: {count} samples")
+        yield SampleBlock(rows, None, time, self.values).part(first - 1, min(last or count, count))
 
 
 class WholeSource:
@@ -237,3 +307,44 @@ class WholeSource:
     def blocks(self) -> Iterator[SampleBlock]:
         """Return the one block."""
         yield self.block
+
+
+def table_source(
+    table: pandas.DataFrame,
+    want: Mapping[str, ColumnWish],
+    time: str | ArrayLike | None = None,
+    sample_rate: float | None = None,
+    rows: Rows = ALL_ROWS,
+) -> ArraySource:
+    """Return the wanted columns of a DataFrame as a source.
+
+    Units come from ``attrs["units"]`` (as ``read_log`` leaves them) or from the column names
+    (``voltage_V``); the time from a column that is named or guessed, or from ``time`` as an array.
+
+    Raises
+    ------
+    InputError
+        A column is not there, not to be told, or holds no finite numbers.
+    """
+    units: Mapping[str, str | None] = table.attrs.get("units", {})
+    infos = [column_info(str(name), k, units.get(name)) for k, name in enumerate(table.columns, start=1)]
+    given = table.attrs.get("sample_rate") if sample_rate is None and time is None else sample_rate
+    warnings: list[str] = []
+    taken: list[ColumnInfo] = []
+    if sample_rate is None and (time is None or isinstance(time, str)):
+        named = [find_column(TABLE, infos, one.selector, one.option) for one in want.values() if one.selector]
+        found = find_time_column(TABLE, infos, ReadingOptions(time=time), named)
+        taken = found.taken
+        if found.clock is not None:
+            column = table.iloc[:, found.clock.column.number - 1]
+            if column.dtype.kind in "mM" or column.dtype.kind == "O":
+                time, given = stamps(column.to_numpy()), None
+            else:
+                time, given = found.clock.whole(samples("time", column.to_numpy()), warnings), None
+    columns = choose_columns(TABLE, infos, want, taken)
+    values = {role: table.iloc[:, column.number - 1].to_numpy() for role, column in columns.items()}
+    stamped = None if time is None or isinstance(time, str) else time
+    source = ArraySource(values, stamped, given if stamped is None else None, columns, TABLE, rows)
+    source.warnings.extend(warnings)
+    source.clock_was_judged = isinstance(time, str) or bool(taken)
+    return source

@@ -52,6 +52,11 @@ class _Silence:
 SILENT: Listener = _Silence()
 
 
+def plain(text: str) -> str:
+    """Return a message for readers outside the program: parameters without their backticks."""
+    return text.replace("`", "")
+
+
 @dataclass
 class Remarks:
     """Lines in the library's words.

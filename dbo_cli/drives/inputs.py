@@ -20,8 +20,8 @@ from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.clock import JITTER, require_even
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
-from dbo_cli.runs.remarks import Remarks
-from dbo_cli.runs.source import Source
+from dbo_cli.logs.sources import Source
+from dbo_cli.remarks import Remarks
 
 CLOCK_SAMPLES = 101
 """An even clock's step is that of so many first samples, however the signal is cut."""
@@ -80,8 +80,10 @@ class Inputs:
         self._smoothed = self._corners = 0
         self._starts_off = 0.0
 
-    def blocks(self) -> Iterator[Taken]:
-        """Return each block with what goes into the model.
+    def blocks(
+        self, given: Iterable[SampleBlock], begun: ModelState | None = None
+    ) -> Iterator[Taken]:
+        """Return each block with what goes into the model, ``begun`` being the state before the first.
 
         Raises
         ------
@@ -91,8 +93,8 @@ class Inputs:
         UsageError
             The low-pass cannot be had at this rate.
         """
-        what, last = self.what, self.what.last_row
-        blocks: Iterable[SampleBlock] = self.source.blocks()
+        what, last, blocks = self.what, self.what.last_row, given
+        self._start = begun or self._start
         if what == Transforms(what.role):
             for block in blocks:
                 yield block, block.values[what.role]
@@ -129,7 +131,8 @@ class Inputs:
         if abs(self._starts_off) > STARTS_MOVING * self.range.span:
             told.warn(
                 f"{name}: begins on the move, which an actuator at rest cannot: it rings at first, by about "
-                f"{abs(self._starts_off):.3g}{unit} (let it begin and end at rest; `periodic` for a loop)"
+                f"{abs(self._starts_off):.3g}{unit} (let it begin and end at rest; `lead` auto writes "
+                "the drive that it needs before; `periodic` for a loop)"
             )
         if self._corners and self.what.dynamics is not None:
             lowest = min((one.frequency for one in self.what.dynamics.resonances), default=None)

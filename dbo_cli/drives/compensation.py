@@ -1,0 +1,460 @@
+"""Compensation: the drive that makes an actuator follow a trajectory, within the drive's limits.
+
+The rows before a move (the sweep into a known state, the way from where the amplifier stands, the rest that
+dynamics need) and the move itself are one signal through one inverse in one state; every row of it passes the
+gate.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from dbo_cli.drives.gate import DriveGate
+from dbo_cli.drives.model_run import ModelRun, Response, Tally, unit_of
+from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.pieces import ramp, require_rows, rest_samples, sweep, way
+from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Quantity, Simulated
+from dbo_cli.logs.clock import even_step, median_step
+from dbo_cli.logs.sample_block import FloatArray, SampleBlock
+from dbo_cli.remarks import Remarks
+
+RATE_SAMPLES = 101
+"""The pieces before a move take their rate from so many first samples, however the trajectory is cut."""
+REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
+SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
+SAME_DRIVE = 1e-9  # of the range: a state and what the amplifier is said to stand at agree
+
+
+@dataclass
+class Extent:
+    """The least and the greatest of all values seen."""
+
+    low: float = math.inf
+    high: float = -math.inf
+
+    def add(self, values: FloatArray) -> None:
+        """See some values more."""
+        self.low = min(self.low, float(values.min(initial=math.inf)))
+        self.high = max(self.high, float(values.max(initial=-math.inf)))
+
+
+@dataclass
+class DriveFigures(Extent):
+    """What a drive asks of an amplifier, row by row.
+
+    Attributes
+    ----------
+    first, last : float, or None
+        The first row and the last one seen.
+    rows : int
+        How many rows were seen.
+    largest_step : float
+        Between two rows, that to the first one aside.
+    travel, work, seconds, fastest : float
+        Sums of |dv| and of |v dv|, the time they took (s), and the greatest |dv|/dt.
+    """
+
+    first: float | None = None
+    last: float | None = None
+    rows: int = 0
+    largest_step: float = 0.0
+    travel: float = 0.0
+    work: float = 0.0
+    seconds: float = 0.0
+    fastest: float = 0.0
+
+    def see(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
+        """See consecutive rows."""
+        if not drive.size:
+            return
+        self.add(drive)
+        change = np.abs(np.diff(drive, prepend=drive[0] if self.last is None else self.last))
+        if steps is not None:
+            time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
+            moved = change[int(self.last is None) :]
+            self.seconds += float(time.sum())
+            rates = moved[time > 0.0] / time[time > 0.0]
+            self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
+        self.largest_step = max(self.largest_step, float(change.max()))
+        self.travel += float(change.sum())
+        self.work += float(np.dot(np.abs(drive), change))
+        self.first = float(drive[0]) if self.first is None else self.first
+        self.last, self.rows = float(drive[-1]), self.rows + drive.size
+
+
+class Before(NamedTuple):
+    """The rows before a trajectory.
+
+    Attributes
+    ----------
+    voltage, expected : array
+        Played as they are, and the displacement that the model expects of them.
+    wanted : array
+        Displacements that the inverse follows, up to the trajectory's first value.
+    state : ModelState, or None
+        After the voltages; None where the run finds its start itself.
+    """
+
+    voltage: FloatArray
+    expected: FloatArray
+    wanted: FloatArray
+    state: ModelState | None
+
+
+NOTHING = np.zeros(0)
+
+
+@dataclass
+class Compensation(ModelRun):
+    """A run of a forward model's inverse over a trajectory; see ``DriveOptions``.
+
+    Attributes
+    ----------
+    options : DriveOptions
+        What is asked of the drive.
+    desired : array, optional
+        The trajectory, where the source holds what is asked of the model instead (see ``learning``).
+    remarks_before : Remarks
+        What was said before the run.
+    gate : DriveGate
+        What every row passes.
+    """
+
+    options: DriveOptions = field(default_factory=DriveOptions)
+    desired: FloatArray | None = None
+    remarks_before: Remarks = field(default_factory=Remarks)
+    clipped: Tally = field(default_factory=Tally)
+    missed: float = 0.0
+    unreachable: int = 0
+    rows_before: int = 0
+    move: Extent = field(default_factory=Extent)
+    drive: DriveFigures = field(default_factory=DriveFigures)
+    came_from: float | None = field(init=False)
+    limits: DriveLimits = field(init=False)
+    gate: DriveGate = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Take the options apart."""
+        self.model.require("forward")
+        options = self.options
+        self.limits, self.start = options.limits(self.model), options.state
+        self.why_time = self.why_time or options.why_time
+        self.bandwidth = None if self.desired is not None else options.bandwidth
+        super().__post_init__()
+        self.came_from = self._comes_from()
+        self.gate = DriveGate(self.limits, self.came_from)
+
+    @property
+    def inverting(self) -> bool:
+        """A displacement goes in, a drive comes out."""
+        return True
+
+    @property
+    def taken(self) -> Quantity:
+        """The displacement."""
+        return self.model.output
+
+    @property
+    def given(self) -> Quantity:
+        """The drive."""
+        return self.model.input
+
+    def responses(self) -> Iterator[Response]:
+        """Return the drive, with the pieces before and after it that were asked for.
+
+        Raises
+        ------
+        InputError
+            The source is bad, time goes backwards, or nothing of it can be reached.
+        LimitError
+            A limit of the drive was met, and that is refused; or no drive could begin within the limits.
+        GateError
+            A row breaks a limit: this program's fault.
+        """
+        blocks: Iterator[SampleBlock] = self.source.blocks()
+        options, step = self.options, 0.0
+        if options.begins_before or options.from_ is not None or options.return_ is not None:
+            held, stamps = _peeked(blocks)
+            step = self._usual_step(stamps) if self.steps.needed else 0.0
+            blocks = chain(held, blocks)
+            if held:
+                before = self._before(float(held[0].values[self.taken.quantity][0]), step)
+                played, count = before.voltage.size, before.voltage.size + before.wanted.size
+                times = step * np.arange(-count, 0.0) + (stamps[0] if stamps.size else 0.0)
+                if played:
+                    yield self._response(times[:played], before.expected, before.voltage, step)
+                if before.state is not None:
+                    self.state = before.state
+                if before.state is not None and stamps.size:
+                    last = float(times[played - 1]) if played else float(stamps[0]) - step * (count + 1)
+                    self.state = dataclasses.replace(before.state, time=last)
+                    self.steps.follow(last)
+                blocks = chain(_led(before.wanted, times[played:], held[0], self.taken.quantity), blocks)
+        last_time = None
+        for block, x in self.inputs.blocks(blocks, self.state):
+            response = Response(block.time, block.values[self.taken.quantity], self.feed(block, x))
+            last_time = None if block.time is None else float(block.time[-1])
+            yield response if block.rows[0] < 1 else self._with_desired(response)
+        if self.rows and self.unreachable >= self.rows - self.rows_before > 0:
+            raise InputError(
+                f"{self.source.name}: every row is outside what the model reaches ({self._range()}): check "
+                "unit, column and zero of the trajectory"
+            )
+        if self.options.return_ is not None and last_time is not None:
+            yield self._return(last_time, step)
+
+    # --- the rows before and after the trajectory ---
+
+    def _comes_from(self) -> float | None:
+        """Return where the drive stands before the first row: a saved state, or what was said, knows it."""
+        asked, state = self.options.from_, self.start
+        known = self.model.drive_of(state) if isinstance(state, ModelState) else None
+        if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.given.span:
+            raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
+        if asked is None and known is None and self.start in ("empty", "full"):
+            end = self.given.minimum if self.start == "empty" else self.given.maximum
+            known = min(max(end, self.limits.v_min), self.limits.v_max)
+        return asked if known is None else known
+
+    def _usual_step(self, stamps: FloatArray) -> float:
+        """Return seconds a row for the pieces (InputError where the clock stands still)."""
+        step = self.steps.step or even_step(stamps)
+        if step is not None:
+            return step
+        steps = np.diff(stamps)
+        forward = steps[steps > 0.0]
+        if not len(forward):
+            asked = (self.why_time or "`from_`").split()[0]
+            raise InputError(
+                f"{self.source.name}: the time does not advance, and {asked} takes its rate from it"
+            )
+        return median_step(forward)
+
+    def _before(self, first: float, step: float) -> Before:
+        """Return the pieces before the trajectory's first value."""
+        options, last, limits = self.options, self.gate.last, self.limits
+        lead = np.full(self._lead_rows(step), first)
+        state = self.start if isinstance(self.start, ModelState) else None
+        known = state is not None or options.from_ is not None
+        if not known and not options.condition and options.approach is None:
+            return Before(NOTHING, NOTHING, lead, None)
+        if last is None and not options.condition:
+            raise UsageError("`approach` needs `from_` VOLT (what the amplifier stands at) or a `state`")
+        rows: list[FloatArray] = []
+        if last is not None and options.approach is not None:
+            inside = limits.v_min if options.condition else min(max(last, limits.v_min), limits.v_max)
+            seconds = options.approach if options.condition else "auto"
+            here = np.array([last] if state is None else [])  # a state's own row was played before
+            rows = [here, ramp("approach", last, inside, step, seconds, limits)]
+        if options.condition:
+            self.gate.require_start(step, None if rows else limits.v_min)
+            rows.append(sweep(self.model, limits, step)[int(bool(rows)) :])
+        elif last is not None and options.approach is not None:
+            at_rest = state is None and rows[1].size == 0
+            rows.append(np.full(0 if at_rest else rest_samples(self.model, step), inside))
+        voltage = np.concatenate(rows) if rows else NOTHING
+        expected, there, creep = NOTHING, 0.0, 0.0
+        if voltage.size or state is None:
+            played = voltage if voltage.size or last is None else np.array([last])
+            begun = state or self.model.start(float(played[0]), self.start)
+            done = self.model.simulate(played, begun, time_step=step if self.steps.needed else None)
+            state, expected, there = done.state, done.y[: voltage.size], float(done.y[-1])
+            creep = float(done.y[-1] - done.y[-2]) if done.y.size > 1 else 0.0
+        elif options.approach is not None:
+            there = self.model.displacement_of(state)
+        wanted = NOTHING
+        if options.approach is not None or options.condition:
+            seconds = "auto" if options.condition or options.approach is None else options.approach
+            wanted = way(self.model, state, (there, first), creep, step, seconds, limits)
+        return Before(voltage, expected, np.concatenate([wanted, lead]), state)
+
+    def _lead_rows(self, step: float) -> int:
+        """Return how many rows at the first value stand before a move."""
+        asked, options = self.options.lead, self.options
+        if asked is None and not options.condition and options.approach is None:
+            return 0
+        if asked is not None and asked != "auto":
+            return require_rows("`lead`", math.ceil(float(asked) / step - SLACK), step)
+        ahead = 0 if self.model.dynamics is None else self.model.dynamics.inverter(step).ahead
+        return ahead + math.ceil(self.model.delay_seconds / step - SLACK)
+
+    def _return(self, last_time: float, step: float) -> Response:
+        """Return the ramp after the move; nothing is desired there."""
+        assert self.state is not None and self.gate.last is not None and self.options.return_ is not None
+        rest = 0.0 if self.came_from is None else self.came_from
+        target = min(max(rest, self.limits.v_min), self.limits.v_max)
+        voltage = ramp("return_", self.gate.last, target, step, self.options.return_, self.limits)
+        time = last_time + step * np.arange(1.0, voltage.size + 1.0)
+        if voltage.size:
+            begun = dataclasses.replace(self.state, undoing=None)
+            done = self.model.simulate(voltage, begun, time_step=step)
+            self.state = dataclasses.replace(done.state, time=float(time[-1]))
+        return self._response(time, np.full(voltage.size, math.nan), voltage, step)
+
+    def _response(self, time: FloatArray, given: FloatArray, drive: FloatArray, step: float) -> Response:
+        """Let voltages that are played as they are pass the gate."""
+        self.gate.admit(drive, step)
+        self.drive.see(drive, step)
+        return Response(time, given, drive)
+
+    # --- one block ---
+
+    def _begun(self, first: float) -> ModelState:
+        begun = self.model.start_compensation(first, self.start, self.limits)
+        self._note_assumed(begun, first)
+        return begun
+
+    def _run(self, x: FloatArray, state: ModelState, steps: float | FloatArray | None) -> Simulated:
+        return self.model.compensate(x, state, limits=self.limits, time_step=steps)
+
+    def _watch(
+        self, done: Simulated, block: SampleBlock, x: FloatArray, steps: float | FloatArray | None
+    ) -> None:
+        """Count what the limits held back, and let the rows pass the gate."""
+        if not self.drive.rows:
+            self.gate.require_start(None if steps is None else float(np.ravel(steps)[0]))
+        if block.rows[0] < 1:
+            self.rows_before += len(x)
+        else:
+            reach, slack = self.model.output, REACH_SLACK * self.model.output.span
+            wanted = x if self.model.dynamics is None else block.values[self.taken.quantity]
+            outside = (wanted < reach.minimum - slack) | (wanted > reach.maximum + slack)
+            self.unreachable += int(np.count_nonzero(outside))
+        if done.clipped_count and block.rows[0] >= 1:  # what cannot be reached before a move is none of it
+            self.clipped.add(done.clipped_count, done.first_clipped, block)
+        self.missed = self.missed or done.first_missed
+        if self.options.on_limit == "error" and self.clipped.count:
+            raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
+        self.gate.admit(done.y, steps)
+        self.drive.see(done.y, steps)
+
+    def _with_desired(self, response: Response) -> Response:
+        if self.desired is not None:
+            end = self.rows - self.rows_before
+            response = response._replace(given=self.desired[end - len(response.result) : end])
+        self.move.add(response.given)
+        return response
+
+    # --- what is said ---
+
+    def _remedies(self) -> str:
+        return "`condition` sweeps it there, "
+
+    def _add_limits(self, remarks: Remarks) -> None:
+        drive, limits = self.model.input, self.limits
+        if self.clipped.count:
+            remarks.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
+        elif self.beyond.count:
+            super()._add_limits(remarks)
+        if self.missed:
+            remarks.warn(
+                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{unit_of(self.taken)} off the "
+                "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
+            )
+        if limits.v_min < drive.minimum or limits.v_max > drive.maximum:
+            remarks.warn(
+                f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}"
+                f"{unit_of(drive)}, where the model was identified; it extrapolates there"
+            )
+
+    def remarks(self) -> Remarks:
+        """Return what is to be said of the run so far, and what was said before."""
+        remarks = Remarks()
+        remarks.add(self.remarks_before)
+        remarks.add(super().remarks())
+        remarks.note(text for text in (self._first_row(), self.expected_error(), self._load()) if text)
+        return remarks
+
+    def _first_row(self) -> str:
+        """Say how the drive begins, where it may step."""
+        unit, first = unit_of(self.given), self.drive.first
+        if first is None:
+            return ""
+        if self.came_from is None:
+            return (
+                f"{self.source.name}: the drive begins at {first:.6g}{unit}; from where the amplifier comes "
+                "is not known (`from_` VOLT says it, `approach` ramps there)"
+            )
+        if self.limits.max_slew is None and abs(first - self.came_from) > self.drive.largest_step:
+            return (
+                f"{self.source.name}: the first row steps from {self.came_from:.6g} to {first:.6g}{unit} "
+                "(`approach` SECONDS ramps there)"
+            )
+        return ""
+
+    def _load(self) -> str:
+        """Say what the drive asks of the amplifier, where its load is known."""
+        farad, drive = self.options.capacitance, self.drive
+        if farad is None or not drive.seconds:
+            return ""
+        return (
+            f"{self.source.name}: into {farad:g} F the drive takes {farad * drive.fastest:.3g} A at most, "
+            f"{farad * drive.travel / drive.seconds:.3g} A and {farad * drive.work / drive.seconds:.3g} W "
+            "(voltage times current) on average"
+        )
+
+    def expected_error(self) -> str:
+        """Say what error to expect of the move, unless a pass was learned or the model does not know."""
+        name, covered = self.source.name, self.model.input
+        if self.desired is not None or not self.rows:
+            return ""
+        if self.model.fit.get("expected_rmse", "") is None:
+            return f"{name}: what error to expect cannot be told: {self.model.fit.get('expected_from')}"
+        rmse, percent = self.expected_rmse()
+        if rmse is None:
+            if not isinstance(self.model.fit.get("expected_rmse"), float):
+                return ""
+            return (
+                f"{name}: what error to expect cannot be told: the drive goes from {self.drive.low:.6g} to "
+                f"{self.drive.high:.6g}{unit_of(covered)}, beyond what the model was identified on"
+            )
+        part = "" if percent is None else f" ({percent:.2g} % of the move)"
+        held = ", clipped samples aside" if self.clipped.count else ""
+        held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
+        return f"{name}: expected error of the move {rmse:.3g}{unit_of(self.model.output)} RMS{part}{held}"
+
+    def expected_rmse(self) -> tuple[float | None, float | None]:
+        """Return the error to expect of the move, in its unit and in % of it; None where it is not known."""
+        rmse, covered = self.model.fit.get("expected_rmse"), self.model.input
+        slack = SLACK * covered.span
+        beyond = self.drive.low < covered.minimum - slack or self.drive.high > covered.maximum + slack
+        if self.desired is not None or not isinstance(rmse, float) or beyond:
+            return None, None
+        span = self.move.high - self.move.low
+        return rmse, 100.0 * rmse / span if span > 0.0 else None
+
+    def _clipping(self) -> str:
+        """Say how much of a trajectory the drive's limits do not allow."""
+        drive, limits = self.model.input, self.limits
+        said = f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{unit_of(drive)}"
+        if limits.max_slew is not None:
+            said += f", {limits.max_slew:.6g}{unit_of(drive)}/s"
+        return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({said})"
+
+
+def _peeked(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], FloatArray]:
+    """Return the first blocks, enough to tell the rate from, and their first stamps (s)."""
+    held: list[SampleBlock] = []
+    while sum(len(block) for block in held) < RATE_SAMPLES:
+        more = next(blocks, None)
+        if more is None:
+            break
+        held.append(more)
+    times = [block.time for block in held if block.time is not None]
+    return held, np.concatenate(times)[:RATE_SAMPLES] if times else np.zeros(0)
+
+
+def _led(
+    wanted: FloatArray, time: FloatArray, first: SampleBlock, role: str
+) -> Iterator[SampleBlock]:
+    """Return the block of displacements before a trajectory, where there are any; its rows end before 1."""
+    if wanted.size:
+        yield SampleBlock(range(1 - wanted.size, 1), None, time, {role: wanted})

@@ -1,0 +1,342 @@
+"""Live use: one sample at a time, forward in time only.
+
+A control loop calls ``plan`` with what is wanted, hands the voltage (or the converter's code) to the
+hardware, and calls ``commit`` once the hardware has acknowledged it. A plan never committed leaves no trace.
+"""
+
+from __future__ import annotations
+
+import bisect
+import dataclasses
+import itertools
+import math
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dbo_cli.drives.gate import ROUNDING, DriveGate, GateError
+from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.pieces import ramp
+from dbo_cli.errors import InputError, ModelError, UsageError
+from dbo_cli.hysteresis.cascade import ScaleStage, memory_free, through
+from dbo_cli.hysteresis.initial_states import StartName
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+from dbo_cli.hysteresis.stepper import BacklashStepper
+from dbo_cli.logs.sources import checked_rate, samples
+
+
+class Controller:
+    """The drive of a forward model, sample by sample; made by ``Model.controller``.
+
+    The same bits as ``compensate`` over the same samples.
+
+    Attributes
+    ----------
+    clipped : int
+        Committed samples in which the limits of the drive were met.
+    planned : float, int or None
+        What was planned and is not committed yet.
+    """
+
+    def __init__(
+        self,
+        model: ActuatorModel,
+        sample_rate: float | None,
+        *,
+        v_min: float | None = None,
+        v_max: float | None = None,
+        max_slew: float | None = None,
+        state: StartName | ModelState = "auto",
+        from_: float | None = None,
+        dac: ArrayLike | None = None,
+        ahead: bool = False,
+    ) -> None:
+        model.require("forward")
+        if model.delay_seconds > 0.0 and not ahead:
+            raise ModelError(
+                f"the model has a delay of {model.delay_seconds:g} s, so the drive depends on what is wanted "
+                "that much later, which a controller does not know (with `ahead` the caller passes it)"
+            )
+        if model.dynamics is not None or model.drive_lag is not None:
+            raise ModelError(
+                "the model has dynamics, so the drive depends on what is wanted after the present sample, "
+                "which a controller does not know (compensate the whole trajectory)"
+            )
+        sample_rate = checked_rate(sample_rate)
+        needs = model.needs_time or max_slew is not None
+        if needs and sample_rate is None:
+            raise UsageError("this model and these limits need the time between samples (`sample_rate` HZ)")
+        self._model = model
+        self._step_seconds = None if sample_rate is None else 1.0 / sample_rate
+        self._limits = DriveOptions(v_min=v_min, v_max=v_max, max_slew=max_slew, from_=from_).limits(model)
+        self._most = self._limits.largest_change(self._step_seconds)
+        # A converter's code keeps the slew limit itself, since it may have to save up for it.
+        self._planning = self._limits if dac is None else DriveLimits(self._limits.v_min, self._limits.v_max)
+        self._inverse = model.inverse()
+        self._start: StartName | ModelState = state
+        self._last = from_
+        if isinstance(state, ModelState):
+            self._last = model.drive_of(state)
+        elif from_ is not None:
+            begun = model.start(from_, state)
+            self._start = model.simulate([from_], begun, time_step=self._step_seconds).state
+        self._gate = DriveGate(self._limits, self._last)
+        self._dac = None if dac is None else Converter(dac, self._limits, self._most)
+        self._stepper: BacklashStepper | None = None
+        self._forward: BacklashStepper | None = None
+        self._begun: ModelState | None = None
+        self._prepare()
+        self._clipped_now = False
+        self._planned_volts = math.nan
+        self.clipped = 0
+        self.planned: float | int | None = None
+
+    def plan(self, displacement: float) -> float | int:
+        """Return the voltage (the code, with a converter) for what is wanted next; nothing changes yet.
+
+        Parameters
+        ----------
+        displacement : float
+            What is wanted at this sample, in the unit of the model's output; with ``ahead`` what is wanted
+            the model's delay later.
+
+        Raises
+        ------
+        InputError
+            It is not a finite number.
+        LimitError
+            The drive cannot begin within its limits.
+        """
+        if not -math.inf < displacement < math.inf:
+            raise InputError(f"what is wanted is not a finite number: {displacement!r}")
+        stepper = self._stepper
+        if stepper is None:
+            volts = self._plan_first(displacement)
+        else:
+            x = displacement
+            for gain, offset in self._scales:
+                x = gain * x + offset
+            if self._bent_before:
+                x = self._before(displacement)
+            volts = stepper.plan(x)
+            self._clipped_now = bool(stepper.clipped)
+            if self._after:
+                volts = self._bent(volts)
+        if self._dac is not None:
+            code = self._dac.code(volts, self._last)
+            self.planned, volts = code, self._dac.curve[code]
+        else:
+            self.planned = volts
+        self._pass(volts)
+        self._planned_volts = volts
+        return self.planned
+
+    def commit(self, applied: float | int | None = None) -> None:
+        """Go on from what was planned, or from what was ``applied`` instead (volts, or a code).
+
+        Raises
+        ------
+        UsageError
+            Nothing was planned, and nothing applied is given.
+        """
+        if applied is None and self.planned is None:
+            raise UsageError("nothing was planned to be committed: call plan first")
+        volts = self._planned_volts
+        if applied is None and self._dac is None:
+            if self._stepper is None:
+                assert self._begun is not None
+                self._begin(self._begun)
+            else:
+                self._stepper.commit()
+        else:
+            if applied is not None:
+                volts = self._dac.volts(applied) if self._dac is not None else float(applied)
+            self._apply(volts)
+        if self._dac is not None:
+            self._dac.commit(volts, self._last)
+        self._last = volts
+        self.clipped += self._clipped_now
+        self._clipped_now = False
+        self.planned = None
+
+    def step(self, displacement: float) -> float | int:
+        """Plan and commit at once, where the hardware takes what it is given."""
+        volts = self.plan(displacement)
+        self.commit()
+        return volts
+
+    def close(
+        self, to: float | None = None, seconds: float | Literal["auto"] = "auto"
+    ) -> list[float] | list[int]:
+        """Return the ramp to rest, to be handed to the hardware as it is; the state goes with it.
+
+        Parameters
+        ----------
+        to : float, optional
+            Where to rest, V; 0 or the limit nearest to it, where not given.
+        seconds : float or "auto"
+            How long the ramp takes; auto: as fast as the slew allows, without one a second.
+
+        Raises
+        ------
+        UsageError
+            Nothing was committed yet, or no sample rate is known.
+        """
+        if self._last is None or self._step_seconds is None:
+            raise UsageError("a ramp to rest needs a committed sample and a `sample_rate`")
+        rest = min(max(0.0 if to is None else to, self._limits.v_min), self._limits.v_max)
+        way: list[Any] = []
+        for aim in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
+            code = None if self._dac is None else self._dac.code(aim, self._last)
+            volts = aim if self._dac is None or code is None else self._dac.curve[code]
+            self._pass(volts)
+            way.append(volts if code is None else code)
+            self.commit(way[-1])
+        return way
+
+    @property
+    def state(self) -> ModelState | None:
+        """The committed state, for ``simulate`` or ``compensate`` to go on from; None before the first."""
+        if self._stepper is None:
+            return self._start if isinstance(self._start, ModelState) else None
+        return ModelState(self._stepper.state, self._stepper.last, model=self._model.digest)
+
+    def _pass(self, volts: float) -> None:
+        """Let one sample pass the gate; that of ``DriveGate`` for blocks, worked out here for speed."""
+        low, high, last, most = self._limits.v_min, self._limits.v_max, self._last, self._most
+        if self._dac is not None and last is not None:
+            most = self._dac.most(last)
+        inside = low <= volts <= high
+        if last is not None and not inside and not low <= last <= high:
+            inside = last <= volts <= low if last < low else high <= volts <= last
+        if most is not None and last is not None:
+            inside = inside and abs(volts - last) <= most + ROUNDING * max(abs(last), abs(volts))
+        if not inside:
+            self._gate.last = last
+            self._gate.admit(np.array([volts]), self._step_seconds)
+            raise GateError(f"this program planned {volts!r} after {last!r}, which breaks its limits")
+
+    def _prepare(self) -> None:
+        """Sort the stages around the gears: scales before them alone are worked out without an array."""
+        inverse, place = self._inverse, self._inverse.stages.index(self._inverse.backlash)
+        head, self._after = memory_free(inverse.stages[:place]), memory_free(inverse.stages[place:])
+        self._head = head
+        self._scales = [(s.gain, s.offset) for s in head if isinstance(s, ScaleStage)]
+        self._bent_before = len(self._scales) < len(head)
+        self._drive_side = [stage.inverse() for stage in reversed(self._after)]
+
+    def _before(self, displacement: float) -> float:
+        return float(through(self._head, np.array([displacement]))[0])
+
+    def _bent(self, volts: float) -> float:
+        bent = float(through(self._after, np.array([volts]))[0])
+        return min(max(bent, self._limits.v_min), self._limits.v_max)
+
+    def _plan_first(self, displacement: float) -> float:
+        """Find the start as ``compensate`` does; the fast way begins after the first sample."""
+        self._gate.require_start(self._step_seconds)
+        begin = self._model.start_compensation(displacement, self._start, self._planning)
+        done = self._model.compensate(
+            [displacement], begin, limits=self._planning, time_step=self._step_seconds
+        )
+        self._begun = done.state
+        self._clipped_now = bool(done.clipped_count)
+        return float(done.y[0])
+
+    def _begin(self, state: ModelState) -> None:
+        inverse = self._inverse
+        bound = inverse.output_limits(inverse.inner_limits(self._planning), self._step_seconds)
+        last = math.nan if state.drive is None else state.drive
+        self._stepper = BacklashStepper(inverse.backlash, state.backlash, last, self._step_seconds, bound)
+        forward = self._model.backlash
+        self._forward = BacklashStepper(forward, state.backlash, last, self._step_seconds)
+
+    def _apply(self, volts: float) -> None:
+        """Drive the forward model's gears by what was applied; the inverse goes on from their state."""
+        if not -math.inf < volts < math.inf:
+            raise InputError(f"what was applied is not a finite number: {volts!r}")
+        if self._stepper is None or self._forward is None:
+            begun = self._model.start(volts, self._start)
+            begun = dataclasses.replace(begun, history=None)
+            self._begin(self._model.simulate([volts], begun, time_step=self._step_seconds).state)
+            return
+        inner = volts
+        for stage in self._drive_side:
+            inner = float(stage.run(np.array([inner]))[0])
+        self._forward.take(self._stepper)
+        self._forward.plan(inner)
+        self._forward.commit()
+        self._stepper.take(self._forward, inner)
+
+
+class Converter:
+    """A digital-to-analogue converter within the limits of a drive.
+
+    One step between codes may be larger than the slew limit allows in a sample. Then the allowance of several
+    samples is saved up for it: over any time the drive changes by no more than the slew limit allows in that
+    time and one code, and in one sample by no more than the larger of the two.
+
+    Parameters
+    ----------
+    volts : array_like
+        The voltage of every code from 0 on, rising.
+    limits : DriveLimits
+        Of the drive; codes outside the range are never planned.
+    most : float, optional
+        Largest change in one sample, V.
+
+    Raises
+    ------
+    UsageError
+        The curve does not rise, or no code lies within the limits.
+    """
+
+    def __init__(self, volts: ArrayLike, limits: DriveLimits, most: float | None) -> None:
+        curve = samples("dac", volts)
+        if curve.size < 2 or not (np.diff(curve) > 0.0).all():
+            raise UsageError("`dac`: give the voltage of every code from 0 on, rising from code to code")
+        self.curve: list[float] = curve.tolist()
+        self._low = bisect.bisect_left(self.curve, limits.v_min)
+        self._high = bisect.bisect_right(self.curve, limits.v_max) - 1
+        if self._low > self._high:
+            raise UsageError(
+                f"`dac`: no code lies within the limits of the drive, {limits.v_min:g} to {limits.v_max:g}"
+            )
+        self._step, self._saved = most, 0.0
+
+    def volts(self, code: int | float) -> float:
+        """Return the voltage of a code (InputError where there is none)."""
+        if code != int(code) or not 0 <= code < len(self.curve):
+            raise InputError(f"code {code} is not one of the converter's, 0 to {len(self.curve) - 1}")
+        return self.curve[int(code)]
+
+    def most(self, last: float) -> float | None:
+        """Return the largest change that is allowed now, V; None where any is."""
+        if self._step is None:
+            return None
+        at = bisect.bisect_left(self.curve, last)
+        near = self.curve[max(at - 1, 0) : at + 2]
+        gap = max((b - a for a, b in itertools.pairwise(near)), default=0.0)
+        return min(self._saved + self._step, max(self._step, gap))
+
+    def code(self, volts: float, last: float | None) -> int:
+        """Return the code nearest to a voltage, of those within range and slew; the last one, if none is."""
+        low, high = self._low, self._high
+        most = None if last is None else self.most(last)
+        if most is not None and last is not None:
+            low = max(low, bisect.bisect_left(self.curve, last - most))
+            high = min(high, bisect.bisect_right(self.curve, last + most) - 1)
+            if low > high:  # from outside the range, or between two codes
+                return min(max(bisect.bisect_left(self.curve, last), self._low), self._high)
+        after = bisect.bisect_left(self.curve, volts)
+        near = [k for k in (after - 1, after) if low <= k <= high]
+        if not near:
+            return low if after <= low else high
+        return min(near, key=lambda k: abs(self.curve[k] - volts))
+
+    def commit(self, volts: float, last: float | None) -> None:
+        """Take what a change used off what was saved up."""
+        if self._step is not None and last is not None:
+            self._saved = max((self.most(last) or 0.0) - abs(volts - last), 0.0)

@@ -1,0 +1,139 @@
+"""The gate: no row leaves for an amplifier that breaks a limit, wherever it was computed.
+
+Planning keeps the limits; the gate only looks. What it finds is a fault of this program (GateError), and
+nothing is written. ``dbo check`` asks the same gate about drives of other programs.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.errors import DboError, LimitError
+from dbo_cli.hysteresis.model_state import DriveLimits
+
+Floats = NDArray[np.float64]
+
+ROUNDING = 8.0 * 2.0**-52
+"""Of the larger voltage: the last digits of a step between two rows, each rounded once or twice on its way
+through points and scales. A slew limit is kept to that, a range exactly."""
+
+
+class GateError(DboError):
+    """The program computed a drive that breaks its own limits: exit 1, nothing written."""
+
+
+class Violation(NamedTuple):
+    """A row that breaks a limit: where it stands, its drive, and why, in words."""
+
+    row: int
+    drive: float
+    reason: str
+
+
+class DriveGate:
+    """Watches rows go by: range, slew, and the row before, wherever that came from.
+
+    Parameters
+    ----------
+    limits : DriveLimits
+        What the drive may do.
+    last : float, optional
+        Where the drive stands before the first row, where that is known. From outside the range it may only
+        come inwards.
+    """
+
+    def __init__(self, limits: DriveLimits, last: float | None = None) -> None:
+        self.limits, self.last = limits, last
+
+    def violation(self, drive: Floats, time_step: float | Floats | None = None) -> Violation | None:
+        """Return the first row that breaks a limit, or None; the gate goes on behind the last row.
+
+        Parameters
+        ----------
+        drive : array
+            Consecutive rows.
+        time_step : float or array, optional
+            Seconds since the row before; needed with a slew limit.
+        """
+        if not drive.size:
+            return None
+        limits, last = self.limits, self.last
+        bad = ~((drive >= limits.v_min) & (drive <= limits.v_max))
+        if last is not None and not limits.v_min <= last <= limits.v_max:
+            bad[: _inwards(drive, last, limits)] = False
+        step = limits.largest_step(time_step)
+        if step is not None:
+            before = np.concatenate([[drive[0] if last is None else last], drive[:-1]])
+            digits = ROUNDING * np.maximum(np.abs(drive), np.abs(before))
+            bad |= ~(np.abs(drive - before) <= step + digits)
+        self.last = float(drive[-1])
+        if not bad.any():
+            return None
+        index = int(np.argmax(bad))
+        before_it = last if index == 0 else float(drive[index - 1])
+        return Violation(index, float(drive[index]), _reason(float(drive[index]), before_it, limits))
+
+    def admit(self, drive: Floats, time_step: float | Floats | None = None) -> None:
+        """Let rows pass.
+
+        Raises
+        ------
+        GateError
+            A row breaks a limit.
+        """
+        found = self.violation(drive, time_step)
+        if found is not None:
+            raise GateError(
+                f"this program computed a drive that breaks its limits: {found.reason}; nothing more is "
+                "written (please report it)"
+            )
+
+    def require_start(self, time_step: float | None, first: float | None = None) -> None:
+        """Refuse a first row that cannot be reached from where the amplifier stands.
+
+        Parameters
+        ----------
+        time_step : float, optional
+            Seconds from there to the first row.
+        first : float, optional
+            The first row; not given, any row inside the range will do.
+
+        Raises
+        ------
+        LimitError
+            It is further away than the slew limit allows in one time step.
+        """
+        limits, last = self.limits, self.last
+        step = limits.largest_change(time_step)
+        if last is None or step is None:
+            return
+        low, high = (limits.v_min, limits.v_max) if first is None else (first, first)
+        if max(low - last, last - high) > step:
+            aim = f"{first:.6g}" if first is not None else f"its limits, {low:.6g} to {high:.6g}"
+            raise LimitError(
+                f"the drive comes from {last:.6g}, and {limits.max_slew:g} per second does not bring it to "
+                f"{aim}, in one row (`approach` SECONDS ramps there)"
+            )
+
+
+def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
+    """Return how many rows, the first ones, come from outside the range without going further out."""
+    bound = limits.v_max if last > limits.v_max else limits.v_min
+    sign = 1.0 if last > limits.v_max else -1.0
+    outside = sign * (drive - bound) > 0.0
+    count = int(np.argmin(outside)) if not outside.all() else drive.size
+    way = np.concatenate([[last], drive[:count]])
+    outwards = sign * np.diff(way) > 0.0
+    return int(np.argmax(outwards)) if outwards.any() else count
+
+
+def _reason(drive: float, before: float | None, limits: DriveLimits) -> str:
+    if not math.isfinite(drive):
+        return f"{drive} is no voltage"
+    if not limits.v_min <= drive <= limits.v_max:
+        return f"{drive:.9g} is outside {limits.v_min:.9g} to {limits.v_max:.9g}"
+    return f"from {before:.9g} to {drive:.9g} in one row is faster than {limits.max_slew:g} per second"

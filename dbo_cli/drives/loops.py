@@ -1,0 +1,297 @@
+"""A move that is looped: one period in, the settled loop's drive out, perhaps with a run-in before it.
+
+The settled drive comes first. The run-in follows the trajectory, fades over into that drive, and ends on it,
+so that the first settled period follows the run-in as every later one follows the one before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dbo_cli.drives.compensation import NOTHING, Before, Compensation
+from dbo_cli.drives.model_run import Response, unit_of
+from dbo_cli.drives.pieces import ramp, require_rows
+from dbo_cli.errors import InputError, LimitError
+from dbo_cli.hysteresis.dynamics import undone
+from dbo_cli.hysteresis.kernel import towards
+from dbo_cli.hysteresis.loops import Settled, settled_drive, settled_run, shifted, undone_loop
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.sources import WholeSource
+
+FEWEST_ROWS = 4  # of a period
+MOST_STARTS = 10  # tries to find a loop that begins where its own start leads to; two or three are usual
+SAME_DRIVE = 1e-9  # of the range: two settled drives that agree to this are one
+FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
+"""Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where the
+settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up."""
+SEAM = 3.0
+"""Times the largest step inside a period, from which on the step back to its first row does not close it.
+
+A period sampled evenly has steps at the seam like those inside; one that was cut elsewhere has a jump.
+"""
+
+
+@dataclass
+class LoopCompensation(Compensation):
+    """The drive of a settled loop, with ``options.passes`` passes of run-in before it, in negative time."""
+
+    def responses(self) -> Iterator[Response]:
+        """Return the way there and the run-in, where they are asked for, and one period of the settled drive.
+
+        Raises
+        ------
+        InputError
+            The period is too short or does not close, or its clock is not even.
+        LimitError
+            A limit of the drive was met, and that is refused; or the loop does not settle within them.
+        GateError
+            A row breaks a limit: this program's fault.
+        """
+        whole = self.source if isinstance(self.source, WholeSource) else WholeSource(self.source)
+        block, why = whole.block, "`periodic` needs an even clock"
+        step = whole.even_step(why)
+        given = block.values[self.taken.quantity]
+        asked = self._rounded(given, step)
+        desired = given if self.desired is None else self.desired
+        _require_closed(whole.name, desired)
+        period = undone_loop(self.model, asked, step)
+        passes = self.options.passes
+        before = self._before(float(asked[0]), step) if passes else self._ramp_before(period, step)
+        wanted = before.wanted
+        if passes:
+            require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
+            wanted = np.concatenate([wanted, _faded(asked, passes)])
+        state = before.state or self._begun(float(period[0]))
+        settled = self._settled(period, step, state)
+        run_in, settled = self._run_in(wanted, asked, period, before.state, settled, step)
+        count = before.voltage.size + run_in.size
+        zero = 0.0 if block.time is None else float(block.time[0])
+        times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
+        if before.voltage.size:
+            yield self._response(times[: before.voltage.size], before.expected, before.voltage, step)
+        if not before.voltage.size:
+            self.gate.require_start(step, None if run_in.size else float(settled.done.y[0]))
+        if run_in.size:
+            yield self._response(times[before.voltage.size :], wanted, run_in, step)
+        drive = self._closed(settled.done.y, step)
+        self._count(settled, whole)
+        self.move.add(desired)
+        end = settled_run(self.model, drive, step, settled.before)
+        self.state = dataclasses.replace(
+            settled.done.state,
+            dynamics=end.state.dynamics,
+            time=None if block.time is None else float(block.time[-1]),
+        )
+        response = self._response(zero + step * np.arange(float(drive.size)), desired, drive, step)
+        yield response._replace(time=block.time)
+
+    def _remedies(self) -> str:
+        return ""  # a loop is run in instead of swept
+
+    def _ramp_before(self, period: FloatArray, step: float) -> Before:
+        """Return the ramp to a loop without a run-in; it ends on the first row of the settled drive."""
+        approach, last = self.options.approach, self.came_from
+        known = self.start if isinstance(self.start, ModelState) else None
+        if approach is None or last is None:
+            if approach is not None:
+                self._before(float(period[0]), step)  # says what is missing
+            return Before(NOTHING, NOTHING, NOTHING, known)
+        begun = known or self.model.start(last, self.start)
+        target = float(self._settled(period, step, begun).done.y[0])
+        for _ in range(MOST_STARTS):
+            voltage = ramp("approach", last, target, step, approach, self.limits)
+            voltage = voltage if known is not None else np.concatenate([[last], voltage])
+            done = self.model.simulate(voltage, begun, time_step=step)
+            ends, target = target, float(self._settled(period, step, done.state).done.y[0])
+            if abs(target - ends) <= SAME_DRIVE * self.given.span:
+                return Before(voltage, done.y, NOTHING, done.state)
+        raise LimitError(
+            f"{self.source.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
+        )
+
+    def _settled(self, period: FloatArray, step: float, state: ModelState) -> Settled:
+        """Return the settled loop; without a known past, of the state in which a simulation of it starts.
+
+        Gears that the loop does not reach stay as they were when it began, and where it begins follows from
+        the settled drive.
+        """
+        settled = settled_drive(self.model, period, step, state, self.limits)
+        if self.options.passes or (self.came_from is not None and self.start not in ("empty", "full")):
+            return settled
+        away = 0.0
+        for _ in range(MOST_STARTS):
+            drive, memory = settled.done.y, settled.before.backlash.memory
+            begun = self.model.start(float(drive[0]), self.start)
+            # With the memory of the settled loop: the passes before it reach further, and gears keep that.
+            backlash = dataclasses.replace(begun.backlash, memory=memory)
+            state = dataclasses.replace(settled.before, backlash=backlash)
+            settled = settled_drive(self.model, period, step, state, self.limits)
+            away = float(np.abs(settled.done.y - drive).max())
+            if away <= SAME_DRIVE * self.model.input.span:
+                return settled
+        self._refuse_or_warn(f"no start leads to it: from try to try the drive changes by {away:.3g}")
+        return settled
+
+    def _run_in(
+        self,
+        wanted: FloatArray,
+        asked: FloatArray,
+        period: FloatArray,
+        begun: ModelState | None,
+        settled: Settled,
+        step: float,
+    ) -> tuple[FloatArray, Settled]:
+        """Return the drive up to the settled period, and the period settled from the state it leaves.
+
+        During the second half of the last pass it fades over from what follows the trajectory to the settled
+        drive, within the slew limit.
+        """
+        if not wanted.size:
+            return NOTHING, settled
+        model, limits = self.model, self.limits
+        inverter = None if model.dynamics is None else model.dynamics.inverter(step)
+        ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
+        signal = shifted(np.concatenate([wanted, np.resize(asked, ahead)]), model.delay_seconds / step)
+        if inverter is not None:
+            memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
+            ((_, signal, _),) = undone([(None, signal)], inverter, memory)
+        start = begun or model.start_compensation(float(signal[0]), self.start, limits)
+        time_step = step if model.needs_time or limits.max_slew is not None else None
+        followed = model.compensate(signal[: wanted.size], start, limits=limits, time_step=time_step)
+        self._count_before(followed.clipped_count)
+        forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
+        drive = followed.y
+        for _ in range(MOST_STARTS):
+            closed = self._closed(settled.done.y, step)
+            for fade in FADES:
+                drive = _faded_over(followed.y, closed, (asked.size, self.options.passes), fade, limits, step)
+                if drive[-1] == closed[-1]:
+                    break
+            else:
+                raise LimitError(
+                    f"{self.source.name}: the run-in ends {abs(drive[-1] - closed[-1]):.3g}"
+                    f"{unit_of(self.given)} off the settled loop (more `passes`, or a larger `max_slew`)"
+                )
+            state = model.simulate(drive, forward, time_step=time_step).state
+            again = settled_drive(model, period, step, state, limits)
+            if np.abs(again.done.y - settled.done.y).max() <= SAME_DRIVE * model.input.span:
+                break
+            settled = again
+        return drive, settled
+
+    def _count_before(self, clipped: int) -> None:
+        """Count what the limits held back before the period."""
+        if clipped:
+            self.clipped.count += clipped
+            if self.options.on_limit == "error":
+                raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
+
+    def _rounded(self, x: FloatArray, step: float) -> FloatArray:
+        if self.bandwidth is None:
+            return x
+        rounded = ZeroPhaseLowPass(self.bandwidth, step).loop(x)
+        self.inputs.note_rounding(x, rounded)
+        return rounded
+
+    def _count(self, settled: Settled, whole: WholeSource) -> None:
+        """Count what is unusual in the settled period, and say how it closes."""
+        done, block, name = settled.done, whole.block, whole.name
+        self.rows += len(block)
+        self.beyond.add(done.outside_count, done.first_outside, block)
+        self.clipped.add(done.clipped_count, done.first_clipped, block)
+        if self.options.on_limit == "error" and self.clipped.count:
+            raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
+        drive, unit = done.y, unit_of(self.given)
+        seam, inside = abs(float(drive[0] - drive[-1])), float(np.abs(np.diff(drive)).max())
+        self.remarks_before.notes.append(
+            f"{name}: the loop settles in {settled.passes} passes; the drive's step at the seam is "
+            f"{seam:.3g}{unit}, the largest inside {inside:.3g}{unit}"
+        )
+        if not settled.converged:
+            self._refuse_or_warn(f"the drive still changed after {settled.passes} passes")
+
+    def _refuse_or_warn(self, why: str) -> None:
+        """Say that the loop is none, or refuse it where limits are to be kept."""
+        text = f"{self.source.name}: the loop does not settle: {why}"
+        if self.options.on_limit == "error":
+            raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
+        self.remarks_before.warn(text)
+
+    def _closed(self, drive: FloatArray, step: float) -> FloatArray:
+        """Return a settled drive whose seam keeps the slew limit to the last digit; refuse one that jumps.
+
+        A drive that has settled differs from the pass before in its last digits, and the first row was held
+        within the limit behind the last row of that pass.
+        """
+        closed = _within_slew(drive, float(drive[-1]), self.limits, step)
+        away = float(np.abs(closed - drive).max())
+        most = self.limits.largest_change(step)
+        seam = abs(float(closed[0]) - float(closed[-1]))
+        if away > SAME_DRIVE * self.given.span or (most is not None and seam > most):
+            raise LimitError(
+                f"{self.source.name}: the loop does not close within the limits: from its last row, "
+                f"{drive[-1]:.6g}, to its first, {drive[0]:.6g}, is a step that `max_slew` forbids"
+            )
+        return closed
+
+
+def _faded_over(
+    followed: FloatArray,
+    settled: FloatArray,
+    loop: tuple[int, int],
+    fade: tuple[float, float],
+    limits: DriveLimits,
+    step: float,
+) -> FloatArray:
+    """Return a run-in that ends on the settled drive, within the slew limit.
+
+    ``followed`` and the settled drive both keep the limits, and so does what lies between; only the change
+    from the one to the other may be too fast, and then it takes longer. ``loop`` is rows a period and passes,
+    ``fade`` where the change begins and ends, in parts of the run-in before its end.
+    """
+    count, passes = loop
+    tail = np.resize(settled, followed.size + (-followed.size) % count)[-followed.size :]
+    left = (followed.size - np.arange(followed.size)) / (count * passes)
+    rise = np.clip((fade[0] - left) / (fade[0] - fade[1]), 0.0, 1.0)
+    weight = rise**3 * (10.0 - 15.0 * rise + 6.0 * rise * rise)
+    drive: FloatArray = np.where(rise < 1.0, followed + weight * (tail - followed), tail)
+    drive = np.clip(drive, limits.v_min, limits.v_max)
+    return _within_slew(drive, float(drive[0]), limits, step)
+
+
+def _within_slew(drive: FloatArray, last: float, limits: DriveLimits, step: float) -> FloatArray:
+    """Return a drive whose rows follow ``last`` and one another within the slew limit."""
+    most = limits.largest_change(step)
+    if most is None or (np.abs(np.diff(drive, prepend=last)) <= most).all():
+        return drive
+    values = drive.tolist()
+    for k, value in enumerate(values):
+        last = values[k] = min(max(value, towards(last, -most)), towards(last, most))
+    return np.array(values)
+
+
+def _faded(x: FloatArray, passes: int) -> FloatArray:
+    """Return passes of a period that fade in, during the first, from a rest at its first value."""
+    t = np.arange(x.size) / x.size
+    weight = t**3 * (10.0 - 15.0 * t + 6.0 * t * t)  # speed and acceleration are zero at either end
+    first = x[0] + weight * (x - x[0])
+    return np.concatenate([first, np.tile(x, passes - 1)])
+
+
+def _require_closed(name: str, period: FloatArray) -> None:
+    """Refuse a period that is too short or jumps from its last row to its first (InputError)."""
+    if period.size < FEWEST_ROWS:
+        raise InputError(f"{name}: {period.size} rows are no period of a loop (at least {FEWEST_ROWS})")
+    seam, inside = abs(float(period[0] - period[-1])), float(np.abs(np.diff(period)).max())
+    if seam > SEAM * inside:
+        raise InputError(
+            f"{name}: the period does not close: from the last row, {period[-1]:.6g}, to the first, "
+            f"{period[0]:.6g}, is a step of {seam:.3g} where the largest inside is {inside:.3g} (give one "
+            "whole period, without its first row again at the end)"
+        )

@@ -1,0 +1,156 @@
+"""What is asked of a drive, in one record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.initial_states import StartName
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+
+Seconds = float | Literal["auto"] | None
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """What is asked of the drive that makes an actuator follow a trajectory.
+
+    Voltages are in the unit of the model's input, times in seconds.
+
+    Attributes
+    ----------
+    v_min, v_max : float, optional
+        The least and the greatest drive; the model's range where not given.
+    max_slew : float, optional
+        Fastest change of the drive, per second.
+    max_current, capacitance : float, optional
+        What the amplifier can deliver (A) into which load (F): a slew limit of their ratio.
+    on_limit : {"clip", "error"}
+        Clip and count where a limit is met, or raise LimitError.
+    state : str or ModelState
+        ``auto``, ``empty``, ``full``, ``settled``, or a state to go on from.
+    from_ : float, optional
+        What the amplifier stands at before the first row; a state knows it.
+    approach : float or "auto", optional
+        Seconds of a ramp from there to the first row; auto: as fast as the slew allows, without one a second.
+    condition : bool
+        Sweep the actuator into a known state first.
+    lead : float or "auto", optional
+        Seconds at the first value before a move that begins in motion; auto: what dynamics and delay need.
+    return_ : float or "auto", optional
+        Seconds of a ramp at the end, back to where the drive came from (to 0, where that is not known).
+    bandwidth : float, optional
+        Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first; with recordings of
+        the last pass that of what is learned.
+    periodic : bool
+        The trajectory is one period of a loop; the drive is that of the settled loop.
+    passes : int
+        With ``periodic``, so many passes of run-in before it.
+
+    Raises
+    ------
+    UsageError
+        A value is none, or two exclude each other.
+    """
+
+    v_min: float | None = None
+    v_max: float | None = None
+    max_slew: float | None = None
+    max_current: float | None = None
+    capacitance: float | None = None
+    on_limit: Literal["clip", "error"] = "clip"
+    state: StartName | ModelState = "auto"
+    from_: float | None = None
+    approach: Seconds = None
+    condition: bool = False
+    lead: Seconds = None
+    return_: Seconds = None
+    bandwidth: float | None = None
+    periodic: bool = False
+    passes: int = 0
+
+    def __post_init__(self) -> None:
+        """Check every value, and what excludes what, before anything is read."""
+        if self.on_limit not in ("clip", "error"):
+            raise UsageError(f"`on_limit`: '{self.on_limit}' is none of clip, error")
+        if self.bandwidth is not None and not 0.0 < self.bandwidth < math.inf:
+            raise UsageError(f"`bandwidth` {self.bandwidth:g}: give a positive number of Hz")
+        for name in ("max_slew", "max_current", "capacitance"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise UsageError(f"`{name}` {value:g}: give a number above 0")
+        for name in ("v_min", "v_max"):
+            if getattr(self, name) is not None and math.isnan(getattr(self, name)):
+                raise UsageError(f"`{name}`: is not a number")
+        if self.from_ is not None and not math.isfinite(self.from_):
+            raise UsageError(f"`from_` {self.from_:g}: give the voltage that the amplifier stands at")
+        if (self.max_current is None) != (self.capacitance is None):
+            raise UsageError("`max_current` and `capacitance` belong together: the one is the other's limit")
+        check_range(self.v_min, self.v_max)
+        for name in ("approach", "lead", "return_"):
+            check_seconds(name, getattr(self, name))
+        self._check_pieces()
+
+    def _check_pieces(self) -> None:
+        if self.passes and not self.periodic:
+            raise UsageError("`passes` is the run-in of a loop (`periodic`)")
+        if self.passes < 0:
+            raise UsageError(f"`passes` {self.passes}: give a whole number of passes")
+        if self.condition and self.state != "auto":
+            named = self.state if isinstance(self.state, str) else "a state"
+            raise UsageError(
+                f"`condition` and `state` {named} exclude each other: the sweep makes its own state"
+            )
+        if not self.periodic:
+            return
+        if self.condition:
+            raise UsageError("`periodic` and `condition` exclude each other (`passes` N runs a loop in)")
+        for name in ("lead", "return_"):
+            if getattr(self, name) is not None:
+                raise UsageError(f"`periodic` and `{name}` exclude each other: a loop goes on")
+
+    def limits(self, model: ActuatorModel) -> DriveLimits:
+        """Return the limits of the drive of a forward model."""
+        low = model.input.minimum if self.v_min is None else self.v_min
+        high = model.input.maximum if self.v_max is None else self.v_max
+        check_range(low, high)
+        slew = math.inf if self.max_slew is None else self.max_slew
+        if self.max_current is not None and self.capacitance is not None:
+            slew = min(slew, self.max_current / self.capacitance)
+        return DriveLimits(low, high, slew)
+
+    @property
+    def why_time(self) -> str | None:
+        """Why the time between samples is needed, where it is."""
+        needing = {
+            "max_slew": self.max_slew is not None and self.max_slew != math.inf,
+            "max_current": self.max_current is not None,
+            "condition": self.condition,
+            "approach": self.approach is not None,
+            "lead": self.lead is not None,
+            "return_": self.return_ is not None,
+            "periodic": self.periodic,
+            "bandwidth": self.bandwidth is not None,
+        }
+        return next((f"`{name}` depends on it" for name, asked in needing.items() if asked), None)
+
+    @property
+    def begins_before(self) -> bool:
+        """Whether rows stand before the trajectory's own."""
+        return self.condition or self.approach is not None or self.lead is not None
+
+
+def check_seconds(name: str, value: Seconds) -> None:
+    """Refuse what is neither a time nor ``auto`` (UsageError)."""
+    if value is not None and value != "auto":
+        if not isinstance(value, int | float) or isinstance(value, bool) or not 0.0 < value < math.inf:
+            raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
+
+
+def check_range(v_min: float | None, v_max: float | None) -> None:
+    """Refuse limits that leave nothing between them (UsageError)."""
+    if v_min is not None and v_max is not None and v_min >= v_max:
+        raise UsageError(f"`v_min` {v_min:g} must be below `v_max` {v_max:g}")

@@ -1,0 +1,173 @@
+"""The pieces of a drive around a move: ramps, the sweep into a known state, and the way to the first value.
+
+Voltages are played as they are. The way to the first value is a stretch of displacement that the inverse
+follows as it follows the move, in the same state: where the two meet there is no join, whatever the model
+remembers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from dbo_cli.drives.options import Seconds
+from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.hysteresis.excitation import MOST_SAMPLES
+from dbo_cli.hysteresis.linear_sections import Lag
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+from dbo_cli.hysteresis.swings import Floats, swing_samples, swings
+
+SWEEP_SECONDS = 1.0  # over the whole range, where no slew limit asks for more; as ``excite`` by default
+QUIET = 14.0  # time constants: what rings is down to a millionth
+LONGEST_REST = 10.0  # s; a resonance that rings longer was hardly excited by swings of a second
+SLEW_SPARE = 0.9
+"""Of the slew limit: what lag and resonance add to a swing planned without them, and what the digits of time
+stamps take away (since 1970, 0.2 us each)."""
+SHORTEST_WAY = 0.1  # of the sweep's seconds: however short a way, what it excites stays small
+PLANS = 6  # tries to find how long a swing takes; the second is right where no memory matters
+
+
+def ramp(
+    name: str, begin: float, end: float, step: float, seconds: Seconds, limits: DriveLimits
+) -> Floats:
+    """Return the voltages after ``begin`` of a half-cosine ramp to ``end``; ``name`` is what asks for it.
+
+    Raises
+    ------
+    LimitError
+        The seconds asked for are too few for the slew limit.
+    """
+    if begin == end and not isinstance(seconds, float | int):
+        return np.zeros(0)
+    free = SWEEP_SECONDS if limits.max_slew is None else 0.0
+    asked = float(seconds) if isinstance(seconds, float | int) else free
+    count = _rows(f"`{name}`: the ramp", end - begin, step, asked, limits)
+    _require_seconds(name, seconds, count, step)
+    return swings([begin, end], [count])[1:]
+
+
+def sweep(model: ActuatorModel, limits: DriveLimits, step: float) -> Floats:
+    """Return the voltages of a sweep from the lower limit over the whole range and back, and a rest there.
+
+    A drive at or below X_0 clears every bit, so that the past is wiped out; the rest lets resonances and lags
+    die away.
+    """
+    low, high = limits.v_min, limits.v_max
+    if low < model.drive_end < high:
+        high = model.drive_end
+    if not math.isfinite(high - low):
+        raise UsageError("`condition` sweeps the whole range of the drive: give finite limits")
+    count = _rows("`condition`: the sweep", high - low, step, SWEEP_SECONDS, limits)
+    return swings([low, high, low, low], [count, count, rest_samples(model, step)])
+
+
+def rest_samples(model: ActuatorModel, step: float) -> int:
+    """Return the rows (none without dynamics) after which lags and resonances have died away."""
+    slowest = 0.0
+    for stage in (model.dynamics, model.drive_lag):
+        for section in () if stage is None else stage.sections:
+            if isinstance(section, Lag):
+                fade = section.seconds
+            else:
+                fade = 1.0 / (2.0 * math.pi * section.frequency * section.damping)
+            slowest = max(slowest, fade)
+    return math.ceil(min(QUIET * slowest, LONGEST_REST) / step)
+
+
+def way(
+    model: ActuatorModel,
+    state: ModelState,
+    ends: tuple[float, float],
+    creep: float,
+    step: float,
+    seconds: Seconds,
+    limits: DriveLimits,
+) -> Floats:
+    """Return the displacements after ``ends[0]`` on the way to ``ends[1]``, slow enough for the slew limit.
+
+    Parameters
+    ----------
+    model, state
+        The forward model, and its state where the way begins.
+    ends
+        The displacement there, and the one to go to.
+    creep
+        The displacement's last change there, a row: the way begins with that speed, since a mass cannot stop
+        at once.
+    step, seconds, limits
+        Seconds a row; seconds asked for, or ``auto``; limits of the drive.
+
+    Raises
+    ------
+    LimitError
+        The seconds asked for are too few for the slew limit.
+    """
+    begin, end = ends
+    if begin == end and creep == 0.0 and not isinstance(seconds, float | int):
+        return np.zeros(0)
+    part = min(abs(end - begin) / model.output.span, 1.0)
+    free = SWEEP_SECONDS * part if limits.max_slew is None else 0.0
+    asked = float(seconds) if isinstance(seconds, float | int) else max(free, SHORTEST_WAY * SWEEP_SECONDS)
+    count = swing_samples(end - begin, step, asked)
+    allowed = limits.largest_change(step)
+    if allowed is not None:
+        slow = model.without_lag
+        begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None, drive_lag=None)
+        first = slow.drive_of(begun)
+        for _ in range(PLANS):
+            drive = slow.compensate(
+                _way(begin, end, creep, count, step), begun,
+                limits=DriveLimits(limits.v_min, limits.v_max), time_step=step,
+            ).y  # fmt: skip
+            largest = float(np.abs(np.diff(drive, prepend=drive[0] if first is None else first)).max())
+            if largest <= SLEW_SPARE * allowed:
+                break
+            count = max(math.ceil(count * min(largest / (SLEW_SPARE * allowed), 1e6)), count + 1)
+    _require_seconds("approach", seconds, count, step)
+    return _way(begin, end, creep, count, step)
+
+
+def _way(begin: float, end: float, creep: float, count: int, step: float) -> Floats:
+    """Return a smooth way of so many rows: no jump of speed or acceleration at either end."""
+    t = np.arange(1.0, require_rows("the way to the first row", count, step) + 1.0) / count
+    rise = t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
+    found: Floats = begin + rise * (end - begin) + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
+    found[-1] = end
+    return found
+
+
+def require_rows(what: str, count: int, step: float) -> int:
+    """Refuse a piece that no memory could hold (UsageError)."""
+    if count > MOST_SAMPLES:
+        raise UsageError(
+            f"{what} takes {count * step:.4g} s, {count:.4g} rows, more than the {MOST_SAMPLES:,} that are "
+            "written at most (another rate)"
+        )
+    return count
+
+
+def _rows(what: str, distance: float, step: float, seconds: float, limits: DriveLimits) -> int:
+    """Return how many rows a swing takes within the slew limit, or refuse one that no memory could hold."""
+    slew = None if limits.max_slew is None else SLEW_SPARE * limits.max_slew
+    slowest = 0.0 if slew is None else 0.5 * math.pi * abs(distance) / slew
+    rows = max(slowest, seconds) / step
+    if rows > MOST_SAMPLES:
+        at, remedy = "", "rate"
+        if slowest > seconds:
+            at, remedy = f" at `max_slew` {limits.max_slew:g}", "`max_slew`"
+        raise UsageError(
+            f"{what}{at} takes {rows * step:.4g} s, {rows:.4g} rows, more than the {MOST_SAMPLES:,} that are "
+            f"written at most (another {remedy})"
+        )
+    return swing_samples(distance, step, seconds, slew)
+
+
+def _require_seconds(name: str, seconds: Seconds, count: int, step: float) -> None:
+    if isinstance(seconds, float | int) and count * step > seconds + step:
+        raise LimitError(
+            f"`{name}` {seconds:g}: faster than the slew limit allows (at least {count * step:.4g} s, or "
+            "auto)"
+        )
