@@ -25,7 +25,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.runs.identifying import identify_logs
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, report, excite, export, compare"
+LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare"
 
 
 def test_version(dbo: Any) -> None:

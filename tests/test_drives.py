@@ -1,7 +1,8 @@
-"""Drives: pieces on one clock through one state past one gate; no row beyond a limit, no unasked step at a join."""
+"""Drives: pieces on one clock through one state past one gate; no limit broken, no step at a join."""
 
 from __future__ import annotations
 
+import itertools
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ def exactly_kept(drive: Floats, limits: DriveLimits, seconds: float, last: float
         return inside
     most = Fraction(limits.max_slew) * Fraction(seconds)
     digits = Fraction(2) ** -49 * max(abs(Fraction(limits.v_min)), abs(Fraction(limits.v_max)))
-    return inside and all(abs(b - a) <= most + digits for a, b in zip(rows, rows[1:], strict=False))
+    return inside and all(abs(b - a) <= most + digits for a, b in itertools.pairwise(rows))
 
 
 def prompt(**more: Any) -> dict[str, Any]:
@@ -164,7 +165,8 @@ def test_a_saved_state_is_where_the_drive_comes_from() -> None:
     with pytest.raises(LimitError, match="`approach`"):
         model.compensate(period(), **prompt(**loop))
     for passes in (0, 2):
-        done = model.compensate(period(), **prompt(**loop | {"max_slew": 8000.0}, passes=passes, approach="auto"))
+        more = loop | {"max_slew": 8000.0, "passes": passes, "approach": "auto"}
+        done = model.compensate(period(), **prompt(**more))
         assert exactly_kept(done.values, DriveLimits(0.0, 100.0, 8000.0), 1.0 / RATE, last=91.9)
 
 
@@ -182,7 +184,7 @@ def test_where_the_amplifier_stands_can_be_said_and_must_not_contradict() -> Non
         model.compensate(wanted_, **prompt(from_=20.0, state=state))
     with pytest.raises(UsageError, match="`approach` needs `from_` VOLT"):
         model.compensate(wanted_, **prompt(approach="auto"))
-    with pytest.raises(LimitError, match="`approach` 0.01: faster than the slew limit allows"):
+    with pytest.raises(LimitError, match=r"`approach` 0\.01: faster than the slew limit allows"):
         model.compensate(wanted_, **prompt(from_=90.0, approach=0.01, max_slew=100.0))
     (note,) = (n for n in model.compensate(wanted_, **prompt()).notes if "begins at" in n)
     assert "from where the amplifier comes is not known" in note
@@ -250,7 +252,6 @@ def test_a_converter_never_leaves_the_limits_and_never_stands_still() -> None:
         curve = np.linspace(0.0, 100.0, 2**bits)
         for slew in (20.0, 200.0, 50_000.0, None):
             low, high = (0.0, 100.0) if bits == 4 else (30.0, 32.0)
-            limits = DriveLimits(low, high, slew)
             live = model.controller(RATE, v_min=low, v_max=high, max_slew=slew, dac=curve)
             moves = np.repeat(rng.uniform(1.0, 11.0, 40), 30)
             codes = [int(live.step(float(x))) for x in moves]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_hysteresis_model import build, wanted
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.delay import read_ahead

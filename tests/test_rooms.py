@@ -14,9 +14,12 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
 ORDER = [
-    "version", "errors", "remarks", "hysteresis", "logs", "relatives", "drives", "reports", "export", "runs", "cli"
+    "version", "errors", "remarks", "hysteresis", "logs", "relatives", "drives", "reports", "export", "runs",
+    "cli",
 ]  # fmt: skip
-SIBLINGS = [{"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export"}, {"relatives", "export"}]
+SIBLINGS = [
+    {"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export"}, {"relatives", "export"}
+]  # fmt: skip
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}
 spec = importlib.util.spec_from_file_location("draw_imports", ROOT / "docs" / "draw_imports.py")

@@ -389,6 +389,12 @@ Summary = Annotated[
 ]
 Drive = Annotated[str, _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")]
 DriveColumn = Annotated[str | None, _reading("--voltage", COLUMN, "The drive; guessed by name.")]
+CheckMin = Annotated[
+    float | None, _option("--v-min", "VOLT", "Lowest voltage allowed.", parse=values.number)
+]
+CheckMax = Annotated[
+    float | None, _option("--v-max", "VOLT", "Highest voltage allowed.", parse=values.number)
+]
 Loop = Annotated[bool, _option("--loop", None, "The drive is looped: from its last row to its first, too.")]
 Against = Annotated[
     str | None, _option("--against", "FILE", "Was this drive what was played? Rows, lag, gain, offset.")

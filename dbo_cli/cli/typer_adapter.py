@@ -100,7 +100,7 @@ Bundle = tuple[dict[str, Any], Callable[[Mapping[str, Any]], Any]]
 BUNDLES: dict[str, Bundle] = {
     "reading": (READING, reading_of),
     "log_reading": (READING | {"format": options.LogFormat}, reading_of),
-    "drive": (DRIVE, drive_of),
+    "asked": (DRIVE, drive_of),
     "voice": (VOICE, voice_of),
     "typed": ({}, lambda values: TYPED.get()),
 }

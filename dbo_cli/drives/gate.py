@@ -16,6 +16,7 @@ from dbo_cli.errors import DboError, LimitError
 from dbo_cli.hysteresis.model_state import DriveLimits
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 ROUNDING = 8.0 * 2.0**-52
 """Of the larger voltage: the last digits of a step between two rows, each rounded once or twice on its way
@@ -49,8 +50,8 @@ class DriveGate:
     def __init__(self, limits: DriveLimits, last: float | None = None) -> None:
         self.limits, self.last = limits, last
 
-    def violation(self, drive: Floats, time_step: float | Floats | None = None) -> Violation | None:
-        """Return the first row that breaks a limit, or None; the gate goes on behind the last row.
+    def broken(self, drive: Floats, time_step: float | Floats | None = None) -> Bools:
+        """Return which rows break a limit; the gate goes on behind the last row.
 
         Parameters
         ----------
@@ -59,23 +60,41 @@ class DriveGate:
         time_step : float or array, optional
             Seconds since the row before; needed with a slew limit.
         """
-        if not drive.size:
-            return None
         limits, last = self.limits, self.last
-        bad = ~((drive >= limits.v_min) & (drive <= limits.v_max))
+        bad: Bools = ~((drive >= limits.v_min) & (drive <= limits.v_max))
         if last is not None and not limits.v_min <= last <= limits.v_max:
             bad[: _inwards(drive, last, limits)] = False
         step = limits.largest_step(time_step)
         if step is not None:
-            before = np.concatenate([[drive[0] if last is None else last], drive[:-1]])
+            before = self._before(drive)
             digits = ROUNDING * np.maximum(np.abs(drive), np.abs(before))
             bad |= ~(np.abs(drive - before) <= step + digits)
-        self.last = float(drive[-1])
+        if drive.size:
+            self.last = float(drive[-1])
+        return bad
+
+    def violation(self, drive: Floats, time_step: float | Floats | None = None) -> Violation | None:
+        """Return the first row that breaks a limit, or None; see ``broken``."""
+        before = self._before(drive)
+        bad = self.broken(drive, time_step)
         if not bad.any():
             return None
-        index = int(np.argmax(bad))
-        before_it = last if index == 0 else float(drive[index - 1])
-        return Violation(index, float(drive[index]), _reason(float(drive[index]), before_it, limits))
+        row = int(np.argmax(bad))
+        return Violation(row, float(drive[row]), self.reason(float(drive[row]), float(before[row])))
+
+    def _before(self, drive: Floats) -> Floats:
+        """Return the row before each."""
+        first = drive[:1] if self.last is None else np.array([self.last])
+        return np.concatenate([first, drive[:-1]])
+
+    def reason(self, drive: float, before: float) -> str:
+        """Say why a row behind another one breaks a limit."""
+        limits = self.limits
+        if not math.isfinite(drive):
+            return f"{drive} is no voltage"
+        if not limits.v_min <= drive <= limits.v_max:
+            return f"{drive:.9g} is outside {limits.v_min:.9g} to {limits.v_max:.9g}"
+        return f"from {before:.9g} to {drive:.9g} in one row is faster than {limits.max_slew:g} per second"
 
     def admit(self, drive: Floats, time_step: float | Floats | None = None) -> None:
         """Let rows pass.
@@ -125,15 +144,9 @@ def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
     bound = limits.v_max if last > limits.v_max else limits.v_min
     sign = 1.0 if last > limits.v_max else -1.0
     outside = sign * (drive - bound) > 0.0
+    if not outside.size:
+        return 0
     count = int(np.argmin(outside)) if not outside.all() else drive.size
     way = np.concatenate([[last], drive[:count]])
     outwards = sign * np.diff(way) > 0.0
     return int(np.argmax(outwards)) if outwards.any() else count
-
-
-def _reason(drive: float, before: float | None, limits: DriveLimits) -> str:
-    if not math.isfinite(drive):
-        return f"{drive} is no voltage"
-    if not limits.v_min <= drive <= limits.v_max:
-        return f"{drive:.9g} is outside {limits.v_min:.9g} to {limits.v_max:.9g}"
-    return f"from {before:.9g} to {drive:.9g} in one row is faster than {limits.max_slew:g} per second"

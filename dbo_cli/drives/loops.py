@@ -28,8 +28,8 @@ FEWEST_ROWS = 4  # of a period
 MOST_STARTS = 10  # tries to find a loop that begins where its own start leads to; two or three are usual
 SAME_DRIVE = 1e-9  # of the range: two settled drives that agree to this are one
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
-"""Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where the
-settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up."""
+"""Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
+the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up."""
 SEAM = 3.0
 """Times the largest step inside a period, from which on the step back to its first row does not close it.
 

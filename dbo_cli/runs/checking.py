@@ -1,0 +1,127 @@
+"""Check a drive in a file against limits, and against what was to be played."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
+from dbo_cli.errors import LimitError
+from dbo_cli.hysteresis.model_state import DriveLimits
+from dbo_cli.logs.addresses import check_document, format_for, selected_files
+from dbo_cli.logs.clock import even_step
+from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.sample_block import SampleBlock, joined
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.sources import remarks_of
+from dbo_cli.logs.whole_output import check_output, write_whole
+from dbo_cli.remarks import Remarks, plain
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """What a drive is checked for: limits (infinite where not given), start, seam, and what was played."""
+
+    v_min: float | None = None
+    v_max: float | None = None
+    max_slew: float | None = None
+    from_: float | None = None
+    loop: bool = False
+    tolerance: float | None = None
+
+    def limits(self) -> DriveLimits:
+        """Return the limits."""
+        low = -math.inf if self.v_min is None else self.v_min
+        return DriveLimits(low, math.inf if self.v_max is None else self.v_max, self.max_slew)
+
+
+def check_file(
+    drive: str,
+    output: str,
+    form: str | None,
+    reading: ReadingOptions,
+    options: CheckOptions,
+    *,
+    voltage: str | None = None,
+    against: str | None = None,
+) -> Remarks:
+    """Write what is wrong with a drive, as text or JSON (``dbo-check``).
+
+    With ``against``, the drive is a recording of what was played, and ``against`` what was to be.
+
+    Raises
+    ------
+    LimitError
+        A limit is broken, or something else was played; the report is written all the same.
+    """
+    chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    check_document(output, "a check", chosen)
+    inputs = [drive, *([] if against is None else [against]), *selected_files(voltage, reading.time)]
+    check_output(output, inputs)
+    block, unit, step, remarks = _read(drive, voltage, reading)
+    values, rows = block.values["voltage"], np.asarray(block.rows)
+    checked = check_drive(
+        values,
+        block.time,
+        options.limits(),
+        from_=options.from_,
+        loop=options.loop,
+        place=lambda row: f"row {int(rows[row]):,}",
+    )
+    missing = np.diff(rows) > 1
+    if missing.any():
+        checked.problems.insert(0, f"row {int(rows[np.argmax(missing)]) + 1:,}: holds no number")
+    if against is not None:
+        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
+        remarks.add(more)
+        check_played(checked, other.values["voltage"], values, (own, step), options.tolerance)
+    name = drive if drive != "-" else "standard input"
+    lines = _lines(name, checked, unit)
+    found = {"format": "dbo-check", "version": 1, "name": name, "unit": unit, "passed": not checked.problems,
+             **dataclasses.asdict(checked.figures), "played": checked.played or None,
+             "problems": [plain(text) for text in checked.problems]}  # fmt: skip
+    text = json.dumps(found, indent=2, ensure_ascii=False) if chosen == "json" else "\n".join(lines)
+    write_whole(output, (text + "\n").encode(), protect=inputs)
+    if checked.problems:
+        more_of = f" (and {len(checked.problems) - 1} more)" if len(checked.problems) > 1 else ""
+        raise LimitError(f"{name}: {checked.problems[0]}{more_of}")
+    return remarks
+
+
+def _read(
+    address: str, voltage: str | None, reading: ReadingOptions
+) -> tuple[SampleBlock, str | None, float | None, Remarks]:
+    """Return a drive read whole, its unit and its even step (s); rows that hold no number are dropped."""
+    options = dataclasses.replace(reading, skip_bad=True, format=format_for(address, reading.format))
+    with open_log(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
+        block = joined(list(log.blocks()))
+        step = 1.0 / log.stated_rate if log.stated_rate else None
+        if step is None and block.time is not None:
+            step = even_step(block.time)
+        return block, log.columns["voltage"].unit, step, remarks_of(log)
+
+
+def _lines(name: str, checked: CheckedDrive, unit: str | None) -> list[str]:
+    """Return the check as lines for a terminal."""
+    figures, u = checked.figures, f" {unit}" if unit else ""
+    speed = f", at most {figures.fastest:.6g}{u}/s" if figures.seconds else ""
+    lines = [
+        f"{name}: {'passed' if not checked.problems else 'NOT PASSED'}",
+        f"  {figures.rows:,} rows, {figures.low:.6g} to {figures.high:.6g}{u}, largest step "
+        f"{figures.largest_step:.6g}{u}{speed}; first row {figures.first:.6g}{u}, last row "
+        f"{figures.last:.6g}{u}",
+    ]
+    if checked.played:
+        one = checked.played
+        late = f" ({one['lag_seconds'] * 1e3:.4g} ms)" if one["lag_seconds"] else ""
+        lines.append(
+            f"  played: {one['rows']:,} rows, {one['lag_rows']} later{late}, gain {one['gain']:.6g}, offset "
+            f"{one['offset']:.3g}{u}, largest difference {one['largest_difference']:.3g}{u}"
+            f"{', at another rate' if one['resampled'] else ''}"
+        )
+    return lines + [f"  {text}" for text in checked.problems]
