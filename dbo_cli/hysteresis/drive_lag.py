@@ -188,8 +188,8 @@ def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tu
     """Return the least and the largest drive of one sample; the range wins over the slew limit."""
     if before is None or step is None:
         return limits.v_min, limits.v_max
-    held = min(max(before, limits.v_min), limits.v_max)
-    return max(limits.v_min, towards(held, -step)), min(limits.v_max, towards(held, step))
+    low, high = towards(before, -step), towards(before, step)
+    return min(max(low, limits.v_min), limits.v_max), max(min(high, limits.v_max), limits.v_min)
 
 
 def _held_back(

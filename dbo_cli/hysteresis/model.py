@@ -316,7 +316,8 @@ class ActuatorModel:
             for stage in bent:
                 slew *= least_slope(stage)
             slew *= 1.0 - NEGLIGIBLE  # the points round
-        return DriveLimits(float(ends.min()), float(ends.max()), slew)
+        low = float(ends.min())  # a window of a last digit may be none behind the points
+        return DriveLimits(low, max(float(ends.max()), math.nextafter(low, math.inf)), slew)
 
     def output_limits(self, limits: DriveLimits, steps: float | Floats | None) -> OutputLimits:
         """Return limits that the backlash stage of an inverse model meets, in the operator's terms."""

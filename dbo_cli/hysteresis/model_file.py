@@ -40,6 +40,7 @@ STATE_FORMAT = "dbo-state"
 VERSION = 2
 """Of both files. Version 1 had every width written out, and states that did not know their time."""
 
+MOST_STAGES = 16  # twice what identification makes; 400 of a million segments took minutes to be refused
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
 SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
 LINE = 100  # characters, after which the next line of a list begins
@@ -182,6 +183,8 @@ def read_model(
     stages = root.values["stages"]
     if not isinstance(stages, list):
         raise root.refuse("stages", "is not a list")
+    if len(stages) > MOST_STAGES:
+        raise root.refuse("stages", f"has {len(stages):,} entries, more than {MOST_STAGES}")
     cascade = tuple(_stage(root.below(f"stages[{i}]", stage), others) for i, stage in enumerate(stages))
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():

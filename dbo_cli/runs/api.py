@@ -16,7 +16,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import ArraySource, is_file, is_table, table_source
+from dbo_cli.logs.sources import ArraySource, checked_rate, is_file, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.model import Model, read_model
 from dbo_cli.runs.roles import recording_wishes, short_names
@@ -238,37 +238,41 @@ def report(
     """
     from dbo_cli.reports.report import ReportOptions
     from dbo_cli.runs.comparison import Comparison, comparison_wishes
-    from dbo_cli.runs.reporting import add_file
+    from dbo_cli.runs.reporting import add_file, rows_to_score
 
     predicting = None if model is None else _model(model).actuator
     labels = ("desired", "measured") if model is None else ("model", "measured")
     how = ReportOptions(_lag(lag), remove_offset, _segment(segment), labels)
     comparison = Comparison(how, predicting, traced=True)
     logs = [] if measured is not None else _logs(wanted)
-    if logs and (trajectory is None or all(map(is_file, logs))):
-        selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
-        want = comparison_wishes(*selectors, with_model=model is not None)
-        names = short_names([os.fspath(one) for one in logs if is_file(one)])
-        rows = columns.pop("rows", None)
-        for number, one in enumerate(logs, 1):
-            if is_table(one):
-                called = name if len(logs) == 1 else f"{name} {number}"
-                comparison.add(table_source(one, want, time, sample_rate), called, count_sweep=count_sweep)
-                continue
-            reading = _reading(time, rows, columns | {"sample_rate": sample_rate})
-            add_file(
-                comparison,
-                os.fspath(one),
-                reading,
-                selectors,
-                trajectory=None if trajectory is None else os.fspath(trajectory),
-                match=match,
-                count_sweep=count_sweep,
-                name=names.get(os.fspath(one)),
-            )
-        return comparison.result()
-    if trajectory is not None:
+    selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
+    stamps = time if time is None or isinstance(time, str) else None
+    columns["sample_rate"] = checked_rate(sample_rate)
+    reading = _reading(stamps, columns.pop("rows", None), columns)
+    told, score = rows_to_score(reading, how.lag, from_first=predicting is not None)
+    sweep = count_sweep or reading.rows != ALL_ROWS
+    if trajectory is not None and not (logs and all(map(is_file, logs))):
         raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
+    names = short_names([os.fspath(one) for one in logs if is_file(one)])
+    for number, one in enumerate(logs, 1):
+        if is_table(one):
+            want = comparison_wishes(*selectors, with_model=model is not None)
+            called = name if len(logs) == 1 else f"{name} {number}"
+            table = table_source(one, want, time, sample_rate, told.rows)
+            comparison.add(table, called, score_rows=score, count_sweep=sweep)
+            continue
+        add_file(
+            comparison,
+            os.fspath(one),
+            reading,
+            selectors,
+            trajectory=None if trajectory is None else os.fspath(trajectory),
+            match=match,
+            count_sweep=count_sweep,
+            name=names.get(os.fspath(one)),
+        )
+    if logs:
+        return comparison.result()
     if measured is None:
         raise InputError(
             "what was measured is missing: give two arrays, or a table or file with both columns"
@@ -277,12 +281,12 @@ def report(
     values = {first: wanted, "measured": measured}
     if voltage is not None and model is None:
         values["voltage"] = voltage
-    source = ArraySource(values, time, sample_rate)
+    source = ArraySource(values, time, sample_rate, rows=told.rows)
     source.columns = {
         role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
         for role, column in source.columns.items()
     }
-    comparison.add(source, name, count_sweep=count_sweep)
+    comparison.add(source, name, score_rows=score, count_sweep=sweep)
     return comparison.result()
 
 

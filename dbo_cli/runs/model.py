@@ -149,7 +149,8 @@ class Model:
         InputError, ModelError
             The file cannot be read, or is no state, or one of another model.
         """
-        return read_state(os.fspath(path), self.actuator)
+        state = read_state(os.fspath(path), self.actuator)
+        return dataclasses.replace(state, model=self.actuator.digest)
 
     @overload
     def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ...,
