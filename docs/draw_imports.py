@@ -26,13 +26,15 @@ NAMES = "dbo_cli"
 
 PLACES: dict[str, tuple[int, float, float, str]] = {
     # level from below, left and right end of the box, what the room is for
-    "errors": (0, 0.0, 8.0, "what users meet: one class a kind, one exit code each"),
+    "errors": (0, 0.0, 5.6, "what users meet: one class a kind"),
+    "remarks": (0, 6.0, 8.0, "notes, warnings"),
     "version": (0, 8.4, 10.0, ""),
     "hysteresis": (1, 0.0, 4.8, "operators, model, states, their files"),
     "logs": (1, 5.2, 10.0, "formats, columns, units, clocks, outputs"),
     "identification": (2, 0.0, 3.1, "a model from logs"),
     "export": (2, 3.45, 6.55, "a model as C"),
     "relatives": (3, 0.0, 3.1, "what to compare with"),
+    "drives": (4, 0.0, 6.5, "what leaves for an amplifier: pieces, one state, one gate"),
     "reports": (4, 6.9, 10.0, "figures of merit, pages"),
     "runs": (5, 0.0, 10.0, "the use cases: blocks in, blocks out; what must be said comes back as data"),
     NAMES: (6, 0.0, 4.8, "the public names, loaded when asked for"),

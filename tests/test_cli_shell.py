@@ -170,7 +170,9 @@ PROMISED = {
     "show": "--format --figures",
     "invert": "--output",
     "simulate": "--input --state --save-state --outside --time --sample-rate --rows --flush --resample",
-    "compensate": "--displacement --v-min --v-max --on-limit --max-slew --condition --state --save-state",
+    "compensate": "--displacement --v-min --v-max --on-limit --max-slew --max-current --capacitance --from "
+    "--approach --condition --lead --return --periodic --passes --tracked --state --save-state --summary",
+    "check": "--v-min --v-max --max-slew --from --loop --against --tolerance --format --voltage",
     "report": "--desired --measured --lag --remove-offset --model --figures --max-rmse --max-abs "
     "--max-nrmse-percent --segment --rows --format",
     "excite": "--v-min --v-max --sample-rate --duration --frequency",
