@@ -38,8 +38,8 @@ def state_words(n: int) -> int:
 
 
 def buffer_words(n: int) -> int:
-    """Return how many 64-bit words the kernel needs for n gears: the bits and its index of them."""
-    return state_words(n) + 2 * state_words(state_words(n))
+    """Return how many 64-bit words the kernel needs for n gears: the bits, its index and sums of them."""
+    return 5 * state_words(n) + 2 * state_words(state_words(n))
 
 
 def find_first_one(bits: int, n: int) -> int:
