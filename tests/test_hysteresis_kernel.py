@@ -126,6 +126,38 @@ def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest
         assert expanded == everything(seed, monkeypatch, Grouped(kernel.PythonKernel), relaxation, run), seed
 
 
+@needs_compiled
+@pytest.mark.parametrize("n", [64, 65, 128, 1000, 1280])
+def test_jumps_from_any_state_cross_words_as_gears(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every word holds ones and zeros at first; full jumps, into words, back, and with limits on the way."""
+    for seed in range(8):
+        rng = np.random.default_rng([n, seed])
+        operator = random_operator(rng, n, seed % 2 == 1, (1, 1, 16, 70)[seed // 2])
+        bits = int.from_bytes(rng.bytes(n // 8), "little")
+        terms = operator.relaxation
+        start = BacklashState(bits, None if terms is None else (0.5,) * len(terms.tau))
+        decay = None if terms is None else terms.decay(rng.uniform(0.0, 0.1, 24))
+        x, y = random_trajectory(rng, operator, 24), rng.uniform(*operator.y_range, 24)
+        span = operator.x_range[1] - operator.x_range[0]
+        limits = OutputLimits(operator.x_range[0] + 0.2 * span, operator.x_range[1], 0.4 * span)
+        found = []
+        for chosen in (COMPILED, kernel.PythonKernel):
+            monkeypatch.setattr(kernel, "CHOSEN", chosen)
+            forward = operator.run(x, start, decay=decay)
+            inverse = operator.inverse().run(y, start, decay=decay, limits=limits)
+            found.append([(bits_of(out), state, counts) for out, state, counts in (forward, inverse)])
+        assert found[0] == found[1], seed
+
+
+def test_a_words_last_gear_is_crossed_by_the_tolerance(chosen: Any) -> None:
+    operator = DiscreteBacklashOperator(np.ones(128), np.ones(128))
+    for short, bits in ((0.5e-9, (1 << 64) - 1), (2e-9, (1 << 63) - 1)):
+        y, state, _ = operator.run([64.0 - short], operator.empty())
+        assert (y.tolist(), state.bits) == ([64.0 - short], bits)
+        y, state, _ = operator.run([64.0 + short], operator.full())
+        assert (y.tolist(), state.bits) == ([64.0 + short], (1 << 128) - 1 - bits)
+
+
 def test_equal_neighbours() -> None:
     slopes = np.repeat([1.0, 2.0, 3.0], [18, 18, 25])  # the last run goes on: spare gears
     assert DiscreteBacklashOperator(np.full(61, 0.1), 0.1 * slopes).equal_run == 18

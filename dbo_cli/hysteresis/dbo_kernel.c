@@ -213,8 +213,8 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
 
 /* ---- many gears at once ------------------------------------------------------------------------------ */
 
-/* Gears crossed one by one before words are: a smooth drive seldom crosses more in a sample, and so many cost
- * about as much as the way by words. Where what is left to travel is FAR times the next gear, words come first. */
+/* Gears crossed one by one before words are: so many cost about as much as the way by words, and a smooth drive
+ * seldom crosses more in a sample. Where what is left to travel is FAR times the next gear, words come first. */
 #define SINGLE 4
 #define FAR 16.0
 
@@ -275,8 +275,8 @@ INLINE unsigned equal_crossed(const walk *w, const goal *to, size_t row, double 
     if (!plain && (to->bound - y) / dy < part) part = (to->bound - y) / dy;
     if (part < (double)next) next = part > 0.0 ? (unsigned)part : 0;
     while (crosses(w, to, row, x + (double)next * dx, y + (double)next * dy, rising, plain)) next++;
-    while (next > 0 && !crosses(w, to, row, x + (double)(next - 1) * dx, y + (double)(next - 1) * dy, rising, plain))
-        next--;
+    for (; next > 0; next--)
+        if (crosses(w, to, row, x + (double)(next - 1) * dx, y + (double)(next - 1) * dy, rising, plain)) break;
     return next;
 }
 
