@@ -8,8 +8,7 @@ makes a transition whose next zero bit lies beyond all of the words. Needs g++ (
 A second table has the inputs that cross many gears in a sample: 100 samples a cycle, random, and jumps over
 the whole range. "identified" has 1,280 gears in 80 runs of equal ones, as identification makes them.
 With --against, the compiled kernel of another checkout of this project runs the same cases instead, turn by
-turn with this one, so that whatever else the machine does meets both; --only runs the cases with WORD in their
-name.
+turn with this one, so that whatever else the machine does meets both; --only runs those whose name has WORD.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
     OutputLimits,
 )
+from dbo_cli.hysteresis.stepper import BacklashStepper
 
 SOURCE = Path(dbo_cli.hysteresis.__file__).parent
 COMPILED = kernel.compiled_kernel()
@@ -308,6 +309,58 @@ def test_a_gear_travelled_exactly_to_the_tolerance_counts_as_crossed(chosen: Any
     down = [1.0 - value for value in (*quiet, reach)]
     assert operator.run(down, begun)[1].bits == 0
     assert operator.run([*down[:-1], 1.0 - below], begun)[1].bits == 1
+
+
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_steps_planned_committed_and_applied_are_those_of_blocks(relaxation: bool, chosen: Any) -> None:
+    """Plans that are never committed leave no trace; what was applied instead drives the forward operator."""
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 11])
+        forward = random_operator(rng, (5, 64, 200)[seed % 3], relaxation, (1, 16)[seed % 2])
+        inverse, (low, high) = forward.inverse(), forward.x_range
+        terms, before = forward.relaxation, low + 0.3 * (high - low)
+        decay = None if terms is None else terms.decay(0.01)
+        memory = None if terms is None else tuple(rng.normal(0.0, 1.0, len(terms.tau)).tolist())
+        state = BacklashState(forward.settled(before).bits, memory)
+        limits = OutputLimits(low, high - 0.1 * (high - low), 0.3 * (high - low), 1e-9)
+        stepper = BacklashStepper(inverse, state, before, 0.01, limits)
+        for k, wanted in enumerate(rng.uniform(*forward.y_range, 40).tolist()):
+            assert (stepper.state, stepper.last) == (state, before)
+            stepper.plan(wanted + 0.1)
+            y, after, counts = inverse.run([wanted], state, decay=decay, limits=limits, last=before)
+            assert (stepper.plan(wanted), stepper.clipped) == (y[0], counts.clipped)
+            if k % 3:
+                stepper.commit()
+                state, before = after, float(y[0])
+            else:
+                before = float(rng.uniform(low, high))
+                stepper.apply(before)
+                state = forward.run([before], state, decay=decay)[1]
+        with pytest.raises(ValueError, match=r"^nothing was planned to be committed$"):
+            BacklashStepper(inverse, state, before, 0.01, limits).commit()
+        if relaxation:
+            with pytest.raises(ValueError, match=r"^memory on the input: its output does not give the state$"):
+                BacklashStepper(forward, state, before, 0.01).apply(0.0)
+
+
+@needs_compiled
+def test_compiled_stepper_checks_lengths() -> None:
+    assert COMPILED is not None
+    gears, one = np.ones((2, 4)), np.ones(1)
+    end = (False, 0.0, 0.0, 0.0, np.nan)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: gears"):
+        COMPILED.Stepper(gears, 3, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: decay"):
+        COMPILED.Stepper(gears, 2, 1, 0.0, 0.0, True, one, 0.0, True, np.ones(2), *end)
+    made = COMPILED.Stepper(gears, 2, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
+    words = np.zeros(kernel.buffer_words(2), np.uint64)
+    for call in (made.get, lambda *buffers: made.set(*buffers, 0.0)):
+        with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
+            call(words[1:], one)
+        with pytest.raises(ValueError, match="kernel buffer of the wrong length: memory"):
+            call(words, np.ones(2))
+    with pytest.raises(TypeError, match="must be real number, not str"):
+        made.plan("1")
 
 
 def test_odd_values_end(chosen: Any) -> None:

@@ -704,6 +704,14 @@ double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, doub
     return y;
 }
 
+void dbo_backlash_apply(const dbo_backlash *op, dbo_backlash_state *state, double y, const double *decay) {
+    walk w = begin(op, state, op->grouped);
+    follow_output(&w, y - op->y0, y - op->y0 >= w.y, 0);
+    remember(op, state->memory, decay, y);
+    state->last = y;
+    finish(&w, state);
+}
+
 /* ---- a state to begin with --------------------------------------------------------------------------- */
 
 /* The gears stop flipping from the highest to the lowest. With those up to k spanning [low, high], gear k

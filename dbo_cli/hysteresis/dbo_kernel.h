@@ -119,6 +119,10 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
                          const double *decay, const dbo_limits *limits, dbo_counts *counts);
 
+/* The output was `y`, whatever was asked for: the state of the operator with exchanged axes driven by it. As
+ * for limits: not for memory on the input. */
+void dbo_backlash_apply(const dbo_backlash *op, dbo_backlash_state *state, double y, const double *decay);
+
 /* `count` inputs; `y` may be `x`. Row k of `decay` begins at decay + k*decay_stride (stride 0: the same
  * for all samples). */
 void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
