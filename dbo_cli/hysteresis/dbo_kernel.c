@@ -92,7 +92,12 @@ typedef struct {
     size_t zero;
     double x;
     double y;
+    size_t at; /* the word crossed last: its sums are (x, y) less the rest; NOWHERE: all sums are kept */
+    double rest_x;
+    double rest_y;
 } walk;
+
+#define NOWHERE SIZE_MAX
 
 static size_t index_words(size_t n) { return ((n + 63) / 64 + 63) / 64; }
 
@@ -132,14 +137,31 @@ INLINE void add_crossed(walk *w, size_t k, double dx, double dy) {
     sums[CROSSED_Y] = bits_of(number_of(sums[CROSSED_Y]) + dy);
 }
 
+/* Gears crossed one by one change only (x, y); the sums of their word follow when it is left. */
+INLINE void leave_word(walk *w) {
+    uint64_t *sums = w->sums + SUMS * w->at;
+    if (w->at == NOWHERE) return;
+    sums[CROSSED_X] = bits_of(w->x - w->rest_x);
+    sums[CROSSED_Y] = bits_of(w->y - w->rest_y);
+    w->at = NOWHERE;
+}
+
+INLINE void enter_word(walk *w, size_t k) {
+    const uint64_t *sums = w->sums + SUMS * k;
+    leave_word(w);
+    w->rest_x = w->x - number_of(sums[CROSSED_X]);
+    w->rest_y = w->y - number_of(sums[CROSSED_Y]);
+    w->at = k;
+}
+
 /* To the upper neighbour: set b_Z (6)-(7), which is `gear`. All lower bits are ones now, so S is 0 and the
  * next Z lies above the old one. A word can only leave zero at its lowest bit. */
 INLINE void move_up(walk *w, const dbo_gear *gear) {
     const size_t z = w->zero, k = z >> 6;
     const uint64_t word = w->words[k] | (uint64_t)1 << (z & 63);
+    if (k != w->at) enter_word(w, k);
     w->x += gear->dx;
     w->y += gear->dy;
-    add_crossed(w, k, gear->dx, gear->dy);
     w->words[k] = word;
     if ((z & 63) == 0) w->some[k >> 6] |= (uint64_t)1 << (k & 63);
     w->set = 0;
@@ -151,9 +173,9 @@ INLINE void move_up(walk *w, const dbo_gear *gear) {
 INLINE void move_down(walk *w, const dbo_gear *gear) {
     const size_t s = w->set, k = s >> 6;
     const uint64_t word = w->words[k] & ~((uint64_t)1 << (s & 63));
+    if (k != w->at) enter_word(w, k);
     w->x -= gear->dx;
     w->y -= gear->dy;
-    add_crossed(w, k, -gear->dx, -gear->dy);
     w->words[k] = word;
     if ((s & 63) == 0) w->full[k >> 6] &= ~((uint64_t)1 << (k & 63));
     w->zero = 0;
@@ -171,6 +193,8 @@ INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state, int g
     w.full = w.words + (op->n + 63) / 64;
     w.some = w.full + index_words(op->n);
     w.sums = w.some + index_words(op->n);
+    w.at = NOWHERE;
+    w.rest_x = w.rest_y = 0.0;
     w.set = state->set;
     w.zero = state->zero;
     w.x = state->x;
@@ -178,7 +202,8 @@ INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state, int g
     return w;
 }
 
-INLINE void finish(const walk *w, dbo_backlash_state *state) {
+INLINE void finish(walk *w, dbo_backlash_state *state) {
+    leave_word(w);
     state->set = w->set;
     state->zero = w->zero;
     state->x = w->x;
@@ -330,6 +355,7 @@ INLINE size_t pass_words(walk *w, const goal *to, const int rising, const int pl
     size_t next = n, last = 0, k = from;
     uint64_t passed = 0;
     double x = w->x, y = w->y;
+    leave_word(w);
     for (; 64 * k < n; k++) {
         uint64_t *sums = w->sums + SUMS * k;
         const uint64_t open = open_gears(w->words[k], n - 64 * k, rising);
