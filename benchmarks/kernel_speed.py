@@ -1,12 +1,14 @@
 """How fast is the compiled kernel: against the fastest Prandtl-Ishlinskii loop found, and against a copy.
 
-    python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT]
+    python benchmarks/kernel_speed.py [--samples N] [--repeats N] [--against CHECKOUT] [--only WORD]
 
 One run, one machine, ratios. 2,000 samples a cycle; times are the best of the repeats, in ns a sample.
 "dither" is the worst case for finding Z: every low bit is set and one of them toggles, so that each sample
 makes a transition whose next zero bit lies beyond all of the words. Needs g++ (or CXX) for the competitor.
+A second table has the inputs that cross many gears in a sample: 100 samples a cycle, random, and jumps over
+the whole range. "identified" has 1,280 gears in 80 runs of equal ones, as identification makes them.
 With --against, the compiled kernel of another checkout of this project runs the same cases instead, turn by
-turn with this one, so that whatever else the machine does meets both.
+turn with this one, so that whatever else the machine does meets both; --only runs those whose name has WORD.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ Floats = NDArray[np.float64]
 LAYOUTS = {"plain": 1, "lanes4x1": 4, "lanes4x2": 8, "lanes4x4": 16,
            "lanes8x1": 8, "lanes8x2": 16, "lanes8x4": 32, "lanes8x7": 56}  # fmt: skip
 GEARS = (25, 100, 400, 1000)
+SIZES = (8, 25, 64, 256, 1024)
 NOTHING = np.empty(0)
 
 
@@ -117,24 +120,44 @@ def kernel_of(checkout: Path) -> ModuleType:
     return module
 
 
+def operators() -> dict[str, DiscreteBacklashOperator]:
+    """Return operators of n gears with a slope each, and one as identification makes them."""
+    found = {}
+    for n in SIZES:
+        rng = np.random.default_rng(n)
+        dx = rng.uniform(0.5, 1.5, n) * 3.6 / n
+        found[f"n = {n}"] = DiscreteBacklashOperator(dx, dx * np.linspace(0.5, 1.5, n))
+    slopes = np.repeat(np.linspace(0.5, 1.5, 80), 16)
+    found["identified"] = DiscreteBacklashOperator(np.full(1280, 3.6 / 1280), slopes * 3.6 / 1280)
+    return found
+
+
+def inputs(operator: DiscreteBacklashOperator, samples: int) -> dict[str, Floats]:
+    """Return what drives an operator from its lower end: smooth, faster, random, and jumps."""
+    low, high = operator.x_range
+    ramp, rng = np.arange(samples), np.random.default_rng(1)
+    return {
+        "smooth": low + (high - low) * (0.5 - 0.5 * np.cos(2.0 * np.pi / 2000.0 * ramp)),
+        "100 a cycle": low + (high - low) * (0.5 - 0.5 * np.cos(2.0 * np.pi / 100.0 * ramp)),
+        "random": rng.uniform(low, high, samples),
+        "jumps": np.where(ramp % 2 == 0, high, low),
+    }
+
+
 def cases(samples: int) -> dict[str, tuple[DiscreteBacklashOperator, BacklashState, Floats, bool]]:
     """Operators, starts, inputs, and whether limits bind, for the comparison of two kernels."""
-    cosine = 1.8 - 1.8 * np.cos(2.0 * np.pi / 2000.0 * np.arange(samples))
     found = {}
+    for name, operator in operators().items():
+        terms = Relaxation(0.0, (0.01, 1.0), (0.1, 0.1))
+        lagging = DiscreteBacklashOperator(operator.dx, operator.dy, 0.0, 0.0, terms)
+        for kind, x in inputs(operator, samples).items():
+            found[f"{name}, {kind}"] = operator, operator.empty(), x, False
+            if operator.n >= 1024 or kind == "smooth":
+                y = operator.run(x, operator.empty())[0]
+                found[f"{name}, {kind}, relaxation"] = lagging, operator.empty(), x, False
+                found[f"{name}, {kind}, inverse, limits"] = lagging.inverse(), operator.empty(), y, True
     for n in GEARS:
-        gears = DiscreteBacklashOperator(np.full(n, 3.6 / n), np.linspace(0.5, 1.5, n) * 3.6 / n)
-        found[f"forward, {n} gears"] = gears, gears.empty(), cosine, False
         found[f"dither, {n} gears"] = *dither(n, samples), False
-    slopes = np.repeat(np.linspace(0.5, 1.5, 64), 18)
-    gears = DiscreteBacklashOperator(np.full(1152, 3.6 / 1152), slopes * 3.6 / 1152)
-    steps = np.where(np.arange(samples) % 20 < 10, 3.6, 0.0)
-    lagging = DiscreteBacklashOperator(gears.dx, gears.dy, 0.0, 0.0, Relaxation(0.0, (0.01, 1.0), (0.1, 0.1)))
-    found["64 slopes, 1152 gears"] = gears, gears.empty(), cosine, False
-    found["full-range jumps, 1152 gears"] = gears, gears.empty(), steps, False
-    found["inverse, 1152 gears"] = gears.inverse(), gears.empty(), cosine, False
-    found["inverse with limits"] = gears.inverse(), gears.empty(), cosine, True
-    found["forward with relaxation"] = lagging, lagging.empty(), cosine, False
-    found["inverse with relaxation"] = lagging.inverse(), lagging.empty(), cosine, True
     return found
 
 
@@ -162,10 +185,12 @@ def prepared(
     raise SystemExit("the other kernel's arguments are not known here")
 
 
-def compare(other: ModuleType, samples: int, repeats: int) -> None:
+def compare(other: ModuleType, samples: int, repeats: int, word: str) -> None:
     """Print ns a sample of this kernel and of another, and their ratio; outputs must be the same bits."""
-    print("case                           this ns  other ns  this/other")
+    print("case                                      this ns  other ns  this/other")
     for name, case in cases(samples).items():
+        if word not in name:
+            continue
         (own, y), (old, z) = prepared(kernel.CHOSEN, *case), prepared(other, *case)
         assert y.tobytes() == z.tobytes(), name
         times: list[list[float]] = [[], []]
@@ -173,7 +198,7 @@ def compare(other: ModuleType, samples: int, repeats: int) -> None:
             for k, run in enumerate((own, old)):
                 times[k].append(best(run, 1) * 1e9 / samples)
         this, that = min(times[0]), min(times[1])
-        print(f"{name:29}  {this:8.2f}  {that:8.2f}  {this / that:10.2f}")
+        print(f"{name:40}  {this:8.2f}  {that:8.2f}  {this / that:10.2f}")
 
 
 def main() -> None:
@@ -181,11 +206,12 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=1_000_000)
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--against", type=Path, metavar="CHECKOUT")
+    parser.add_argument("--only", default="", metavar="WORD")
     options = parser.parse_args()
     if kernel.KIND != "compiled":
         raise SystemExit("the compiled kernel is not there")
     if options.against:
-        compare(kernel_of(options.against), options.samples, 5 * options.repeats)
+        compare(kernel_of(options.against), options.samples, 5 * options.repeats, options.only)
         return
     x = 1.8 - 1.8 * np.cos(2.0 * np.pi / 2000.0 * np.arange(options.samples))
     scale = 1e9 / options.samples
@@ -206,6 +232,11 @@ def main() -> None:
                 f"{n:5}  {own:6.2f}  {worst:9.2f}  {other:8.2f}  {layout:9}"
                 f"  {other / own:9.1f}  {own / copy:8.1f}"
             )
+    print("\nns a sample      smooth  100 a cycle    random     jumps")
+    for name, operator in operators().items():
+        runs = [backlash(operator, operator.empty(), x) for x in inputs(operator, options.samples).values()]
+        row = [best(run, options.repeats) * scale for run in runs]
+        print(f"{name:12}  {row[0]:9.2f}  {row[1]:11.1f}  {row[2]:8.1f}  {row[3]:8.1f}")
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
     OutputLimits,
 )
+from dbo_cli.hysteresis.stepper import BacklashStepper
 
 SOURCE = Path(dbo_cli.hysteresis.__file__).parent
 COMPILED = kernel.compiled_kernel()
@@ -124,6 +125,38 @@ def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest
         expanded = everything(seed, monkeypatch, COMPILED, relaxation, run)
         assert expanded == everything(seed, monkeypatch, Grouped(COMPILED), relaxation, run), seed
         assert expanded == everything(seed, monkeypatch, Grouped(kernel.PythonKernel), relaxation, run), seed
+
+
+@needs_compiled
+@pytest.mark.parametrize("n", [64, 65, 128, 1000, 1280])
+def test_jumps_from_any_state_cross_words_as_gears(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every word holds ones and zeros at first; full jumps, into words, back, and with limits on the way."""
+    for seed in range(8):
+        rng = np.random.default_rng([n, seed])
+        operator = random_operator(rng, n, seed % 2 == 1, (1, 1, 16, 70)[seed // 2])
+        bits = int.from_bytes(rng.bytes(n // 8), "little")
+        terms = operator.relaxation
+        start = BacklashState(bits, None if terms is None else (0.5,) * len(terms.tau))
+        decay = None if terms is None else terms.decay(rng.uniform(0.0, 0.1, 24))
+        x, y = random_trajectory(rng, operator, 24), rng.uniform(*operator.y_range, 24)
+        span = operator.x_range[1] - operator.x_range[0]
+        limits = OutputLimits(operator.x_range[0] + 0.2 * span, operator.x_range[1], 0.4 * span)
+        found = []
+        for chosen in (COMPILED, kernel.PythonKernel):
+            monkeypatch.setattr(kernel, "CHOSEN", chosen)
+            forward = operator.run(x, start, decay=decay)
+            inverse = operator.inverse().run(y, start, decay=decay, limits=limits)
+            found.append([(bits_of(out), state, counts) for out, state, counts in (forward, inverse)])
+        assert found[0] == found[1], seed
+
+
+def test_a_words_last_gear_is_crossed_by_the_tolerance(chosen: Any) -> None:
+    operator = DiscreteBacklashOperator(np.ones(128), np.ones(128))
+    for short, bits in ((0.5e-9, (1 << 64) - 1), (2e-9, (1 << 63) - 1)):
+        y, state, _ = operator.run([64.0 - short], operator.empty())
+        assert (y.tolist(), state.bits) == ([64.0 - short], bits)
+        y, state, _ = operator.run([64.0 + short], operator.full())
+        assert (y.tolist(), state.bits) == ([64.0 + short], (1 << 128) - 1 - bits)
 
 
 def test_equal_neighbours() -> None:
@@ -276,6 +309,58 @@ def test_a_gear_travelled_exactly_to_the_tolerance_counts_as_crossed(chosen: Any
     down = [1.0 - value for value in (*quiet, reach)]
     assert operator.run(down, begun)[1].bits == 0
     assert operator.run([*down[:-1], 1.0 - below], begun)[1].bits == 1
+
+
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_steps_planned_committed_and_applied_are_those_of_blocks(relaxation: bool, chosen: Any) -> None:
+    """Plans that are never committed leave no trace; what was applied instead drives the forward operator."""
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 11])
+        forward = random_operator(rng, (5, 64, 200)[seed % 3], relaxation, (1, 16)[seed % 2])
+        inverse, (low, high) = forward.inverse(), forward.x_range
+        terms, before = forward.relaxation, low + 0.3 * (high - low)
+        decay = None if terms is None else terms.decay(0.01)
+        memory = None if terms is None else tuple(rng.normal(0.0, 1.0, len(terms.tau)).tolist())
+        state = BacklashState(forward.settled(before).bits, memory)
+        limits = OutputLimits(low, high - 0.1 * (high - low), 0.3 * (high - low), 1e-9)
+        stepper = BacklashStepper(inverse, state, before, 0.01, limits)
+        for k, wanted in enumerate(rng.uniform(*forward.y_range, 40).tolist()):
+            assert (stepper.state, stepper.last) == (state, before)
+            stepper.plan(wanted + 0.1)
+            y, after, counts = inverse.run([wanted], state, decay=decay, limits=limits, last=before)
+            assert (stepper.plan(wanted), stepper.clipped) == (y[0], counts.clipped)
+            if k % 3:
+                stepper.commit()
+                state, before = after, float(y[0])
+            else:
+                before = float(rng.uniform(low, high))
+                stepper.apply(before)
+                state = forward.run([before], state, decay=decay)[1]
+        with pytest.raises(ValueError, match=r"^nothing was planned to be committed$"):
+            BacklashStepper(inverse, state, before, 0.01, limits).commit()
+        if relaxation:
+            with pytest.raises(ValueError, match=r"^memory on the input: its output does not give the"):
+                BacklashStepper(forward, state, before, 0.01).apply(0.0)
+
+
+@needs_compiled
+def test_compiled_stepper_checks_lengths() -> None:
+    assert COMPILED is not None
+    gears, one = np.ones((2, 4)), np.ones(1)
+    end = (False, 0.0, 0.0, 0.0, np.nan)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: gears"):
+        COMPILED.Stepper(gears, 3, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
+    with pytest.raises(ValueError, match="kernel buffer of the wrong length: decay"):
+        COMPILED.Stepper(gears, 2, 1, 0.0, 0.0, True, one, 0.0, True, np.ones(2), *end)
+    made = COMPILED.Stepper(gears, 2, 1, 0.0, 0.0, True, one, 0.0, True, one, *end)
+    words = np.zeros(kernel.buffer_words(2), np.uint64)
+    for call in (made.get, lambda *buffers: made.set(*buffers, 0.0)):
+        with pytest.raises(ValueError, match="kernel buffer of the wrong length: words"):
+            call(words[1:], one)
+        with pytest.raises(ValueError, match="kernel buffer of the wrong length: memory"):
+            call(words, np.ones(2))
+    with pytest.raises(TypeError, match="must be real number, not str"):
+        made.plan("1")
 
 
 def test_odd_values_end(chosen: Any) -> None:

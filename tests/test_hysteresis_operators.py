@@ -13,6 +13,7 @@ from trials import random_operator, random_trajectory
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.delay import interpolated
 from dbo_cli.hysteresis.gear_table import on_binary_grid
 from dbo_cli.hysteresis.operators import (
     BacklashState,
@@ -286,6 +287,33 @@ def test_relaxation_needs_time() -> None:
     assert operator.relaxation is not None
     with pytest.raises(InputError, match=r"^time step 2: -0.1 s; time must not go backwards$"):
         operator.relaxation.decay([0.1, -0.1])
+
+
+def test_repeated_time_steps_have_the_factors_of_single_ones() -> None:
+    terms = Relaxation(0.0, (0.01, 1.0, 30.0), (0.1, 0.1, 0.1))
+    rng = np.random.default_rng(3)
+    uneven = rng.uniform(0.0, 0.1, 50)
+    for steps in (uneven, np.repeat(uneven, 9), np.full(40, 0.002), np.array([0.5, *[0.002] * 40])):
+        expected = np.concatenate([terms.decay(float(step)) for step in steps])
+        found = terms.decay(steps)
+        assert len(found) == (1 if steps.size == 40 else steps.size)
+        assert np.broadcast_to(found, expected.shape).tobytes() == expected.tobytes()
+    assert terms.decay([]).shape == (0, 3)
+
+
+def test_times_on_even_and_uneven_clocks_are_found_as_by_a_search() -> None:
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(1, 60))
+        even = np.round(np.arange(count) / 500.0, 9) + float(rng.integers(0, 5))
+        clock = (even, np.cumsum(rng.choice([0.0, 0.002, 0.004], count)))[seed % 2]
+        wanted = clock - rng.choice([0.0, 0.002, 0.0033, 1.0])
+        if seed % 3 == 0:
+            wanted = np.sort(rng.uniform(clock[0] - 0.1, clock[-1] + 0.1, 30))
+        expected = [max(sum(time <= each for time in clock.tolist()) - 1, 0) for each in wanted.tolist()]
+        y, last = interpolated(clock, np.arange(float(count)), wanted)
+        assert last == expected[-1]
+        assert np.all((y >= expected) & (y <= np.add(expected, 1.0)))
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [

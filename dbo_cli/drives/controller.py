@@ -85,7 +85,6 @@ class Controller:
         self._gate = DriveGate(self._limits, self._last)
         self._dac = None if dac is None else Converter(dac, self._limits, self._most)
         self._stepper: BacklashStepper | None = None
-        self._forward: BacklashStepper | None = None
         self._begun: ModelState | None = None
         self._prepare()
         self._clipped_now = False
@@ -250,14 +249,12 @@ class Controller:
         bound = inverse.output_limits(inverse.inner_limits(self._planning), self._step_seconds)
         last = math.nan if state.drive is None else state.drive
         self._stepper = BacklashStepper(inverse.backlash, state.backlash, last, self._step_seconds, bound)
-        forward = self._model.backlash
-        self._forward = BacklashStepper(forward, state.backlash, last, self._step_seconds)
 
     def _apply(self, volts: float) -> None:
         """Drive the forward model's gears by what was applied; the inverse goes on from their state."""
         if not -math.inf < volts < math.inf:
             raise InputError(f"what was applied is not a finite number: {volts!r}")
-        if self._stepper is None or self._forward is None:
+        if self._stepper is None:
             begun = self._model.start(volts, self._start)
             begun = dataclasses.replace(begun, history=None)
             self._begin(self._model.simulate([volts], begun, time_step=self._step_seconds).state)
@@ -265,10 +262,7 @@ class Controller:
         inner = volts
         for stage in self._drive_side:
             inner = float(stage.run(np.array([inner]))[0])
-        self._forward.take(self._stepper)
-        self._forward.plan(inner)
-        self._forward.commit()
-        self._stepper.take(self._forward, inner)
+        self._stepper.apply(inner)
 
 
 class Converter:

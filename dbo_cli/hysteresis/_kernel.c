@@ -4,6 +4,8 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include <string.h>
+
 #include "dbo_dynamics.h"
 #include "dbo_kernel.h"
 #include "dbo_plays.h"
@@ -15,9 +17,8 @@ static int too_short(const char *what) {
     return 1;
 }
 
-/* The operator and its state out of buffers; 0 with an error set where their lengths do not match. */
-static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears, Py_ssize_t n, Py_ssize_t run,
-                    const Py_buffer *words) {
+/* The operator's table out of a buffer; 0 with an error set where lengths do not match. */
+static int assemble_operator(dbo_backlash *op, const Py_buffer *gears, Py_ssize_t n, Py_ssize_t run) {
     const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear);
     if (n < 1 || run < 1 || (rows < n && rows * run < n)) return !too_short("gears");
     if ((uint64_t)n * (uint64_t)run >> 32) return !too_short("run");
@@ -26,6 +27,13 @@ static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer
     op->run = (size_t)run;
     op->grouped = rows < n;
     op->row_factor = DBO_ROW_FACTOR(run);
+    return 1;
+}
+
+/* The same, and the state's words. */
+static int assemble(dbo_backlash *op, dbo_backlash_state *state, const Py_buffer *gears, Py_ssize_t n, Py_ssize_t run,
+                    const Py_buffer *words) {
+    if (!assemble_operator(op, gears, n, run)) return 0;
     state->words = words->buf;
     if ((size_t)words->len / sizeof(uint64_t) < dbo_backlash_words(op->n)) return !too_short("words");
     return 1;
@@ -88,6 +96,204 @@ done:
     return Py_BuildValue("(nnnn)", (Py_ssize_t)counts.outside, (Py_ssize_t)counts.first_outside,
                          (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
 }
+
+/* One operator, its limits and its state, held from one live sample to the next: see PythonStepper. */
+typedef struct {
+    PyObject_HEAD
+    Py_buffer gears;
+    dbo_backlash op;
+    dbo_limits limits;
+    double largest_change;
+    int limited;
+    double *decay;
+    size_t words; /* 64-bit words of a state */
+    dbo_backlash_state now;
+    dbo_backlash_state next;
+    int planned;
+    size_t clipped;
+    uint64_t *memory; /* all of it in one piece */
+} stepper;
+
+static void stepper_dealloc(PyObject *object) {
+    stepper *self = (stepper *)object;
+    PyTypeObject *type = Py_TYPE(object);
+    PyBuffer_Release(&self->gears);
+    PyMem_Free(self->memory);
+    PyObject_Free(object);
+    Py_DECREF((PyObject *)type);
+}
+
+/* Room for two states, the terms' gains and decay; 0 with an error set where there is none. */
+static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *decay) {
+    const size_t words = dbo_backlash_words(self->op.n), terms = NUMBERS(*gain);
+    double *numbers;
+    self->memory = PyMem_Calloc(2 * words + 4 * terms, sizeof(uint64_t));
+    if (!self->memory) {
+        PyErr_NoMemory();
+        return 0;
+    }
+    numbers = (double *)(self->memory + 2 * words);
+    self->words = words;
+    self->now.words = self->memory;
+    self->next.words = self->memory + words;
+    self->now.memory = numbers;
+    self->next.memory = numbers + terms;
+    memcpy(numbers + 2 * terms, gain->buf, terms * sizeof(double));
+    memcpy(numbers + 3 * terms, decay->buf, terms * sizeof(double));
+    self->op.terms = terms;
+    self->op.gain = numbers + 2 * terms;
+    self->decay = numbers + 3 * terms;
+    return 1;
+}
+
+static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywords) {
+    Py_buffer gain, decay;
+    Py_ssize_t n, run;
+    int ready = 0;
+    stepper *self;
+    (void)keywords;
+    self = (stepper *)PyType_GenericAlloc(type, 0);
+    if (!self) return NULL;
+    if (!PyArg_ParseTuple(args, "y*nnddpy*dpy*pdddd", &self->gears, &n, &run, &self->op.x0, &self->op.y0,
+                          &self->op.extend, &gain, &self->op.reference, &self->op.memory_on_output, &decay,
+                          &self->limited, &self->limits.low, &self->limits.high, &self->limits.slack,
+                          &self->largest_change)) {
+        Py_DECREF((PyObject *)self);
+        return NULL;
+    }
+    self->limits.step = self->largest_change == self->largest_change ? &self->largest_change : NULL;
+    if (!assemble_operator(&self->op, &self->gears, n, run)) goto done;
+    if (NUMBERS(decay) != NUMBERS(gain) && too_short("decay")) goto done;
+    if (!stepper_room(self, &gain, &decay)) goto done;
+    dbo_backlash_load(&self->op, &self->now);
+    ready = 1;
+done:
+    PyBuffer_Release(&gain);
+    PyBuffer_Release(&decay);
+    if (ready) return (PyObject *)self;
+    Py_DECREF((PyObject *)self);
+    return NULL;
+}
+
+static PyObject *stepper_set(PyObject *object, PyObject *args) {
+    stepper *self = (stepper *)object;
+    Py_buffer words, memory;
+    double last;
+    int ready = 0;
+    if (!PyArg_ParseTuple(args, "y*y*d", &words, &memory, &last)) return NULL;
+    if ((size_t)words.len < self->words * sizeof(uint64_t) && too_short("words")) goto done;
+    if (NUMBERS(memory) != self->op.terms && too_short("memory")) goto done;
+    memcpy(self->now.words, words.buf, self->words * sizeof(uint64_t));
+    memcpy(self->now.memory, memory.buf, self->op.terms * sizeof(double));
+    self->now.last = last;
+    dbo_backlash_load(&self->op, &self->now);
+    self->planned = 0;
+    ready = 1;
+done:
+    PyBuffer_Release(&words);
+    PyBuffer_Release(&memory);
+    if (!ready) return NULL;
+    return Py_BuildValue("");
+}
+
+static PyObject *stepper_get(PyObject *object, PyObject *args) {
+    const stepper *self = (stepper *)object;
+    Py_buffer words, memory;
+    int ready = 0;
+    if (!PyArg_ParseTuple(args, "w*w*", &words, &memory)) return NULL;
+    if ((size_t)words.len < self->words * sizeof(uint64_t) && too_short("words")) goto done;
+    if (NUMBERS(memory) != self->op.terms && too_short("memory")) goto done;
+    memcpy(words.buf, self->now.words, self->words * sizeof(uint64_t));
+    memcpy(memory.buf, self->now.memory, self->op.terms * sizeof(double));
+    ready = 1;
+done:
+    PyBuffer_Release(&words);
+    PyBuffer_Release(&memory);
+    if (!ready) return NULL;
+    return PyFloat_FromDouble(self->now.last);
+}
+
+/* The state to go to, for now that of the present; its buffers stay its own. */
+static dbo_backlash_state *stepper_copy(stepper *self) {
+    uint64_t *words = self->next.words;
+    double *memory = self->next.memory;
+    memcpy(words, self->now.words, self->words * sizeof(uint64_t));
+    memcpy(memory, self->now.memory, self->op.terms * sizeof(double));
+    self->next = self->now;
+    self->next.words = words;
+    self->next.memory = memory;
+    return &self->next;
+}
+
+static PyObject *stepper_plan(PyObject *object, PyObject *value) {
+    stepper *self = (stepper *)object;
+    dbo_counts counts = {0, 0, 0, 0};
+    const double x = PyFloat_AsDouble(value);
+    double y;
+    if (PyErr_Occurred()) return NULL;
+    y = dbo_backlash_step(&self->op, stepper_copy(self), x, self->decay, self->limited ? &self->limits : NULL, &counts);
+    self->clipped = counts.clipped;
+    self->planned = 1;
+    return PyFloat_FromDouble(y);
+}
+
+static PyObject *stepper_commit(PyObject *object, PyObject *nothing) {
+    stepper *self = (stepper *)object;
+    const dbo_backlash_state before = self->now;
+    (void)nothing;
+    if (!self->planned) {
+        PyErr_SetString(PyExc_ValueError, "nothing was planned to be committed");
+        return NULL;
+    }
+    self->now = self->next;
+    self->next = before;
+    self->planned = 0;
+    return Py_BuildValue("");
+}
+
+static PyObject *stepper_apply(PyObject *object, PyObject *value) {
+    stepper *self = (stepper *)object;
+    const double y = PyFloat_AsDouble(value);
+    if (PyErr_Occurred()) return NULL;
+    if (self->op.terms && !self->op.memory_on_output) {
+        PyErr_SetString(PyExc_ValueError, "memory on the input: its output does not give the state");
+        return NULL;
+    }
+    dbo_backlash_apply(&self->op, &self->now, y, self->decay);
+    self->planned = 0;
+    return Py_BuildValue("");
+}
+
+static PyObject *stepper_clipped(PyObject *object, void *nothing) {
+    (void)nothing;
+    return PyLong_FromSize_t(((const stepper *)object)->clipped);
+}
+
+static PyObject *stepper_last(PyObject *object, void *nothing) {
+    (void)nothing;
+    return PyFloat_FromDouble(((const stepper *)object)->now.last);
+}
+
+static PyMethodDef stepper_methods[] = {
+    {"plan", stepper_plan, METH_O, "The output for an input; nothing changes yet."},
+    {"commit", stepper_commit, METH_NOARGS, "Go on to the state that the last plan leads to."},
+    {"apply", stepper_apply, METH_O, "Go on to the state that this output leads to, whatever was planned."},
+    {"set", stepper_set, METH_VARARGS, "Take over words, memory and the output before."},
+    {"get", stepper_get, METH_VARARGS, "Fill words and memory; return the output before."},
+    {NULL, NULL, 0, NULL}};
+
+static PyGetSetDef stepper_attributes[] = {
+    {"clipped", stepper_clipped, NULL, "Whether the last plan met the limits.", NULL},
+    {"last", stepper_last, NULL, "The output of the last step committed.", NULL},
+    {NULL, NULL, NULL, NULL, NULL}};
+
+static PyType_Slot stepper_slots[] = {
+    {Py_tp_new, (void *)stepper_new},         {Py_tp_dealloc, (void *)stepper_dealloc},
+    {Py_tp_methods, (void *)stepper_methods}, {Py_tp_getset, (void *)stepper_attributes},
+    {0, NULL}};
+
+static PyType_Spec stepper_spec = {"dbo_cli.hysteresis._kernel.Stepper", sizeof(stepper), 0, Py_TPFLAGS_DEFAULT,
+                                   stepper_slots};
 
 static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
     Py_buffer gears, words, x, rows, crossed;
@@ -358,7 +564,14 @@ static PyMethodDef methods[] = {
     {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
     {NULL, NULL, 0, NULL}};
 
-static PyModuleDef_Slot slots[] = {{0, NULL}};
+static int add_types(PyObject *module) {
+    PyObject *type = PyType_FromModuleAndSpec(module, &stepper_spec, NULL);
+    const int failed = type == NULL || PyModule_AddType(module, (PyTypeObject *)type) < 0;
+    Py_XDECREF(type);
+    return failed ? -1 : 0;
+}
+
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)add_types}, {0, NULL}};
 
 static struct PyModuleDef definition = {
     PyModuleDef_HEAD_INIT, "_kernel", "The compiled recursions; see kernel.py.", 0, methods, slots,

@@ -20,15 +20,21 @@
 #define EXPANDED_TABLES 1
 #endif
 
-/* ---- find first set (4): the compiler's instruction, or de Bruijn as in the paper's reference [10] -- */
+/* ---- find first set (4), and last: the compiler's instruction, or de Bruijn as in the paper's [10] ---- */
 
 #if !defined(DBO_PORTABLE_SCAN) && (defined(__GNUC__) || defined(__clang__))
 INLINE unsigned first_one(uint64_t word) { return (unsigned)__builtin_ctzll(word); }
+INLINE unsigned last_one(uint64_t word) { return 63U - (unsigned)__builtin_clzll(word); }
 #elif !defined(DBO_PORTABLE_SCAN) && defined(_MSC_VER) && defined(_WIN64)
 #include <intrin.h>
 INLINE unsigned first_one(uint64_t word) {
     unsigned long index;
     _BitScanForward64(&index, word);
+    return (unsigned)index;
+}
+INLINE unsigned last_one(uint64_t word) {
+    unsigned long index;
+    _BitScanReverse64(&index, word);
     return (unsigned)index;
 }
 #else
@@ -41,9 +47,36 @@ INLINE unsigned first_one(uint64_t word) {
         23, 58, 17, 10, 51, 25, 36, 32, 60, 20, 57, 16, 50, 31, 19, 15, 30, 14, 13, 12};
     return place[((word & (~word + 1)) * UINT64_C(0x022FDD63CC95386D)) >> 58];
 }
+INLINE unsigned last_one(uint64_t word) {
+    for (unsigned reach = 1; reach < 64; reach *= 2) word |= word >> reach;
+    return first_one(word ^ word >> 1);
+}
 #endif
 
-/* ---- the state's bits, with one index level above: which words are full, which hold a one ----------- */
+/* ---- float64 numbers in 64-bit words ---------------------------------------------------------------- */
+
+typedef union {
+    double value;
+    uint64_t bits;
+} float64;
+
+INLINE uint64_t bits_of(double value) {
+    float64 u;
+    u.value = value;
+    return u.bits;
+}
+
+INLINE double number_of(uint64_t bits) {
+    float64 u;
+    u.bits = bits;
+    return u.value;
+}
+
+/* ---- the state's bits; above them which words are full, which hold a one, and each word's sums ------- */
+
+/* Four sums over the gears of a word, float64 each: of those crossed, and of all. They are exact, since all
+ * widths of an axis lie on one binary grid. */
+enum { CROSSED_X, CROSSED_Y, WHOLE_X, WHOLE_Y, SUMS };
 
 typedef struct {
     const dbo_gear *gears;
@@ -54,15 +87,21 @@ typedef struct {
     uint64_t *words;
     uint64_t *full; /* bit k: word k is all ones */
     uint64_t *some; /* bit k: word k is not zero */
+    uint64_t *sums; /* SUMS for each word */
     size_t set;
     size_t zero;
     double x;
     double y;
+    size_t at; /* the word crossed last: its sums are (x, y) less the rest; NOWHERE: all sums are kept */
+    double rest_x;
+    double rest_y;
 } walk;
+
+#define NOWHERE SIZE_MAX
 
 static size_t index_words(size_t n) { return ((n + 63) / 64 + 63) / 64; }
 
-size_t dbo_backlash_words(size_t n) { return (n + 63) / 64 + 2 * index_words(n); }
+size_t dbo_backlash_words(size_t n) { return (1 + SUMS) * ((n + 63) / 64) + 2 * index_words(n); }
 
 INLINE size_t row_of(const walk *w, size_t gear) {
     return w->grouped || !EXPANDED_TABLES ? (size_t)(((uint64_t)gear * w->row_factor) >> 32) : gear;
@@ -91,11 +130,36 @@ static size_t one_above(const uint64_t *words, uint64_t *some, size_t n, size_t 
     return n;
 }
 
+/* The sums of word k after `dx` and `dy` more of it have been crossed. */
+INLINE void add_crossed(walk *w, size_t k, double dx, double dy) {
+    uint64_t *sums = w->sums + SUMS * k;
+    sums[CROSSED_X] = bits_of(number_of(sums[CROSSED_X]) + dx);
+    sums[CROSSED_Y] = bits_of(number_of(sums[CROSSED_Y]) + dy);
+}
+
+/* Gears crossed one by one change only (x, y); the sums of their word follow when it is left. */
+INLINE void leave_word(walk *w) {
+    uint64_t *sums = w->sums + SUMS * w->at;
+    if (w->at == NOWHERE) return;
+    sums[CROSSED_X] = bits_of(w->x - w->rest_x);
+    sums[CROSSED_Y] = bits_of(w->y - w->rest_y);
+    w->at = NOWHERE;
+}
+
+INLINE void enter_word(walk *w, size_t k) {
+    const uint64_t *sums = w->sums + SUMS * k;
+    leave_word(w);
+    w->rest_x = w->x - number_of(sums[CROSSED_X]);
+    w->rest_y = w->y - number_of(sums[CROSSED_Y]);
+    w->at = k;
+}
+
 /* To the upper neighbour: set b_Z (6)-(7), which is `gear`. All lower bits are ones now, so S is 0 and the
  * next Z lies above the old one. A word can only leave zero at its lowest bit. */
 INLINE void move_up(walk *w, const dbo_gear *gear) {
     const size_t z = w->zero, k = z >> 6;
     const uint64_t word = w->words[k] | (uint64_t)1 << (z & 63);
+    if (k != w->at) enter_word(w, k);
     w->x += gear->dx;
     w->y += gear->dy;
     w->words[k] = word;
@@ -109,6 +173,7 @@ INLINE void move_up(walk *w, const dbo_gear *gear) {
 INLINE void move_down(walk *w, const dbo_gear *gear) {
     const size_t s = w->set, k = s >> 6;
     const uint64_t word = w->words[k] & ~((uint64_t)1 << (s & 63));
+    if (k != w->at) enter_word(w, k);
     w->x -= gear->dx;
     w->y -= gear->dy;
     w->words[k] = word;
@@ -127,6 +192,9 @@ INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state, int g
     w.words = state->words;
     w.full = w.words + (op->n + 63) / 64;
     w.some = w.full + index_words(op->n);
+    w.sums = w.some + index_words(op->n);
+    w.at = NOWHERE;
+    w.rest_x = w.rest_y = 0.0;
     w.set = state->set;
     w.zero = state->zero;
     w.x = state->x;
@@ -134,7 +202,8 @@ INLINE walk begin(const dbo_backlash *op, const dbo_backlash_state *state, int g
     return w;
 }
 
-INLINE void finish(const walk *w, dbo_backlash_state *state) {
+INLINE void finish(walk *w, dbo_backlash_state *state) {
+    leave_word(w);
     state->set = w->set;
     state->zero = w->zero;
     state->x = w->x;
@@ -146,23 +215,59 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
     w.x = w.y = 0.0;
     for (size_t i = 0; i < index_words(op->n); i++) w.full[i] = w.some[i] = 0;
     for (size_t k = 0; 64 * k < w.n; k++) {
+        double sums[SUMS] = {0.0, 0.0, 0.0, 0.0};
+        for (size_t i = 64 * k; i < 64 * (k + 1) && i < w.n; i++) {
+            const dbo_gear *gear = op->gears + row_of(&w, i);
+            const int crossed = (int)(w.words[k] >> (i & 63) & 1);
+            sums[WHOLE_X] += gear->dx;
+            sums[WHOLE_Y] += gear->dy;
+            if (!crossed) continue;
+            sums[CROSSED_X] += gear->dx;
+            sums[CROSSED_Y] += gear->dy;
+        }
+        for (size_t i = 0; i < SUMS; i++) w.sums[SUMS * k + i] = bits_of(sums[i]);
+        w.x += sums[CROSSED_X];
+        w.y += sums[CROSSED_Y];
         if (w.words[k] == ALL_ONES) w.full[k >> 6] |= (uint64_t)1 << (k & 63);
         if (w.words[k] != 0) w.some[k >> 6] |= (uint64_t)1 << (k & 63);
-        for (uint64_t ones = w.words[k]; ones; ones &= ones - 1) {
-            const dbo_gear *gear = op->gears + row_of(&w, 64 * k + first_one(ones));
-            w.x += gear->dx; /* exact, in any order: the widths lie on one binary grid */
-            w.y += gear->dy;
-        }
     }
     w.zero = w.words[0] != ALL_ONES ? first_one(~w.words[0]) : zero_above(w.words, w.full, w.n, 0);
     w.set = w.words[0] != 0 ? first_one(w.words[0]) : one_above(w.words, w.some, w.n, 0);
     finish(&w, state);
 }
 
-/* ---- many equal gears at once ---------------------------------------------------------------------- */
+/* ---- many gears at once ------------------------------------------------------------------------------ */
 
-/* A leap costs about as much as crossing so many gears one by one. */
-#define LEAP 4
+/* Gears crossed one by one before words are: so many cost about as much as the way by words, and a smooth drive
+ * seldom crosses more in a sample. Where what is left to travel is FAR times the next gear, words come first. */
+#define SINGLE 4
+#define FAR 16.0
+
+/* What gears are crossed towards: the input `u`, as long as the output has room up to `bound`; both count from
+ * (X_0, Y_0). kappa of the output is the memory's immediate part. What plays no part is infinite. */
+typedef struct {
+    double u;
+    double kappa;
+    double bound;
+    const dbo_fixed_gear *fixed;
+} goal;
+
+/* Whether the gear of a row is crossed from (x, y). `plain` here and below: kappa is 0, and there is no bound. */
+INLINE int crosses(const walk *w, const goal *to, size_t row, double x, double y, int rising, int plain) {
+    const dbo_gear *gear = w->gears + row;
+    const double d = plain ? to->u - x : to->u - (x + to->kappa * y), travelled = rising ? d : -d;
+    const double room = rising ? to->bound - y : y - to->bound;
+    if (plain) return travelled >= gear->dx * gear->crossing_fraction;
+    if (to->fixed) return travelled >= to->fixed[row].reach && room >= to->fixed[row].room;
+    return travelled >= (gear->dx + to->kappa * gear->dy) * gear->crossing_fraction &&
+           room >= gear->dy * gear->crossing_fraction;
+}
+
+/* Whether (x, y) has not gone beyond the goal. */
+INLINE int short_of(const goal *to, double x, double y, int rising, int plain) {
+    const double d = plain ? to->u - x : to->u - (x + to->kappa * y);
+    return (rising ? d >= 0.0 : d <= 0.0) && (plain || (rising ? y <= to->bound : y >= to->bound));
+}
 
 INLINE unsigned count_ones(uint64_t word) {
     word -= word >> 1 & UINT64_C(0x5555555555555555);
@@ -171,64 +276,139 @@ INLINE unsigned count_ones(uint64_t word) {
     return (unsigned)((word * UINT64_C(0x0101010101010101)) >> 56);
 }
 
-/* Where the run of equal gears ends in which a gear stands. */
-static size_t run_end(const walk *w, size_t gear) {
-    const size_t end = gear - gear % w->run + w->run;
-    return end < w->n ? end : w->n;
+/* Bits of a word, below place `end`, whose gears can still be crossed: zeros on the way up. */
+INLINE uint64_t open_gears(uint64_t word, size_t end, int rising) {
+    const uint64_t open = rising ? ~word : word;
+    return end < 64 ? open & ~(ALL_ONES << end) : open;
 }
 
-/* Bits of word k that belong to gears from ... end - 1 and can still be crossed: zeros on the way up. */
-INLINE uint64_t open_bits(const walk *w, size_t k, size_t from, size_t end, int rising) {
-    uint64_t open = rising ? ~w->words[k] : w->words[k];
-    if (64 * k < from) open &= ALL_ONES << (from - 64 * k);
-    if (end - 64 * k < 64) open &= ~(ALL_ONES << (end - 64 * k));
-    return open;
+/* Those of `open`, bits of one word, that are of the run of gear i. */
+INLINE uint64_t open_of_run(const walk *w, uint64_t open, size_t i) {
+    const size_t end = ((size_t)(((uint64_t)i * w->row_factor) >> 32) + 1) * w->run - (i & ~(size_t)63);
+    return open_gears(open, end, 0);
 }
 
-/* How many gears of the run of the next one can be crossed. */
-static size_t open_gears(const walk *w, int rising) {
-    const size_t from = rising ? w->zero : w->set, end = run_end(w, from);
-    size_t count = 0;
-    for (size_t k = from >> 6; 64 * k < end; k++) count += count_ones(open_bits(w, k, from, end, rising));
-    return count;
+/* How many of `count` equal gears are crossed from (x, y): by a division, and what its rounding missed. */
+INLINE unsigned equal_crossed(const walk *w, const goal *to, size_t row, double x, double y, unsigned count,
+                              int rising, int plain) {
+    const double dx = rising ? w->gears[row].dx : -w->gears[row].dx;
+    const double dy = rising ? w->gears[row].dy : -w->gears[row].dy;
+    unsigned next = count - 1;
+    double part;
+    if (crosses(w, to, row, x + (double)next * dx, y + (double)next * dy, rising, plain)) return count;
+    part = plain ? (to->u - x) / dx : (to->u - (x + to->kappa * y)) / (dx + to->kappa * dy);
+    if (!plain && (to->bound - y) / dy < part) part = (to->bound - y) / dy;
+    if (part < (double)next) next = part > 0.0 ? (unsigned)part : 0;
+    while (crosses(w, to, row, x + (double)next * dx, y + (double)next * dy, rising, plain)) next++;
+    for (; next > 0; next--)
+        if (crosses(w, to, row, x + (double)(next - 1) * dx, y + (double)(next - 1) * dy, rising, plain)) break;
+    return next;
 }
 
-/* Cross the next `count` gears, all of one run, (6)-(9): `count` is at least 1 and at most open_gears. */
-static void leap(walk *w, size_t count, int rising) {
-    const size_t from = rising ? w->zero : w->set, end = run_end(w, from);
-    const dbo_gear *gear = w->gears + row_of(w, from);
-    const double sign = rising ? 1.0 : -1.0;
-    size_t k = from >> 6;
-    w->x += sign * ((double)count * gear->dx); /* exact, as every sum of widths is */
-    w->y += sign * ((double)count * gear->dy);
-    for (;; k++) {
-        const uint64_t open = open_bits(w, k, from, end, rising), place = (uint64_t)1 << (k & 63);
-        uint64_t left = open;
-        size_t crossed = count_ones(open);
-        if (crossed > count)
-            for (crossed = count; count > 0; count--) left &= left - 1;
-        else
-            count -= crossed, left = 0;
-        w->words[k] ^= open ^ left;
-        if (crossed > 0) {
-            if (rising)
-                w->some[k >> 6] |= place;
-            else
-                w->full[k >> 6] &= ~place;
+/* Cross gears of word k, not all of those open, from (x, y); returns the bits of those crossed. */
+INLINE uint64_t pass_in_word(const walk *w, const goal *to, size_t k, const uint64_t open, double *x, double *y,
+                             int rising, int plain) {
+    uint64_t left = open;
+    double at_x = *x, at_y = *y;
+    for (;;) {
+        const size_t i = 64 * k + first_one(left), row = row_of(w, i);
+        const double dx = rising ? w->gears[row].dx : -w->gears[row].dx;
+        const double dy = rising ? w->gears[row].dy : -w->gears[row].dy;
+        if (w->run == 1) {
+            if (!crosses(w, to, row, at_x, at_y, rising, plain)) break;
+            at_x += dx;
+            at_y += dy;
+            left &= left - 1;
+        } else {
+            const uint64_t equal = open_of_run(w, left, i);
+            const unsigned count = count_ones(equal);
+            const unsigned crossed = equal_crossed(w, to, row, at_x, at_y, count, rising, plain);
+            at_x += (double)crossed * dx;
+            at_y += (double)crossed * dy;
+            if (crossed < count) {
+                for (unsigned c = 0; c < crossed; c++) left &= left - 1;
+                break;
+            }
+            left ^= equal;
         }
-        if (count == 0) break;
-        if (rising)
-            w->full[k >> 6] |= place;
-        else
-            w->some[k >> 6] &= ~place;
     }
-    if (rising) {
-        w->set = 0;
-        w->zero = w->words[k] != ALL_ONES ? 64 * k + first_one(~w->words[k]) : zero_above(w->words, w->full, w->n, k);
-    } else {
-        w->zero = 0;
-        w->set = w->words[k] != 0 ? 64 * k + first_one(w->words[k]) : one_above(w->words, w->some, w->n, k);
+    *x = at_x;
+    *y = at_y;
+    return open ^ left;
+}
+
+/* All gears of words from ... end - 1 have been crossed. */
+INLINE void mark_words(walk *w, size_t from, size_t end, int rising) {
+    for (size_t k = from; k < end; k = (k | 63) + 1) {
+        const uint64_t marked = open_gears(ALL_ONES << (k & 63), end - (k & ~(size_t)63), 0);
+        w->full[k >> 6] = rising ? w->full[k >> 6] | marked : w->full[k >> 6] & ~marked;
+        w->some[k >> 6] = rising ? w->some[k >> 6] | marked : w->some[k >> 6] & ~marked;
     }
+}
+
+/* Cross gears one way, (6)-(9), whole words where that is possible: what is left to travel, and the room, fall
+ * with every crossing, rounding or not, so that all open gears of a word are crossed where its last one is; and
+ * that one surely is where its far end is short of the goal. The next gear is known to be crossed. Returns the
+ * gear crossed last. */
+INLINE size_t pass_words(walk *w, const goal *to, const int rising, const int plain) {
+    const size_t n = w->n, from = (rising ? w->zero : w->set) >> 6;
+    size_t next = n, last = 0, k = from;
+    uint64_t passed = 0;
+    double x = w->x, y = w->y;
+    leave_word(w);
+    for (; 64 * k < n; k++) {
+        uint64_t *sums = w->sums + SUMS * k;
+        const uint64_t open = open_gears(w->words[k], n - 64 * k, rising);
+        const double crossed_x = number_of(sums[CROSSED_X]), crossed_y = number_of(sums[CROSSED_Y]);
+        const double far_x = rising ? x + (number_of(sums[WHOLE_X]) - crossed_x) : x - crossed_x;
+        const double far_y = rising ? y + (number_of(sums[WHOLE_Y]) - crossed_y) : y - crossed_y;
+        if (open == 0) continue;
+        if (!short_of(to, far_x, far_y, rising, plain)) {
+            const size_t row = row_of(w, 64 * k + last_one(open));
+            const double dx = rising ? w->gears[row].dx : -w->gears[row].dx;
+            const double dy = rising ? w->gears[row].dy : -w->gears[row].dy;
+            if (!crosses(w, to, row, far_x - dx, far_y - dy, rising, plain)) break;
+        }
+        last = k;
+        passed = open;
+        w->words[k] ^= open;
+        sums[CROSSED_X] = rising ? sums[WHOLE_X] : 0;
+        sums[CROSSED_Y] = rising ? sums[WHOLE_Y] : 0;
+        x = far_x;
+        y = far_y;
+    }
+    mark_words(w, from, k, rising);
+    w->x = x;
+    w->y = y;
+    if (64 * k < n) {
+        const uint64_t open = open_gears(w->words[k], n - 64 * k, rising);
+        const uint64_t crossed = pass_in_word(w, to, k, open, &x, &y, rising, plain);
+        next = 64 * k + first_one(open ^ crossed);
+        if (crossed != 0) {
+            last = k;
+            passed = crossed;
+            add_crossed(w, k, x - w->x, y - w->y);
+            w->x = x;
+            w->y = y;
+            w->words[k] ^= crossed;
+            if (rising)
+                w->some[k >> 6] |= (uint64_t)1 << (k & 63);
+            else
+                w->full[k >> 6] &= ~((uint64_t)1 << (k & 63));
+        }
+    }
+    w->set = rising ? 0 : next;
+    w->zero = rising ? next : 0;
+    return 64 * last + last_one(passed);
+}
+
+static size_t pass_words_plain(walk *w, double u, int rising) {
+    const goal to = {u, 0.0, rising ? ENDLESS : -ENDLESS, 0};
+    return rising ? pass_words(w, &to, 1, 1) : pass_words(w, &to, 0, 1);
+}
+
+static size_t pass_words_within(walk *w, const goal *to, int rising) {
+    return rising ? pass_words(w, to, 1, 0) : pass_words(w, to, 0, 0);
 }
 
 /* ---- the procedure, steps 1 to 4 ------------------------------------------------------------------- */
@@ -252,15 +432,6 @@ INLINE engaged engage(const dbo_backlash *op, const walk *w, size_t i) {
     return e;
 }
 
-INLINE uint64_t bits_of(double value) {
-    union {
-        double value;
-        uint64_t bits;
-    } u;
-    u.value = value;
-    return u.bits;
-}
-
 /* Samples that stay in the engaged gear and on one side of X_B; returns how many. Of two positive numbers
  * the greater has the greater bits, and every other number, its sign turned where the way is down, has
  * greater bits than `reach`: one comparison finds what leaves the gear either way. */
@@ -277,22 +448,6 @@ INLINE size_t run_within(const walk *w, engaged gear, int rising, double x0, dou
     return k;
 }
 
-/* How many open gears of its run the input u crosses; the first is known to be. What is left to travel
- * falls with every crossing, rounding or not, so halving finds what crossing one by one would. */
-static size_t gears_crossed(const walk *w, double u, double reach, int rising) {
-    const double dx = w->gears[row_of(w, rising ? w->zero : w->set)].dx;
-    size_t sure = 1, most = open_gears(w, rising), trial = most;
-    while (sure < most) {
-        const double way = (double)(trial - 1) * dx;
-        if (rising ? u - (w->x + way) >= reach : -(u - (w->x - way)) >= reach)
-            sure = trial;
-        else
-            most = trial - 1;
-        trial = sure + (most - sure + 1) / 2;
-    }
-    return sure;
-}
-
 /* Steps 2 and 4: move while gears are crossed, one direction only for one sample, so that it always ends.
  * Returns the slope that serves the sample. One that crosses a gear by the tolerance falls short of the new
  * X_B and keeps that gear's own slope: an operator and its inverse then see the same fraction of the same
@@ -300,13 +455,13 @@ static size_t gears_crossed(const walk *w, double u, double reach, int rising) {
 INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                        engaged first, int *outside) {
     double slope = up->slope, d = u - w->x;
-    size_t single = LEAP;
+    size_t single = d >= FAR * up->reach ? 0 : SINGLE;
     while (w->zero < w->n && d >= up->reach) {
-        slope = up->slope;
-        if (single == 0 && w->run > 1 && d >= LEAP * up->reach)
-            leap(w, gears_crossed(w, u, up->reach, 1), 1);
-        else {
-            if (single > 0) single--;
+        if (single-- == 0) {
+            slope = engage(op, w, pass_words_plain(w, u, 1)).slope;
+            single = SINGLE;
+        } else {
+            slope = up->slope;
             move_up(w, w->gears + row_of(w, w->zero));
         }
         *up = engage(op, w, w->zero);
@@ -320,13 +475,13 @@ INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, e
 INLINE double cross_down(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                          engaged first, int *outside) {
     double slope = down->slope, d = u - w->x;
-    size_t single = LEAP;
+    size_t single = -d >= FAR * down->reach ? 0 : SINGLE;
     while (w->set < w->n && -d >= down->reach) {
-        slope = down->slope;
-        if (single == 0 && w->run > 1 && -d >= LEAP * down->reach)
-            leap(w, gears_crossed(w, u, down->reach, 0), 0);
-        else {
-            if (single > 0) single--;
+        if (single-- == 0) {
+            slope = engage(op, w, pass_words_plain(w, u, 0)).slope;
+            single = SINGLE;
+        } else {
+            slope = down->slope;
             move_down(w, w->gears + row_of(w, w->set));
         }
         *down = engage(op, w, w->set);
@@ -382,58 +537,20 @@ INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const
 
 /* ---- memory on the output, and limits on the output ------------------------------------------------- */
 
-/* The next gear as memory on the output and limits meet it, its row's numbers at hand. */
-typedef struct {
-    const dbo_gear *gear;
-    double reach; /* of the input, the memory's immediate part kappa of the output included */
-    double room;  /* of the output */
-} passage;
-
-INLINE passage passage_of(const walk *w, size_t i, double kappa, const dbo_fixed_gear *fixed) {
-    passage p;
-    const size_t row = row_of(w, i);
-    const dbo_gear *gear = w->gears + row;
-    p.gear = gear;
-    p.reach = fixed ? fixed[row].reach : (gear->dx + kappa * gear->dy) * gear->crossing_fraction;
-    p.room = fixed ? fixed[row].room : gear->dy * gear->crossing_fraction;
-    return p;
-}
-
-/* How many open gears of its run are crossed; the first is known to be. As in gears_crossed, and the room
- * on the output falls with every crossing, too. */
-static size_t gears_passed(const walk *w, const passage *p, double u, double kappa, double bound,
-                           int rising) {
-    const double sign = rising ? 1.0 : -1.0;
-    size_t sure = 1, most = open_gears(w, rising), trial = most;
-    while (sure < most) {
-        const double before = sign * (double)(trial - 1);
-        const double x = w->x + before * p->gear->dx, y = w->y + before * p->gear->dy;
-        if (sign * (u - (x + kappa * y)) >= p->reach && sign * (bound - y) >= p->room)
-            sure = trial;
-        else
-            most = trial - 1;
-        trial = sure + (most - sure + 1) / 2;
-    }
-    return sure;
-}
-
-/* Cross gears one way while the input `u` is far enough and the output has room up to `bound`. Returns the
- * gear crossed last, n where there was none. (Where u plays no part, kappa is 0 and u infinite.) */
+/* Cross gears one way. Returns the gear crossed last, n where there was none. */
 INLINE size_t pass_gears(walk *w, double u, double kappa, double bound, int rising,
                          const dbo_fixed_gear *fixed) {
-    size_t last = w->n, next = rising ? w->zero : w->set;
+    const goal to = {u, kappa, bound, fixed};
+    size_t last = w->n, next = rising ? w->zero : w->set, single = SINGLE;
     while (next < w->n) {
-        const passage p = passage_of(w, next, kappa, fixed);
-        const double d = u - (w->x + kappa * w->y), travelled = rising ? d : -d;
-        const double room = rising ? bound - w->y : w->y - bound;
-        if (!(travelled >= p.reach && room >= p.room)) break;
+        const size_t row = row_of(w, next);
+        if (!crosses(w, &to, row, w->x, w->y, rising, 0)) break;
+        if (single-- == 0) return pass_words_within(w, &to, rising);
         last = next;
-        if (w->run >= LEAP && travelled >= LEAP * p.reach && room >= LEAP * p.room)
-            leap(w, gears_passed(w, &p, u, kappa, bound, rising), rising);
-        else if (rising)
-            move_up(w, p.gear);
+        if (rising)
+            move_up(w, w->gears + row);
         else
-            move_down(w, p.gear);
+            move_down(w, w->gears + row);
         next = rising ? w->zero : w->set;
     }
     return last;
@@ -620,6 +737,14 @@ double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, doub
     double y;
     dbo_backlash_run(op, state, &x, &y, 1, decay, 0, limits, counts);
     return y;
+}
+
+void dbo_backlash_apply(const dbo_backlash *op, dbo_backlash_state *state, double y, const double *decay) {
+    walk w = begin(op, state, op->grouped);
+    follow_output(&w, y - op->y0, y - op->y0 >= w.y, 0);
+    remember(op, state->memory, decay, y);
+    state->last = y;
+    finish(&w, state);
 }
 
 /* ---- a state to begin with --------------------------------------------------------------------------- */

@@ -5,8 +5,10 @@
  * of Hysteresis and Non-linearity for Piezoelectric Actuator" (2018); (1) to (18) are its equations.
  *
  * The caller keeps every array. Widths of one axis must be whole multiples of one power of two small
- * enough for their sum to be exact (the package rounds them so, by at most 2^-53 of the sum); then
- * X_B and Y_B, kept up to date by adding and subtracting, equal (2)-(3) exactly and for ever.
+ * enough for their sum to be exact (the package rounds them so, by at most 2^-53 of the sum), and none
+ * less than 2^-42 of that sum; then
+ * X_B and Y_B, kept up to date by adding and subtracting, equal (2)-(3) exactly and for ever, and sums
+ * over any gears are the same in any order: a jump crosses 64 gears at a time, of any widths.
  * Compile without floating-point contraction and without fast-math; IEEE 754 float64 is assumed.
  */
 #ifndef DBO_KERNEL_H
@@ -27,14 +29,15 @@ typedef struct {
 
 /* A backlash operator: never written to. Without relaxation terms = 0 and gain may be NULL.
  * Gears side by side are often equal: `run` promises that those from each multiple of it up to the next are
- * (1 promises nothing), so that many can be crossed at once; the last run may be shorter. Where memory is
- * short the table is `grouped`: one row a run instead of one a gear. n * run must be less than 2^32. */
+ * (1 promises nothing), so that those of one word are counted, not walked; the last run may be shorter.
+ * Where memory is short the table is `grouped`: one row a run instead of one a gear. n * run must be less
+ * than 2^32, `row_factor` is needed always. */
 typedef struct {
     const dbo_gear *gears;
     size_t n;
     size_t run;
     int grouped;
-    uint64_t row_factor; /* DBO_ROW_FACTOR(run), to divide by `run` by multiplying; where grouped */
+    uint64_t row_factor; /* DBO_ROW_FACTOR(run), to divide by `run` by multiplying */
     double x0;
     double y0;
     int extend;           /* outside the range: 1 goes on with the slope of gear n-1, 0 holds Y_B */
@@ -45,8 +48,10 @@ typedef struct {
 } dbo_backlash;
 
 /* The state. Fill `words` (bit i of the state is bit i%64 of word i/64) and `memory`, then call
- * dbo_backlash_load; the other members follow from the bits. `words` has dbo_backlash_words(n) entries,
- * of which the first (n+63)/64 are the state and the rest an index that the kernel keeps. */
+ * dbo_backlash_load; the other members follow from the bits. `words` has dbo_backlash_words(n) entries, of
+ * which the first (n+63)/64 are the state. The rest the kernel keeps: for each word of 64 gears four sums
+ * (float64), the dx and dy of those crossed and of all, and an index of the words that are full, and of those
+ * that hold a one. So 64 gears take 40 bytes, and the index 16 for 4,096. */
 typedef struct {
     uint64_t *words;
     double *memory; /* L_j, one per term */
@@ -113,6 +118,10 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size
  * sample); `limits` and `counts` may be NULL. */
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,
                          const double *decay, const dbo_limits *limits, dbo_counts *counts);
+
+/* The output was `y`, whatever was asked for: the state of the operator with exchanged axes driven by it. As
+ * for limits: not for memory on the input. */
+void dbo_backlash_apply(const dbo_backlash *op, dbo_backlash_state *state, double y, const double *decay);
 
 /* `count` inputs; `y` may be `x`. Row k of `decay` begins at decay + k*decay_stride (stride 0: the same
  * for all samples). */

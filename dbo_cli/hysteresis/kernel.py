@@ -8,8 +8,9 @@ kernel is taken where it was built; ``DBO_KERNEL=python`` in the environment cho
 Equation numbers are those of Aye and Ang (2018). Gears are rows ``(dx, dy, slope, crossing_fraction)``: the
 two widths of (10), dy/dx, and the fraction of the gear at which it counts as crossed. Every
 ``run`` gears are equal; where there are fewer rows than gears, one row stands for a whole run of them. The
-compiled kernel crosses many gears of a run at once; what is left to travel falls with every gear crossed,
-rounding or not, so that it ends in the same state as this one, which goes one by one.
+compiled kernel crosses 64 gears at once by sums over them, which are exact in any order; what is left to
+travel falls with every gear crossed, rounding or not, so that it ends in the same state as this one, which
+goes one by one. Its sums stand behind the state's bits in ``words``; nothing here uses them.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ def state_words(n: int) -> int:
 
 
 def buffer_words(n: int) -> int:
-    """Return how many 64-bit words the kernel needs for n gears: the bits and its index of them."""
-    return state_words(n) + 2 * state_words(state_words(n))
+    """Return how many 64-bit words the kernel needs for n gears: the bits, its index and sums of them."""
+    return 5 * state_words(n) + 2 * state_words(state_words(n))
 
 
 def find_first_one(bits: int, n: int) -> int:

@@ -14,6 +14,9 @@ from dbo_cli.hysteresis import kernel
 
 Floats = NDArray[np.float64]
 
+_REPEATED = 4
+"""So many samples a step repeating rows takes less than computing them (measured with five terms)."""
+
 
 @dataclass(frozen=True)
 class Relaxation:
@@ -54,6 +57,9 @@ class Relaxation:
     def decay(self, time_step: float | ArrayLike) -> Floats:
         """Return a_j = exp(-Δt/tau_j) as rows: one for a single time step (s), else one per sample.
 
+        Steps that are all the same come as one row, too. A step that repeats the one before repeats its row;
+        the bits are those of the exponential function all the same.
+
         Raises
         ------
         InputError
@@ -63,8 +69,13 @@ class Relaxation:
         if not np.all(steps >= 0.0):
             k = int(np.flatnonzero(~(steps[:, 0] >= 0.0))[0])
             raise InputError(f"time step {k + 1}: {float(steps[k, 0])!r} s; time must not go backwards")
-        factors: Floats = np.exp(-steps / np.array(self.tau))
-        return factors
+        starts = np.concatenate([[0], np.flatnonzero(steps[1:] != steps[:-1]) + 1])
+        if starts.size > steps.size // _REPEATED:
+            factors: Floats = np.exp(-steps / np.array(self.tau))
+            return factors
+        factors = np.exp(-steps[starts] / np.array(self.tau))
+        lengths = np.diff(starts, append=steps.size)
+        return factors if starts.size == 1 else np.repeat(factors, lengths, axis=0)
 
     def lags(
         self, x: ArrayLike, time_step: float | ArrayLike, memory: Sequence[float] | None = None

@@ -1,7 +1,7 @@
-"""One operator, one sample at a time: the kernel called with buffers that stay where they are.
+"""One operator, one sample at a time: the kernel with a state that stays where it is.
 
 ``DiscreteBacklashOperator.run`` checks, allocates and converts for every block, which a block pays once and a
-live sample would pay each time (180 µs; here a few µs, ``benchmarks/live_speed.py``). The bits are the same.
+live sample would pay each time (``benchmarks/live_speed.py``). The bits are the same.
 """
 
 from __future__ import annotations
@@ -9,9 +9,86 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, OutputLimits
+
+Floats = NDArray[np.float64]
+Words = NDArray[np.uint64]
+
+
+class PythonStepper:
+    """The extension's ``Stepper`` in Python; arguments are those of ``kernel.backlash_run``.
+
+    ``decay`` is one row, and ``step`` the largest change of the output, or NaN.
+    """
+
+    def __init__(
+        self,
+        gears: Floats,
+        n: int,
+        run: int,
+        x0: float,
+        y0: float,
+        extend: bool,
+        gain: Floats,
+        reference: float,
+        memory_on_output: bool,
+        decay: Floats,
+        limited: bool,
+        low: float,
+        high: float,
+        slack: float,
+        step: float,
+    ) -> None:
+        self._table = gears, n, run, x0, y0, extend, gain, reference, memory_on_output
+        exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3]])
+        exchanged[:, 2] = gears[:, 0] / gears[:, 1]
+        self._exchanged = exchanged, n, run, y0, x0, extend, gain, reference, not memory_on_output
+        steps = np.array([] if math.isnan(step) else [step])
+        self._decay, self._limits = decay, (limited, low, high, slack, steps)
+        self._words = np.zeros(kernel.buffer_words(n), np.uint64)
+        self._memory, self.last = np.zeros(gain.size), math.nan
+        self._planned: tuple[Words, Floats, float] | None = None
+        self._cannot_apply = gain.size > 0 and not memory_on_output
+        self.clipped = 0
+
+    def plan(self, x: float) -> float:
+        """Return the output for an input, without going on to the state that it leads to."""
+        words, memory, y = self._words.copy(), self._memory.copy(), np.empty(1)
+        counts = kernel.backlash_run(
+            *self._table, words, memory, self.last, np.array([x], np.float64), y, self._decay, *self._limits
+        )
+        self.clipped = counts[2]
+        self._planned = words, memory, y.item()
+        return self._planned[2]
+
+    def commit(self) -> None:
+        """Go on to the state that the last plan leads to."""
+        if self._planned is None:
+            raise ValueError("nothing was planned to be committed")
+        self._words, self._memory, self.last = self._planned
+        self._planned = None
+
+    def apply(self, y: float) -> None:
+        """Go on to the state that this output leads to, whatever was planned."""
+        if self._cannot_apply:
+            raise ValueError("memory on the input: its output does not give the state")
+        kernel.backlash_run(
+            *self._exchanged, self._words, self._memory, math.nan, np.array([y], np.float64), np.empty(1),
+            self._decay, False, 0.0, 0.0, 0.0, np.array([]),
+        )  # fmt: skip
+        self.last, self._planned = float(y), None
+
+    def set(self, words: Words, memory: Floats, last: float) -> None:
+        """Take over the bits, the memory and the output before."""
+        self._words[:], self._memory[:], self.last, self._planned = words, memory, last, None
+
+    def get(self, words: Words, memory: Floats) -> float:
+        """Fill the bits and the memory; return the output before."""
+        words[:], memory[:] = self._words, self._memory
+        return self.last
 
 
 class BacklashStepper:
@@ -29,6 +106,16 @@ class BacklashStepper:
         Seconds between samples; needed with relaxation.
     limits : OutputLimits, optional
         Limits on the output, with a single number as largest step.
+
+    Attributes
+    ----------
+    plan : callable
+        ``plan(x) -> y``: the output for an input; nothing changes yet.
+    commit : callable
+        ``commit()``: go on to the state that the last plan leads to. ValueError where nothing was planned.
+    apply : callable
+        ``apply(y)``: go on to the state that this output leads to, whatever was planned: that of the operator
+        with exchanged axes driven by it. ValueError where memory follows the input.
     """
 
     def __init__(
@@ -39,65 +126,39 @@ class BacklashStepper:
         time_step: float | None,
         limits: OutputLimits | None = None,
     ) -> None:
-        terms = operator.relaxation
-        self._operator = operator
-        self._run = kernel.CHOSEN.backlash_run
-        self._words = operator._words(state)
-        self._planned_words = self._words.copy()
-        self._memory = np.array(state.memory or (), dtype=np.float64)
-        self._planned_memory = self._memory.copy()
-        self._last, self._planned_last = last, math.nan
-        self._x, self._y = np.zeros(1), np.zeros(1)
-        bound = limits or OutputLimits()
-        step = np.array([] if bound.step is None else [float(np.asarray(bound.step))], dtype=np.float64)
+        terms, bound = operator.relaxation, limits or OutputLimits()
         gain = np.array(terms.gain if terms else (), dtype=np.float64)
-        reference = terms.reference if terms else 0.0
-        on_output = operator.memory_on == "output"
-        table = (operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0)
-        self._before = (*table, True, gain, reference, on_output)
         decay = terms.decay(time_step) if terms and time_step is not None else np.zeros((0, 0))
-        self._after = (decay, limits is not None, bound.low, bound.high, bound.slack, step)
-        self._remembers = terms is not None
-        self.clipped = 0
+        step = math.nan if bound.step is None else float(np.asarray(bound.step))
+        make = PythonStepper if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Stepper
+        self._operator = operator
+        self._inner = make(
+            operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, gain,
+            terms.reference if terms else 0.0, operator.memory_on == "output", decay, limits is not None,
+            bound.low, bound.high, bound.slack, step,
+        )  # fmt: skip
+        self._words, self._memory = operator._words(state), np.zeros(gain.size)
+        self.plan, self.commit, self.apply = self._inner.plan, self._inner.commit, self._inner.apply
+        self.set(state, last)
 
-    def plan(self, x: float) -> float:
-        """Return the output for an input, without going on to the state that it leads to."""
-        self._planned_words[:] = self._words
-        if self._remembers:
-            self._planned_memory[:] = self._memory
-        self._x[0] = x
-        counts = self._run(
-            *self._before,
-            self._planned_words,
-            self._planned_memory,
-            self._last,
-            self._x,
-            self._y,
-            *self._after,
-        )
-        self._planned_last = y = self._y.item()
-        self.clipped = counts[2]
-        return y
-
-    def commit(self) -> None:
-        """Go on to the state that the last plan leads to."""
-        self._words, self._planned_words = self._planned_words, self._words
-        self._memory, self._planned_memory = self._planned_memory, self._memory
-        self._last = self._planned_last
+    @property
+    def clipped(self) -> int:
+        """1 where the last plan met the limits, else 0."""
+        return int(self._inner.clipped)
 
     @property
     def state(self) -> BacklashState:
         """The committed state."""
-        held = tuple(self._memory.tolist()) if self._remembers else None
+        self._inner.get(self._words, self._memory)
+        held = tuple(self._memory.tolist()) if self._operator.relaxation is not None else None
         return BacklashState(self._operator._bits(self._words), held)
 
     @property
     def last(self) -> float:
         """The output of the last step committed."""
-        return self._last
+        return float(self._inner.last)
 
-    def take(self, other: BacklashStepper, last: float = math.nan) -> None:
-        """Go on from the committed state of the exchanged operator: bits and memory mean the same."""
-        self._words[:] = other._words
-        self._memory[:] = other._memory
-        self._last = last
+    def set(self, state: BacklashState, last: float) -> None:
+        """Take a state over from this operator or the exchanged one: its bits and memory mean the same."""
+        memory = np.array(state.memory or (), dtype=np.float64)
+        self._inner.set(self._operator._words(state), memory, last)
