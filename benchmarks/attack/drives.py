@@ -238,7 +238,8 @@ def unasked_step(drive: Floats, count: int, options: dict[str, Any]) -> str:
     if not count or before < 2:
         return ""
     steps = np.abs(np.diff(drive))
-    within = max(float(steps[: before - 1].max()), float(steps[before:].max(initial=0.0)))
+    seam = abs(float(drive[-1]) - float(drive[before]))  # the loop's own, too
+    within = max(float(steps[: before - 1].max()), float(steps[before:].max(initial=0.0)), seam)
     return "" if steps[before - 1] <= within * (1.0 + 1e-9) else f"join steps {steps[before - 1] / within:.3g} times"
 
 

@@ -220,7 +220,7 @@ class Compensation(ModelRun):
         if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.given.span:
             raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
         if asked is None and known is None and self.start in ("empty", "full"):
-            end = self.given.minimum if self.start == "empty" else self.given.maximum
+            end = self.model.drive_at(str(self.start))
             known = min(max(end, self.limits.v_min), self.limits.v_max)
         return asked if known is None else known
 

@@ -124,7 +124,9 @@ class Controller:
             if self._after:
                 volts = self._bent(volts)
         if self._dac is not None:
-            code = self._dac.code(volts, self._last)
+            if self._last is not None:
+                self._most = self._dac.most(self._last)
+            code = self._dac.code(volts, self._last, self._most)
             self.planned, volts = code, self._dac.curve[code]
         else:
             self.planned = volts
@@ -153,8 +155,8 @@ class Controller:
             if applied is not None:
                 volts = self._dac.volts(applied) if self._dac is not None else float(applied)
             self._apply(volts)
-        if self._dac is not None:
-            self._dac.commit(volts, self._last)
+        if self._dac is not None and self._last is not None:
+            self._dac.commit(abs(volts - self._last), self._dac.most(self._last))
         self._last = volts
         self.clipped += self._clipped_now
         self._clipped_now = False
@@ -188,7 +190,10 @@ class Controller:
         rest = min(max(0.0 if to is None else to, self._limits.v_min), self._limits.v_max)
         way: list[Any] = []
         for aim in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
-            code = None if self._dac is None else self._dac.code(aim, self._last)
+            code = None
+            if self._dac is not None:
+                self._most = self._dac.most(self._last)
+                code = self._dac.code(aim, self._last, self._most)
             volts = aim if self._dac is None or code is None else self._dac.curve[code]
             self._pass(volts)
             way.append(volts if code is None else code)
@@ -205,8 +210,6 @@ class Controller:
     def _pass(self, volts: float) -> None:
         """Let one sample pass the gate; that of ``DriveGate`` for blocks, worked out here for speed."""
         low, high, last, most = self._limits.v_min, self._limits.v_max, self._last, self._most
-        if self._dac is not None and last is not None:
-            most = self._dac.most(last)
         inside = low <= volts <= high
         if last is not None and not inside and not low <= last <= high:
             inside = last <= volts <= low if last < low else high <= volts <= last
@@ -299,6 +302,8 @@ class Converter:
                 f"`dac`: no code lies within the limits of the drive, {limits.v_min:g} to {limits.v_max:g}"
             )
         self._step, self._saved = most, 0.0
+        gaps: list[float] = [b - a for a, b in itertools.pairwise(self.curve)]
+        self._gaps: list[float] = [max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])]
 
     def volts(self, code: int | float) -> float:
         """Return the voltage of a code (InputError where there is none)."""
@@ -310,27 +315,25 @@ class Converter:
         """Return the largest change that is allowed now, V; None where any is."""
         if self._step is None:
             return None
-        at = bisect.bisect_left(self.curve, last)
-        near = self.curve[max(at - 1, 0) : at + 2]
-        gap = max((b - a for a, b in itertools.pairwise(near)), default=0.0)
+        gap = self._gaps[min(bisect.bisect_left(self.curve, last), len(self._gaps) - 1)]
         return min(self._saved + self._step, max(self._step, gap))
 
-    def code(self, volts: float, last: float | None) -> int:
+    def code(self, volts: float, last: float | None, most: float | None) -> int:
         """Return the code nearest to a voltage, of those within range and slew; the last one, if none is."""
-        low, high = self._low, self._high
-        most = None if last is None else self.most(last)
+        curve, low, high = self.curve, self._low, self._high
         if most is not None and last is not None:
-            low = max(low, bisect.bisect_left(self.curve, last - most))
-            high = min(high, bisect.bisect_right(self.curve, last + most) - 1)
+            low = max(low, bisect.bisect_left(curve, last - most))
+            high = min(high, bisect.bisect_right(curve, last + most) - 1)
             if low > high:  # from outside the range, or between two codes
-                return min(max(bisect.bisect_left(self.curve, last), self._low), self._high)
-        after = bisect.bisect_left(self.curve, volts)
-        near = [k for k in (after - 1, after) if low <= k <= high]
-        if not near:
-            return low if after <= low else high
-        return min(near, key=lambda k: abs(self.curve[k] - volts))
+                return min(max(bisect.bisect_left(curve, last), self._low), self._high)
+        after = bisect.bisect_left(curve, volts)
+        if after <= low:
+            return low
+        if after > high:
+            return high
+        return after if curve[after] - volts < volts - curve[after - 1] else after - 1
 
-    def commit(self, volts: float, last: float | None) -> None:
+    def commit(self, change: float, most: float | None) -> None:
         """Take what a change used off what was saved up."""
-        if self._step is not None and last is not None:
-            self._saved = max((self.most(last) or 0.0) - abs(volts - last), 0.0)
+        if most is not None:
+            self._saved = max(most - change, 0.0)

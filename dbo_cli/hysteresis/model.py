@@ -250,6 +250,10 @@ class ActuatorModel:
             return state.drive_lag[0][2]
         return None if state.drive is None else self._inverted.outer_drive(state.drive)
 
+    def drive_at(self, end: str) -> float:
+        """Return the voltage of an actuator that stands ``empty`` or ``full``."""
+        return self._inverted.outer_drive(self._covered_gears.operator.x_range[0 if end == "empty" else 1])
+
     def displacement_of(self, state: ModelState) -> float:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""
         assert state.drive is not None
