@@ -1,0 +1,131 @@
+"""``dbo check``, the pieces of a drive from the command line, and ``--summary``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SMALL_MODEL
+
+
+def write(name: str, header: str, *columns: Any) -> None:
+    rows = "".join(",".join(map(repr, map(float, row))) + "\n" for row in zip(*columns, strict=True))
+    Path(name).write_text(header + "\n" + rows)
+
+
+TIME = np.arange(400) / 1000.0
+DRIVE = 50.0 + 40.0 * np.sin(2.0 * np.pi * 5.0 * TIME)
+
+
+@pytest.fixture
+def bench(dbo: Any) -> Any:
+    write("drive.csv", "time_s,voltage_V", TIME, DRIVE)
+    Path("model.json").write_text(json.dumps(SMALL_MODEL))
+    write("wish.csv", "time_s,displacement_um", TIME, 5.0 + 2.0 * np.sin(2.0 * np.pi * 5.0 * TIME))
+    return dbo
+
+
+def test_a_drive_within_its_limits_passes(bench: Any) -> None:
+    done = bench("check", "drive.csv", "--v-min", "10", "--v-max", "90", "--max-slew", "1260", "--loop")
+    assert (done.code, done.err) == (0, "")
+    assert done.out == (
+        "drive.csv: passed\n  400 rows, 10 to 90 V, largest step 1.25643 V, at most 1256.43 V/s; first row "
+        "50 V, last row 48.7436 V\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("--v-max 89", "row 44: 89.0366705 is outside -inf to 89 (30 rows in all)"),
+        ("--max-slew 1000", "row 2: from 50 to 51.2564304 in one row is faster than 1000 per second (167 rows "
+         "in all)"),
+        ("--from 0 --max-slew 2000", "row 1: from 0 to 50 in one row is faster than 2000 per second"),
+        ("--rows 1:250 --loop", "from the last row, 89.9803, to the first, 50, is a step of 40 where the "
+         "largest inside is 1.26: the loop does not close"),
+    ],
+)  # fmt: skip
+def test_what_breaks_a_limit_is_named(bench: Any, words: str, problem: str) -> None:
+    done = bench("check", "drive.csv", *words.split())
+    assert (done.code, done.err) == (3, f"dbo: error: drive.csv: {problem}\n")
+    assert done.out.startswith("drive.csv: NOT PASSED\n") and done.out.endswith(f"  {problem}\n")
+
+
+def test_gaps_repeats_and_rows_without_a_number_are_named(bench: Any) -> None:
+    time = TIME.copy()
+    time[100:] += 0.05
+    time[200] = time[199]
+    write("odd.csv", "time_s,voltage_V", time, DRIVE)
+    lines = Path("odd.csv").read_text().splitlines()
+    lines[21] = lines[21].split(",")[0] + ",OVLD"
+    Path("odd.csv").write_text("\n".join(lines) + "\n")
+    done = bench("check", "odd.csv", "-o", "found.json")
+    assert done.code == 3
+    found = json.loads(Path("found.json").read_text())
+    assert found["format"] == "dbo-check" and not found["passed"]
+    assert found["problems"] == [
+        "row 21: holds no number",
+        "row 201: the time stamp repeats",
+        "row 22: a gap in time (3 rows in all)",
+    ]
+
+
+def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
+    late = np.concatenate([np.full(7, DRIVE[0]), DRIVE])
+    write("played.csv", "time_s,monitor_V", np.arange(late.size) / 1000.0, late)
+    done = bench("check", "played.csv", "--against", "drive.csv")
+    assert done.code == 0
+    assert "  played: 400 rows, 7 later (7 ms), gain 1, offset" in done.out
+    write("scaled.csv", "time_s,monitor_V", TIME, 1.02 * DRIVE + 0.3)
+    done = bench("check", "scaled.csv", "--against", "drive.csv", "--tolerance", "0.1")
+    assert done.code == 3
+    assert "differs by up to 2.1, more than 0.1 (gain 1.02 and offset 0.3 explain all but" in done.err
+    write("half.csv", "time_s,monitor_V", TIME[:200], DRIVE[:200])
+    assert "200 of 400 rows were not played" in bench("check", "half.csv", "--against", "drive.csv").err
+    noise = np.random.default_rng(1).normal(50.0, 20.0, 400)
+    write("other.csv", "time_s,monitor_V", TIME, noise)
+    assert "is another drive" in bench("check", "other.csv", "--against", "drive.csv").err
+    slow = np.arange(200) / 500.0
+    write("slow.csv", "time_s,monitor_V", slow, np.interp(slow, TIME, DRIVE))
+    done = bench("check", "slow.csv", "--against", "drive.csv")
+    assert (done.code, "at another rate" in done.out) == (0, True)
+
+
+def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
+    words = ["--from", "0", "--approach", "0.2", "--return", "0.3", "--max-slew", "900"]
+    done = bench("compensate", "model.json", "wish.csv", *words, "-o", "d.csv", "--summary", "s.json")
+    assert done.code == 0, done.err
+    table = np.loadtxt("d.csv", delimiter=",", skiprows=1, usecols=(0, 2))
+    assert table[0, 1] == 0.0 and table[-1, 1] == 0.0
+    assert table[0, 0] == pytest.approx(-0.2, abs=2e-3) and table[-1, 0] == pytest.approx(0.7, abs=2e-3)
+    passed = bench("check", "d.csv", "--v-min", "0", "--v-max", "10", "--max-slew", "900.001", "--from", "0")
+    assert passed.code == 0, passed.err
+    summary = json.loads(Path("s.json").read_text())
+    assert list(summary) == [
+        "format", "version", "command", "read", "rows", "clipped", "range", "largest_step", "expected_rmse",
+        "expected_percent", "notes", "warnings",
+    ]  # fmt: skip
+    assert (summary["format"], summary["version"], summary["rows"]) == ("dbo-summary", 1, len(table))
+    assert summary["range"] == [table[:, 1].min(), table[:, 1].max()] and summary["clipped"] == 0
+    assert summary["largest_step"] == pytest.approx(np.abs(np.diff(table[:, 1])).max())
+    assert summary["read"][0]["file"] == "wish.csv" and summary["read"][0]["rows"] == 400
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        ("--approach auto", 2, "--approach needs --from VOLT (what the amplifier stands at) or a --state"),
+        ("--approach 0", 2, "--approach: must be above 0, not 0"),
+        ("--from 50 --max-slew 10", 3, "the drive comes from 50, and 10 per second does not bring it to its"),
+        ("--periodic --return auto", 2, "--periodic and --return exclude each other: a loop goes on"),
+        ("--max-current 1", 2, "--max-current and --capacitance belong together"),
+        ("--v-min 5 --v-max 5", 2, "--v-min 5 must be below --v-max 5"),
+    ],
+)
+def test_what_cannot_be_kept_is_refused(bench: Any, words: str, code: int, message: str) -> None:
+    done = bench("compensate", "model.json", "wish.csv", *words.split(), "-o", "d.csv")
+    assert (done.code, done.err.startswith(f"dbo: error: {message}")) == (code, True), done.err
+    assert not Path("d.csv").exists()
