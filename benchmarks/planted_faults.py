@@ -218,17 +218,13 @@ FAULTS: list[Fault] = [
         REPORTS,
         ("math.ceil(fraction * self.count)", "math.floor(fraction * self.count) + 1", "95 % of the samples, no more"),
         ("return self._sum + self._lost", "return self._sum", "long sums keep their digits"),
+        ("odd = self.first % 2", "odd = 0", "bins that are doubled keep their places"),
     ),
     *_faults(
-        "reports/loop_width.py",
+        "reports/loop_and_lag.py",
         REPORTS,
         ("widths = down_sum / down_count - up_sum / up_count", "widths = up_sum / up_count - down_sum / down_count",
          "the sign of the loop that is left"),
-        ("lead = self._first % 2", "lead = 0", "bins that are doubled keep their places"),
-    ),
-    *_faults(
-        "reports/phase_lag.py",
-        REPORTS,
         ("math.atan2(-across * math.sin(step), along)", "math.atan2(across * math.sin(step), along)",
          "the sign of the lag that is left"),
         ("return phase / step * self._spacing, math.degrees(phase)", "return phase / step, math.degrees(phase)",
@@ -237,7 +233,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "reports/sample_pairs.py",
         REPORTS,
-        ("early = max(-lag, 0)", "early = 0", "a lag below 0"),
+        ("late, early = max(lag, 0), max(-lag, 0)", "late, early = max(lag, 0), 0", "a lag below 0"),
         ("return int(lags[best[np.argmin(np.abs(lags[best]))]])", "return int(lags[best[0]])",
          "of equal lags the smallest"),
     ),

@@ -83,8 +83,8 @@ class TestEnvelope:
         envelope = Envelope()
         for start in range(0, samples, BATCH):
             part = slice(start, min(start + BATCH, samples))
-            envelope.add(np.arange(part.start, part.stop, dtype=float), values[part])
-        band = envelope.band()
+            envelope.add(np.arange(part.start, part.stop, dtype=float), [values[part]])
+        band = envelope.band(0)
         assert len(band.x) <= BUCKETS
         assert (band.low.min(), band.high.max()) == (values.min(), values.max())
         assert np.all(band.low <= band.high)
@@ -94,11 +94,11 @@ class TestEnvelope:
         values = np.random.default_rng(0).normal(size=131072)
         envelope = Envelope()
         for part in np.split(values, 131072 // BATCH):
-            envelope.add(np.zeros(BATCH), part)
+            envelope.add(np.zeros(BATCH), [part])
         stretches = values.reshape(2048, 64)
         band = Band(np.zeros(2048), stretches.min(axis=1), stretches.max(axis=1))
-        assert np.array_equal(envelope._done[1], band.low)
-        assert np.array_equal(envelope._done[3], band.high)
+        assert np.array_equal(envelope._done[0, 1], band.low)
+        assert np.array_equal(envelope._done[0, 3], band.high)
 
     def test_many_cycles_become_their_envelope(self):
         x = np.arange(2048.0)
@@ -120,8 +120,10 @@ class TestPixels:
             pixels.add(x[part], y[part])
         raster = pixels.raster()
         left, right, bottom, top = raster.extent
-        column = ((x - left) / (right - left) * PIXELS).astype(int)
-        row = ((y - bottom) / (top - bottom) * PIXELS).astype(int)
+        rows, columns = raster.passed.shape
+        assert max(rows, columns) <= PIXELS
+        column = ((x - left) / (right - left) * columns).astype(int)
+        row = ((y - bottom) / (top - bottom) * rows).astype(int)
         assert raster.passed[row, column].all()
 
     def test_a_spike_is_drawn_all_the_way(self):
@@ -401,7 +403,7 @@ def test_errors_of_all_logs_stand_in_one_figure():
 
 def test_logs_that_begin_at_different_times_are_drawn_from_their_own_beginning():
     report, figure_data = reports_of(["a.csv", "b.csv"], "um")
-    figure_data[1]._whole = (figure_data[1]._whole[0] + 1000.0, *figure_data[1]._whole[1:])
+    figure_data[1]._whole["time"] += 1000.0
     figure_data[1].start += 1000.0
     [plot] = plots_of_comparison(report, figure_data)
     texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())

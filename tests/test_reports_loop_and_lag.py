@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbo_cli.reports.direction import DirectionTracker, NoiseLevel, monotone_ends
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.held_signal import hold_length
-from dbo_cli.reports.loop_width import LoopWidth
+from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, hold_length
+from dbo_cli.reports.loop_and_lag import DirectionTracker, LoopWidth, NoiseLevel, monotone_ends
 from dbo_cli.reports.running_statistics import BATCH
 
 TRUE_LOOP = 0.5
@@ -216,7 +214,7 @@ def test_bins_that_are_doubled_keep_their_places() -> None:
     for batch in np.array_split(signal, 40):
         width.add(batch, np.zeros(len(batch)))
     counted = width._sums[0] + width._sums[2] + width._sums[4]
-    places = np.floor(signal / width._width).astype(int) - width._first
+    places = np.floor(signal / width._bins.width).astype(int) - width._bins.first
     expected = np.bincount(places, minlength=len(counted))
     assert np.abs(counted - expected).sum() <= 2  # the very first sample has no direction yet
     assert expected.max() > 500

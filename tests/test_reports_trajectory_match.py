@@ -7,7 +7,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.reports.trajectory_match import TrajectoryMatch
+from dbo_cli.reports.sample_pairs import TrajectoryMatch
 
 
 def blocks(size, time=None, **values):

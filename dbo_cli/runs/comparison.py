@@ -16,8 +16,7 @@ from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
-from dbo_cli.reports.sample_pairs import PairBlock
-from dbo_cli.reports.trajectory_match import TrajectoryMatch
+from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch
 from dbo_cli.runs.model_run import ModelRun
 from dbo_cli.runs.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import bring_to
