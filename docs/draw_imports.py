@@ -121,7 +121,7 @@ def paint(axes: Axes) -> None:
     """Draw the rooms that are there as boxes and the imports between them as arrows."""
     from matplotlib.patches import FancyBboxPatch
 
-    from dbo_cli.reports import figure_style as style
+    from dbo_cli.reports import drawing as style
 
     there = {room(module) for module in module_files()}
     found = {pair: late for pair, late in arrows().items() if set(pair) <= there}
@@ -176,10 +176,10 @@ def picture() -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from dbo_cli.reports import figure_style as style
+    from dbo_cli.reports import drawing as style
 
     content = io.BytesIO()
-    with rc_context(style.RC):
+    with rc_context(fname=style.STYLE_FILE):
         figure = Figure(figsize=(7.2, 7.6))
         FigureCanvasAgg(figure)
         paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
+from string import Template
 
 from dbo_cli.reports.drawing import Plot, draw
 from dbo_cli.reports.figures import shown_unit
-from dbo_cli.reports.page_style import style_sheet
 from dbo_cli.reports.renderers import digits, settings_line
 from dbo_cli.reports.report import LogReport, Report
 
@@ -80,7 +81,10 @@ def to_html(
 
 def page_of(title: str, parts: Sequence[str]) -> str:
     """Return a whole page of parts that are HTML already."""
-    return _PAGE.format(title=escape(title), style=style_sheet(), body="\n".join(parts))
+    skeleton, sheet = (
+        Path(__file__).with_name(name).read_text("utf-8") for name in ("page.html", "page.css")
+    )
+    return Template(skeleton).substitute(title=escape(title), style=sheet, body="\n".join(parts))
 
 
 def _settings(report: Report) -> str:
@@ -177,22 +181,3 @@ def _meanings(report: Report, several: bool) -> str:
         for term, text in chosen
     )
     return f"<section><h2>What the figures mean</h2><dl>{items}</dl></section>"
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<link rel="icon" href="data:,">
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import textwrap
 import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -46,7 +47,7 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
     }
     if provenance is not None:
         content["provenance"] = dict(provenance)
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_text(content)
 
 
 def to_csv(report: Report) -> str:
@@ -64,9 +65,18 @@ def to_csv(report: Report) -> str:
             own = part.record()
             place = {"segment": own.pop("number"), **{key: own.pop(key) for key in ("first_row", "last_row")}}
             rows.append(dict.fromkeys(whole) | {"name": whole["name"]} | own | unit | place)
-    columns = max(rows, key=len)
+    return csv_text(rows)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return plain values as JSON text."""
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def csv_text(rows: Sequence[dict[str, Any]]) -> str:
+    """Return one line a row; the longest row has all columns, what another lacks is left empty."""
     out = io.StringIO()
-    writer = csv.DictWriter(out, fieldnames=list(columns), lineterminator="\n")
+    writer = csv.DictWriter(out, max(map(list[str], rows), key=len), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()
@@ -223,11 +233,6 @@ def _cells(text: str) -> int:
 
 def wrapped(text: str) -> list[str]:
     """Return a text as lines of at most 80 columns, the later ones indented."""
-    lines, line = [], ""
-    for word in text.split(" "):
-        if line and len(line) + 1 + len(word) > WIDTH:
-            lines.append(line)
-            line = "      " + word
-        else:
-            line = f"{line} {word}" if line else word
-    return [*lines, line]
+    return textwrap.wrap(
+        text, WIDTH, subsequent_indent=" " * 6, break_long_words=False, break_on_hyphens=False
+    )
