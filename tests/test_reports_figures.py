@@ -8,6 +8,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.reports import drawing
 from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
 from dbo_cli.reports.figures import label_decades, plots_of_comparison, plots_of_log
 from dbo_cli.reports.models import loop_of, plots_of_model
@@ -281,6 +283,15 @@ def test_page_is_self_contained_and_the_same_each_time():
     assert "@media print" in page
 
 
+def test_page_and_style_sheet_have_the_colours_of_the_figures():
+    folder = Path(drawing.__file__).parent
+    light = (folder / "page.css").read_text().partition("@media")[0]
+    variables = dict(re.findall(r"--(\w+): (#[0-9a-f]{6});", light))
+    assert {variables[name]: name for name in drawing.SCHEME.values()} == drawing.SCHEME
+    used = set(re.findall(r"color: ([0-9a-f]{6})$", (folder / "figures.mplstyle").read_text(), re.MULTILINE))
+    assert {f"#{one}" for one in used} == {drawing.INK, drawing.MUTED, drawing.RULE}
+
+
 def test_figures_of_a_model_in_both_directions():
     assert [plot.key for plot in plots_of_model(model())] == ["gears", "slopes", "points"]
     assert [plot.key for plot in plots_of_model(model(points=0).inverse())] == ["gears", "slopes"]
@@ -398,7 +409,7 @@ def test_errors_of_all_logs_stand_in_one_figure():
     assert plot.title == "Error of the first 6 of 8 logs against time"
     assert plot.head == pytest.approx(5 * 0.17)
     page = to_html(report, [[]] * 8, comparison_plots=[plot])
-    assert page.index("Error of the first 6") < page.index("<h2>")
+    assert page.index("Error of the first 6") < page.index("<section>")
 
 
 def test_logs_that_begin_at_different_times_are_drawn_from_their_own_beginning():

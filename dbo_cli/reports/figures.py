@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 WIDE_BAND = 1.5  # times the lowest frequency, up to which segments are of one frequency
 LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
-WIDEST = 64  # letters in a legend of one line; names that need more stand below each other
+WIDEST = 52  # letters of 9 points in 4.3 inches of legend; names that need more stand below each other
 LEGEND_LINE = 0.17  # inches
 
 

@@ -66,6 +66,12 @@ class TrackingFigures:
         cycles, period = self.cycles_a_sample, self.sample_period
         return None if cycles is None or period is None else cycles / period
 
+    @property
+    def lag_left_seconds(self) -> float | None:
+        """The lag that is left in seconds, where the clock is known."""
+        lag, period = self.lag_left, self.sample_period
+        return None if lag is None or period is None or not math.isfinite(lag * period) else lag * period
+
 
 def percent_of(value: float, whole: float) -> float | None:
     """Return a value in percent of a range; None where there is none, or next to none."""

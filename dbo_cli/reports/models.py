@@ -23,7 +23,7 @@ from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePoint
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import axis_label, label_decades, legend_head, mark_curves, shown_unit
-from dbo_cli.reports.page import drawn_figures, page_of, table
+from dbo_cli.reports.page import drawn_figures, filled, page_of, table
 from dbo_cli.reports.renderers import csv_text, digits, json_text, no_formula, wrapped
 from dbo_cli.reports.renderers import table as text_table
 from dbo_cli.reports.running_statistics import Floats
@@ -40,25 +40,6 @@ LEGEND_COLUMNS = 3
 RECORD = (
     *("name", "rmse", "expected_rmse", "validation_rmse", "parameters", "fit_seconds", "forward_ns"),
     *("inverse_ns", "round_trip", "refused", "words"),
-)
-
-MEANINGS = (
-    ("Fit", "RMSE on the logs that the model was fitted to, each log's offset and drift taken off."),
-    (
-        "Expected",
-        "RMSE to expect on new moves; of the DBO as identify says it, else from data left out alone.",
-    ),
-    ("Validation", "RMSE on logs that took no part in the fit, the offset taken off."),
-    ("Numbers", "How many numbers were fitted."),
-    ("s to fit", "Seconds from prepared logs to the model; what is chosen on data left out is included."),
-    (
-        "ns forward, ns inverse",
-        "Nanoseconds a sample on the first log's own drive, the whole model but delay and dynamics.",
-    ),
-    (
-        "Round trip",
-        "The largest difference between what is wanted and what the model does with its inverse's drive.",
-    ),
 )
 
 
@@ -291,13 +272,12 @@ class ModelTable:
         for row in self.rows:
             remark = row.refused or (inexact(row) if row.invertible is False else "")
             rows.append([*_cells(row, row.words, "{:.1e}"), remark])
-        meanings = "".join(f"<dt>{escape(term)}</dt><dd>{escape(text)}</dd>" for term, text in MEANINGS)
         parts = [
             "<h1>Models side by side</h1>",
             f"<p>{escape(self._heading())}.</p>",
             table(head, rows, chief=3 if self.validation else 1),
+            filled("glossary_models.html"),
             drawn_figures(self.plots(), "models"),
-            f"<section><h2>What the columns mean</h2><dl>{meanings}</dl></section>",
             f"<footer>{escape(program)}</footer>",
         ]
         return page_of("Models side by side", parts)

@@ -445,7 +445,6 @@ class _Turns:
 
 
 def _record(figures: TrackingFigures) -> dict[str, Any]:
-    lag, period = figures.lag_left, figures.sample_period
     return {
         "samples": figures.samples,
         "rmse": figures.rmse,
@@ -457,8 +456,8 @@ def _record(figures: TrackingFigures) -> dict[str, Any]:
         "p95_abs": figures.p95_abs,
         "loop_width": figures.loop_width,
         "loop_width_percent": figures.loop_width_percent,
-        "lag_left_samples": lag,
-        "lag_left_s": None if lag is None or period is None else _finite(lag * period),
+        "lag_left_samples": figures.lag_left,
+        "lag_left_s": figures.lag_left_seconds,
         "phase_left_degrees": figures.phase_left,
         "desired_min": figures.desired_min,
         "desired_max": figures.desired_max,
