@@ -137,6 +137,24 @@ class TestPixels:
         assert pixels.raster().passed.any(axis=1).sum() > 500
 
 
+    def test_the_way_from_one_batch_to_the_next_is_drawn(self):
+        pixels = Pixels()
+        pixels.add(np.zeros(50), np.zeros(50))
+        pixels.add(np.ones(50), np.ones(50))
+        assert pixels.raster().passed.sum() > 500
+
+
+def test_the_windows_of_a_spectrum_overlap_from_one_batch_into_the_next():
+    noise = np.random.default_rng(8).normal(size=2 * BATCH)
+    whole, cut = Spectrum(), Spectrum()
+    whole.add(noise)
+    for part in np.split(noise, 2):
+        cut.add(part)
+    first, second = whole.density(1e-3), cut.density(1e-3)
+    assert first is not None and second is not None
+    assert second.y == pytest.approx(first.y, rel=1e-12)
+
+
 def test_spectrum_of_white_noise_and_of_a_tone():
     rate = 1000.0
     noise = np.random.default_rng(3).normal(0.0, 0.5, 400_000)
@@ -168,6 +186,21 @@ def test_figure_data_do_not_depend_on_the_chunk_size(samples):
         if isinstance(first, Raster):
             assert first.extent == second.extent
             assert np.array_equal(first.passed, second.passed)
+
+
+def test_the_offset_is_taken_off_the_pixels_of_a_long_log():
+    from matplotlib.figure import Figure
+
+    desired = 20.0 * np.sin(np.arange(20_000) / 300.0)
+    data, options = FigureData("V"), ReportOptions(remove_offset=True)
+    block = PairBlock(range(1, 20_001), desired, desired + 1000.0, None, desired)
+    log = evaluate("far.csv", [block], options, figure_data=data)
+    for plot in plots_of_log(Report.of([log], options, "um"), log, data):
+        if plot.key in ("output", "loop"):
+            axes = Figure().add_subplot()
+            plot.paint(axes)
+            [image] = axes.images
+            assert image.get_extent() == pytest.approx((-20.0, 20.0, -20.0, 20.0), abs=0.2)
 
 
 def test_one_spike_in_a_long_log_is_kept():
@@ -326,6 +359,9 @@ def test_saved_figures(tmp_path):
     ]
     assert [path.name for path in written][:2] == ["run-tracking.png", "run-tracking.svg"]
     assert written[0].read_bytes()[:4] == b"\x89PNG"
+    for plot, (png, svg) in zip(plots[:2], (written[:2], written[2:]), strict=True):
+        assert png.read_bytes() == draw(plot, "png", "run.csv")
+        assert svg.read_bytes() == draw(plot, "svg", "run.csv")
 
 
 def test_unwritable_figure_folder(tmp_path):

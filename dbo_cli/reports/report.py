@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -264,24 +265,25 @@ class _Evaluation:
         blocks, lag, notes = self._paired(blocks)
         if figure_data is not None:
             figure_data.begin(options.labels)
-        whole, segments = _Running(self), _Segments(self)
-        for part in self._segmented(batched(blocks)):
+        whole, current = _Running(self), _Running(self)
+        segments: list[Segment] = []
+        for part in chain(self._segmented(batched(blocks)), [None]):
             if part is None:
-                segments.close()
+                segments += current.closed(len(segments) + 1)
+                current = _Running(self)
                 continue
             whole.add(part)
             if options.segment is not None:
-                segments.add(part)
+                current.add(part)
             if figure_data is not None:
                 figure_data.add(part)
         figures = whole.result()
         if figures is None:
             raise InputError(_nothing(name, options.labels, whole.metrics.missing))
-        segments.close()
         if figure_data is not None:
             figure_data.finish(figures, whole.metrics.distribution)
         notes += _notes(name, options.labels, figures)
-        return LogReport(name, figures, lag, segments=tuple(segments.done), notes=tuple(notes))
+        return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
 
     def _paired(self, blocks: Iterable[PairBlock]) -> tuple[Iterator[PairBlock], int, list[str]]:
         """Return the pairs that count, their lag taken out, the lag and the notes on it."""
@@ -308,7 +310,7 @@ class _Running:
     def __init__(self, evaluation: _Evaluation) -> None:
         self.metrics = TrackingMetrics(remove_offset=evaluation.options.remove_offset)
         self.rows: tuple[int, int] | None = None
-        self._rate = evaluation.sample_rate
+        self._name, self._rate = evaluation.name, evaluation.sample_rate
 
     def add(self, part: PairBlock) -> None:
         if len(part):
@@ -322,28 +324,16 @@ class _Running:
             return figures
         return replace(figures, sample_period=1.0 / self._rate)
 
-
-class _Segments:
-    """The segments of a log, one after the other; ``done`` grows with every ``close``."""
-
-    def __init__(self, evaluation: _Evaluation) -> None:
-        self._evaluation = evaluation
-        self._running = _Running(evaluation)
-        self.done: list[Segment] = []
-
-    def add(self, part: PairBlock) -> None:
-        self._running.add(part)
-
-    def close(self) -> None:
-        running, self._running = self._running, _Running(self._evaluation)
-        figures = running.result()
-        if figures is None or running.rows is None:
-            return
-        if len(self.done) == MOST_SEGMENTS:
+    def closed(self, number: int) -> list[Segment]:
+        """Return the segment that ends here; none where it holds no number."""
+        figures = self.result()
+        if figures is None or self.rows is None:
+            return []
+        if number > MOST_SEGMENTS:
             raise UsageError(
-                f"{self._evaluation.name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)"
+                f"{self._name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)"
             )
-        self.done.append(Segment(len(self.done) + 1, *running.rows, figures))
+        return [Segment(number, *self.rows, figures)]
 
 
 def cycles(
