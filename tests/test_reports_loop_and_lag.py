@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, hold_length
-from dbo_cli.reports.loop_and_lag import DirectionTracker, LoopWidth, NoiseLevel, monotone_ends
+from dbo_cli.reports.loop_and_lag import DirectionTracker, LoopWidth, NoiseLevel, PhaseLag, monotone_ends
 from dbo_cli.reports.running_statistics import BATCH
 
 TRUE_LOOP = 0.5
@@ -247,3 +247,15 @@ def test_what_is_open_at_the_end_of_a_batch_counts_once_its_way_is_known():
     loop = width.loop()
     assert loop is not None
     assert loop.width == pytest.approx(-(BATCH % 1000 - 1) / 2000.0, rel=1e-12)  # a bin holds two steps
+
+
+def test_the_lag_loses_no_sample_between_two_batches():
+    phase = 2.0 * np.pi * np.arange(400) / 20.0
+    measured = np.sin(phase - 0.3) + np.random.default_rng(5).normal(0.0, 0.2, 400)
+    whole, cut = PhaseLag(), PhaseLag()
+    whole.add(np.sin(phase), measured)
+    for part in np.split(np.arange(400), 8):
+        cut.add(np.sin(phase[part]), measured[part])
+    first, second = whole.lag(), cut.lag()
+    assert first is not None and second is not None
+    assert second == pytest.approx(first, rel=1e-9)
