@@ -172,14 +172,14 @@ def _ports(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[tuple[fl
 
 def picture() -> bytes:
     """Return the picture as SVG; the same imports give the same bytes."""
-    from matplotlib import rc_context
+    from matplotlib import rc_context, rc_params_from_file
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     from dbo_cli.reports import drawing as style
 
     content = io.BytesIO()
-    with rc_context(fname=style.STYLE_FILE):
+    with rc_context(rc_params_from_file(style.STYLE_FILE, use_default_template=False)):
         figure = Figure(figsize=(7.2, 7.6))
         FigureCanvasAgg(figure)
         paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))

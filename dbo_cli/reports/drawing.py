@@ -45,7 +45,6 @@ RULE = "#d5d9df"
 FIRST = "#00508f"
 SECOND = "#e0751a"
 FILL = "#7fa8cc"
-
 THIRD = "#1b7f5c"
 FOURTH = "#9c4697"
 FIFTH = "#8a6d00"
@@ -62,7 +61,7 @@ SCHEME = {
     FILL: "fill",
 }
 
-DOTS = 220  # an inch of a PNG: print in a column of a journal
+DOTS = 220  # an inch of a PNG: 1,100 across, sharp in print and on a dense screen
 
 SOLID: dict[str, Any] = {"color": FIRST, "linestyle": "-", "linewidth": 1.3}
 DASHED: dict[str, Any] = {"color": SECOND, "linestyle": (0, (3.2, 1.4)), "linewidth": 1.3}
@@ -70,10 +69,9 @@ ALONE: dict[str, Any] = {"color": INK, "linestyle": "-", "linewidth": 0.9}
 DOTTED: dict[str, Any] = {"color": INK, "linestyle": (0, (1, 1.6)), "linewidth": 0.9}
 POINTS: dict[str, Any] = {"color": SECOND, "linestyle": "none", "marker": "o", "markersize": 3.2}
 SEVERAL: tuple[dict[str, Any], ...] = tuple(
-    {"color": color, "linestyle": "-", "linewidth": 0.9}
-    for color in (SECOND, FIRST, THIRD, FOURTH, FIFTH, INK)
+    ALONE | {"color": color} for color in (SECOND, FIRST, THIRD, FOURTH, FIFTH, INK)
 )
-WIDE = (5.0, 2.8)
+WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)
 STYLE_FILE = Path(__file__).with_name("figures.mplstyle")
 
@@ -116,7 +114,7 @@ def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
     """Return the figure as PNG, as SVG (letters as outlines), or as SVG to stand inside a page.
 
     ``note`` is set small above the axes, at the right. The inline form has letters as text, no background,
-    the colours of ``figure_SCHEME`` as variables, and ids that begin with ``scope`` and the figure's
+    the colours of ``SCHEME`` as variables, and ids that begin with ``scope`` and the figure's
     key (they must differ within a page).
     """
     inline = kind == "inline"

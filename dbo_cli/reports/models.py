@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from dbo_cli.relatives.comparison import Row
 
 FEW = 40  # gears or segments that are marked one by one
-JSON_VERSION = 1
-LOOP_POINTS = 201
-LEGEND_COLUMNS = 3
+JSON_VERSION = 1  # of the form dbo-compare; a change of meaning would need another
+LOOP_POINTS = 201  # each way: half a percent of the range, finer than the line is wide
+LEGEND_COLUMNS = 3  # names of relatives are short; three fit above a figure
 RECORD = (
     *("name", "rmse", "expected_rmse", "validation_rmse", "parameters", "fit_seconds", "forward_ns"),
     *("inverse_ns", "round_trip", "refused", "words"),

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from dbo_cli.reports.report import Report
 
-JSON_VERSION = 1
-WIDTH = 80
+JSON_VERSION = 1  # of the form dbo-report; a change of meaning would need another
+WIDTH = 80  # columns of the narrowest usual terminal
 LEFT = "Left over: hysteresis (loop: error going down less going up) and delay (lag)"
 
 

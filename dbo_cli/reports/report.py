@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from dbo_cli.reports.thinned_curves import FigureData
 
-MOST_SEGMENTS = 10_000
+MOST_SEGMENTS = 10_000  # more are no report, and take seconds
 PATIENCE = 1 << 18  # samples that a rest at the lowest place may last within a cycle
 
 

@@ -17,15 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-BATCH = 32768
+BATCH = 32768  # samples: four columns of them fit into a cache of 1 MB
 Floats = NDArray[np.float64]
 
+# Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover any unit.
 _MANTISSA_BITS = 9
 _SHIFT = 52 - _MANTISSA_BITS
 _LOWEST = (1023 - 64) << _MANTISSA_BITS
 _BINS = 128 << _MANTISSA_BITS
 
-LARGEST = 1e70
+LARGEST = 1e70  # its fourth power is still a number
 SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a width
 
 

@@ -16,7 +16,7 @@ from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
 from dbo_cli.reports.running_statistics import BATCH, Floats, comparable
 
-LAG_WINDOW = 1 << 18
+LAG_WINDOW = 1 << 18  # samples in which a lag is looked for: 26 s at 10,000 a second, 4 MB
 _AT_THE_END = 1e-6  # of a step: a stamp so little beyond the trajectory's last one is the same stamp
 
 

@@ -27,10 +27,10 @@ from dbo_cli.reports.running_statistics import (
 )
 from dbo_cli.reports.sample_pairs import PairBlock
 
-WHOLE = 8192
-BUCKETS = 2048
-PIXELS = 1024
-WINDOW = 4096
+WHOLE = 8192  # samples of a log that is kept as it is: some eight for every pixel of a figure
+BUCKETS = 2048  # stretches: at least one for every pixel, as they double from half of it
+PIXELS = 1024  # either way; a figure has about as many
+WINDOW = 4096  # samples of a periodogram: 2,048 frequencies, two for every pixel
 SIGNALS = ("desired", "measured", "error", "drive")
 
 
