@@ -168,12 +168,10 @@ def _saved(figure: Figure, kind: Kind) -> bytes:
         # the time of writing for 3 % more bytes.
         from PIL.Image import fromarray
 
-        dots = figure.dpi
         figure.set_dpi(DOTS)
         figure.canvas.draw()
         pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
         fromarray(np.ascontiguousarray(pixels)).save(out, "png", compress_level=3, dpi=(DOTS, DOTS))
-        figure.set_dpi(dots)
     else:
         metadata = {"Date": None, "Creator": None}
         figure.savefig(out, format="svg", metadata=metadata, transparent=kind == "inline")

@@ -164,8 +164,8 @@ class _LogView:
 
     def error(self, axes: Axes) -> None:
         rmse = self._figures.rmse
-        said = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
-        axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=said)
+        band = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
+        axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=band)
         _against_time(axes, self._figure_data.against_time("error"), style.ALONE, self._offset)
         axes.set(xlabel=self._time(), ylabel=self._length("Error"))
         mark_curves(axes)

@@ -45,7 +45,7 @@ def to_html(
     comparison_plots : sequence of Plot
         The figures of all logs together (``figures.plots_of_comparison``); they stand first.
     model_plots : sequence of Plot
-        The figures of the model, where one was compared (``model_figures.plots_of_model``).
+        The figures of the model, where one was compared (``models.plots_of_model``).
     title, program : str
         Heading of the page, and who made it (program and version), for the footer.
     """

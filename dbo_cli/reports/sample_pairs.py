@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -141,6 +141,7 @@ class BeforeZero:
         yield from self._blocks
 
 
+@dataclass
 class TrajectoryMatch:
     """Give every sample of a recording the desired value that belongs to it.
 
@@ -169,22 +170,17 @@ class TrajectoryMatch:
         By rows, whether the trajectory has more samples than the recording.
     """
 
-    def __init__(
-        self,
-        name: str,
-        trajectory_name: str,
-        recording: Iterable[SampleBlock],
-        trajectory: Iterable[SampleBlock],
-        *,
-        by_time: bool,
-    ) -> None:
-        self._name = name
-        self._trajectory_name = trajectory_name
-        self._recording = recording
-        self._trajectory = (block for block in trajectory if len(block))
-        self._by_time = by_time
-        self.left_out = 0
-        self.goes_on = False
+    name: str
+    trajectory_name: str
+    recording: Iterable[SampleBlock]
+    trajectory: Iterable[SampleBlock]
+    by_time: bool = field(kw_only=True)
+    left_out: int = field(default=0, init=False)
+    goes_on: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        """Begin with the trajectory's first samples."""
+        self._coming = (block for block in self.trajectory if len(block))
 
     def pairs(self) -> Iterator[PairBlock]:
         """Yield the recording's samples with their desired values.
@@ -195,38 +191,38 @@ class TrajectoryMatch:
             The trajectory's time goes backwards, or no sample found a partner.
         """
         found = False
-        for pair in self._pairs_by_time() if self._by_time else self._pairs_by_row():
+        for pair in self._pairs_by_time() if self.by_time else self._pairs_by_row():
             found = True
             yield pair
         if not found:
             raise InputError(
-                f"{self._name}: no sample lies within the times of {self._trajectory_name}"
+                f"{self.name}: no sample lies within the times of {self.trajectory_name}"
                 " (where their clocks differ, `match` them by rows)"
-                if self._by_time
-                else f"{self._name}: no row to compare with {self._trajectory_name}"
+                if self.by_time
+                else f"{self.name}: no row to compare with {self.trajectory_name}"
             )
 
     def notes(self) -> list[str]:
         """Return what was left out, a line each."""
         notes = []
         if self.left_out:
-            what = "outside the time of" if self._by_time else "more than in"
-            notes.append(f"{self._name}: {self.left_out:,} rows {what} {self._trajectory_name} take no part")
+            what = "outside the time of" if self.by_time else "more than in"
+            notes.append(f"{self.name}: {self.left_out:,} rows {what} {self.trajectory_name} take no part")
         if self.goes_on:
-            notes.append(f"{self._trajectory_name}: goes on behind the last row of {self._name}")
+            notes.append(f"{self.trajectory_name}: goes on behind the last row of {self.name}")
         return notes
 
     def _pairs_by_time(self) -> Iterator[PairBlock]:
         times, values = np.empty(0), np.empty(0)
         reached = -math.inf  # the recording's latest time; a sample before it has no place any more
-        for block in self._recording:
+        for block in self.recording:
             if not len(block):
                 continue
             assert block.time is not None
             onward = np.maximum.accumulate(np.concatenate([[reached], block.time]))
             reached = float(onward[-1])
             while not len(times) or times[-1] < reached:
-                following = next(self._trajectory, None)
+                following = next(self._coming, None)
                 if following is None:
                     break
                 times, values = self._appended(times, values, following)
@@ -249,17 +245,17 @@ class TrajectoryMatch:
         together = np.concatenate([times, block.time])
         back = np.flatnonzero(np.diff(together[max(len(times) - 1, 0) :]) < 0.0)
         if len(back):
-            place = block.place(self._trajectory_name, int(back[0]) + (len(times) == 0))
+            place = block.place(self.trajectory_name, int(back[0]) + (len(times) == 0))
             raise InputError(f"{place}: time goes backwards (cut the trajectory there, or `match` by rows)")
         return together, np.concatenate([values, block.values["desired"]])
 
     def _pairs_by_row(self) -> Iterator[PairBlock]:
         wanted: SampleBlock | None = None
-        for block in self._recording:
+        for block in self.recording:
             done = 0
             while done < len(block):
                 if wanted is None or not len(wanted):
-                    wanted = next(self._trajectory, None)
+                    wanted = next(self._coming, None)
                     if wanted is None:
                         self.left_out += len(block) - done
                         break
@@ -269,7 +265,7 @@ class TrajectoryMatch:
                 yield replace(PairBlock.of(own, partner.values["desired"]), time=time)
                 done, wanted = done + count, wanted.part(count, len(wanted))
         left = wanted is not None and len(wanted) > 0
-        self.goes_on = left or next(self._trajectory, None) is not None
+        self.goes_on = left or next(self._coming, None) is not None
 
 
 def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlock]:
