@@ -269,3 +269,13 @@ def test_compensated_sum_keeps_what_rounding_takes():
     for value in (1.0, 1e100, 1.0, -1e100):
         total.add(value)
     assert total.value == 2.0
+
+
+def test_the_range_is_that_of_all_batches():
+    desired = np.zeros(3 * BATCH)
+    desired[[5, 7]] = -4.0, 6.0
+    metrics = TrackingMetrics()
+    metrics.add(desired, desired + 1.0)
+    figures = metrics.result()
+    assert figures is not None
+    assert (figures.desired_min, figures.desired_max, figures.nrmse_percent) == (-4.0, 6.0, 10.0)
