@@ -90,7 +90,7 @@ def test_page(browser, page, width, scheme):
 CHIEF = """
 (() => { const sentence = document.querySelector('.headline'), box = sentence.getBoundingClientRect();
   const ratio = document.querySelector('tbody tr:nth-child(2) td:last-child').getBoundingClientRect();
-  return [sentence.textContent, box.left >= 0 && box.right <= innerWidth && box.bottom <= 300,
+  return [sentence.textContent, box.left >= 0 && box.right <= innerWidth && box.bottom <= innerHeight,
     ratio.width > 0 && ratio.right <= innerWidth]; })()
 """
 
