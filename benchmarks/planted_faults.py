@@ -14,7 +14,9 @@ KERNEL = ("hysteresis_operators", "hysteresis_kernel")
 MODEL = ("hysteresis_model", "hysteresis_operators", "runs_states", "runs_controller")
 CONTROLLER = ("runs_controller",)
 IDENTIFICATION = ("hysteresis_identification_parts", "hysteresis_identification_rules")
-REPORTS = ("reports_figures_of_merit", "reports_loop_and_lag", "reports_sample_pairs", "reports_report")
+REPORTS = ("reports_figures_of_merit", "reports_loop_and_lag", "reports_sample_pairs", "reports_report",
+           "reports_trajectory_match")
+FIGURES = ("reports_figures",)
 
 
 @dataclass(frozen=True)
@@ -212,33 +214,81 @@ FAULTS: list[Fault] = [
          "a constant error is an error"),
         ("key=lambda extreme: abs(extreme[0] - offset))", "key=lambda extreme: abs(extreme[0]))",
          "the largest error once the offset is off"),
+        ("extreme[0]) for end in (min, max)]", "extreme[0]) for end in (max, max)]", "the largest error may be negative"),
+        ("lag[0] * (self._hold or 1.0) if lag", "lag[0] if lag", "the lag of a held signal, in samples of the log"),
+        ("prepend=self._last_desired)", "prepend=math.nan)", "a value held from one batch into the next counts once"),
+        ("/ (samples - 1)", "/ samples", "n samples last n - 1 periods"),
+        ("min(self._range[0], float(desired.min()))", "float(desired.min())", "the range is that of all batches"),
     ),
     *_faults(
         "reports/running_statistics.py",
         REPORTS,
         ("math.ceil(fraction * self.count)", "math.floor(fraction * self.count) + 1", "95 % of the samples, no more"),
         ("return self._sum + self._lost", "return self._sum", "long sums keep their digits"),
+        ("odd = self.first % 2", "odd = 0", "bins that are doubled keep their places"),
+        ("self._count(self._bins, self._first)", "pass", "the first batch is in the distribution of a long log"),
     ),
     *_faults(
-        "reports/loop_width.py",
+        "reports/loop_and_lag.py",
         REPORTS,
         ("widths = down_sum / down_count - up_sum / up_count", "widths = up_sum / up_count - down_sum / down_count",
          "the sign of the loop that is left"),
-        ("lead = self._first % 2", "lead = 0", "bins that are doubled keep their places"),
-    ),
-    *_faults(
-        "reports/phase_lag.py",
-        REPORTS,
         ("math.atan2(-across * math.sin(step), along)", "math.atan2(across * math.sin(step), along)",
          "the sign of the lag that is left"),
         ("return phase / step * self._spacing, math.degrees(phase)", "return phase / step, math.degrees(phase)",
          "the lag of a held or noisy signal, in samples"),
+        ("self._sums[_UP if directions.earlier > 0 else _DOWN] += self._sums[_OPEN]", "pass",
+         "what is open at the end of a batch counts once its way is known"),
+        ("self._tail = (desired[-2 * h :].copy(), measured[-2 * h :].copy())",
+         "self._tail = (desired[-h:].copy(), measured[-h:].copy())", "the lag loses no sample between two batches"),
+        ("least = min(TURN_IN_NOISE * self._noise.deviation, LARGEST_TURN * (self._high - self._low))",
+         "least = TURN_IN_NOISE * self._noise.deviation", "turns of a signal of few samples a cycle"),
     ),
     *_faults(
         "reports/sample_pairs.py",
         REPORTS,
-        ("early = max(-lag, 0)", "early = 0", "a lag below 0"),
+        ("late, early = max(lag, 0), max(-lag, 0)", "late, early = max(lag, 0), 0", "a lag below 0"),
         ("return int(lags[best[np.argmin(np.abs(lags[best]))]])", "return int(lags[best[0]])",
          "of equal lags the smallest"),
+        ('int(np.searchsorted(times, reached, side="right")) - 2, 0)',
+         'int(np.searchsorted(times, reached, side="right")) - 1, 0)', "two samples of the trajectory stay after a block"),
+        ("inside &= block.time >= onward[:-1]", "pass", "a recording's clock that steps back"),
+        ("(self.count == 0 and not block.time[0] < 0.0)", "not block.time[0] < 0.0",
+         "a conditioning sweep that ends with a block"),
+        ('int(np.searchsorted(numbers, last, side="right"))', 'int(np.searchsorted(numbers, last, side="left"))',
+         "the last row asked for counts"),
+    ),
+    *_faults(
+        "reports/report.py",
+        REPORTS,
+        ("np.fmax.accumulate(np.concatenate", "(np.concatenate", "a clock that restarts opens no segment twice"),
+        ("value is not None and value <= limit", "value is not None and value < limit", "a limit that is just met is met"),
+        ("if first > 0.0 else None", "if first >= 0.0 else None", "no ratio to a first log without error"),
+        ("lag, rows = self.options.lag, self.score_rows", "lag, rows = self.options.lag, None",
+         "with a model only the rows asked for count"),
+    ),
+    *_faults(
+        "reports/renderers.py",
+        REPORTS,
+        ("best = min(others,", "best = max(others,", "the sentence names the log with the least error"),
+        ('("=", "+", "@")', '("=", "+")', "no name is a formula to a spreadsheet"),
+    ),
+    *_faults(
+        "reports/thinned_curves.py",
+        FIGURES,
+        ("rows[:, 3].argmax(axis=2)", "rows[:, 3].argmin(axis=2)", "the greatest value of every stretch is kept"),
+        ("self._last = (x[-1:], y[-1:])", "self._last = (x[:0], y[:0])", "a curve goes on from batch to batch"),
+        ("self._tail = error[count * hop :].copy()", "self._tail = np.empty(0)",
+         "the windows of a spectrum overlap from batch to batch"),
+    ),
+    *_faults(
+        "reports/figures.py",
+        FIGURES,
+        ("bottom + up * (rows[0] - 1) - shift", "bottom + up * (rows[0] - 1)", "the offset is off the pixels of a long log"),
+    ),
+    *_faults(
+        "reports/drawing.py",
+        FIGURES,
+        ("while unique.casefold() in taken:", "while unique in taken:", "file names differ where letters' size does not"),
     ),
 ]  # fmt: skip

@@ -153,7 +153,7 @@ def against_cycle(samples: int, repeats: int) -> dict[tuple[int, float], list[fl
 
 def paint_counts(found: dict[str, list[Cost]], axes: Any) -> None:
     """Draw ns a sample against n."""
-    from dbo_cli.reports import figure_style as style
+    from dbo_cli.reports import drawing as style
     from dbo_cli.reports.figures import label_decades, mark_curves
 
     for name, look in zip(found, style.SEVERAL, strict=False):
@@ -170,7 +170,7 @@ def paint_counts(found: dict[str, list[Cost]], axes: Any) -> None:
 
 def paint_cycles(found: dict[tuple[int, float], list[float]], axes: Any) -> None:
     """Draw how many times faster the inverse is against samples a cycle."""
-    from dbo_cli.reports import figure_style as style
+    from dbo_cli.reports import drawing as style
     from dbo_cli.reports.figures import label_decades, mark_curves
 
     for ((n, noise), ratios), look in zip(found.items(), style.SEVERAL, strict=False):
@@ -187,7 +187,7 @@ def save_figures(
     folder: Path, counts: dict[str, list[Cost]], cycles: dict[tuple[int, float], list[float]]
 ) -> None:
     """Write both figures as SVG."""
-    from dbo_cli.reports import figure_style as style
+    from dbo_cli.reports import drawing as style
     from dbo_cli.reports.drawing import Plot, draw
 
     folder.mkdir(parents=True, exist_ok=True)

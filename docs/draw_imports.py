@@ -123,7 +123,7 @@ def paint(axes: Axes) -> None:
     """Draw the rooms that are there as boxes and the imports between them as arrows."""
     from matplotlib.patches import FancyBboxPatch
 
-    from dbo_cli.reports import figure_style as style
+    from dbo_cli.reports import drawing as style
 
     there = {room(module) for module in module_files()}
     found = {pair: late for pair, late in arrows().items() if set(pair) <= there}
@@ -174,14 +174,14 @@ def _ports(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], tuple[tuple[fl
 
 def picture() -> bytes:
     """Return the picture as SVG; the same imports give the same bytes."""
-    from matplotlib import rc_context
+    from matplotlib import rc_context, rc_params_from_file
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from dbo_cli.reports import figure_style as style
+    from dbo_cli.reports import drawing as style
 
     content = io.BytesIO()
-    with rc_context(style.RC):
+    with rc_context(rc_params_from_file(style.STYLE_FILE, use_default_template=False)):
         figure = Figure(figsize=(7.2, 7.6))
         FigureCanvasAgg(figure)
         paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))

@@ -14,7 +14,7 @@ import numpy as np
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator, Outside, Relaxation
-from dbo_cli.reports import figure_style as style
+from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot, draw
 from dbo_cli.reports.figures import mark_curves
 from dbo_cli.reports.running_statistics import Floats

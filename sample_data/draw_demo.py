@@ -11,12 +11,12 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rc_params_from_file
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from virtual_actuator import read_drive
 
-from dbo_cli.reports import figure_style as style
+from dbo_cli.reports import drawing as style
 
 
 def draw(uncompensated: str, compensated: str, picture: str) -> None:
@@ -27,7 +27,7 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
             logs.append(read_drive(file))
     time, desired = logs[0]["time"], logs[0]["desired"]
     looks = [("straight-line drive", style.DASHED), ("compensated by dbo", style.SOLID)]
-    with rc_context(style.RC):
+    with rc_context(rc_params_from_file(style.STYLE_FILE, use_default_template=False)):
         figure = Figure(figsize=(8.0, 4.2), layout="constrained")
         FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, sharex=True)

@@ -38,7 +38,9 @@ def logs(dbo: Any) -> Any:
 def test_text_has_both_and_their_ratio(logs: Any) -> None:
     done = logs("report", "before.csv", "after.csv")
     assert (done.code, done.err) == (0, "")
-    assert done.out.startswith("Error = measured - desired in um\n")
+    assert done.out.startswith(
+        "after.csv: 0.10 um RMSE, 5.0 times less than before.csv\n\nError = measured - desired in um\n"
+    )
     assert max(map(len, done.out.splitlines())) <= 80
     rows = {line.split()[0]: line.split() for line in reversed(done.out.splitlines()) if line.split()}
     assert (rows["before.csv"][2], rows["before.csv"][-1]) == ("0.5000", "1.000")
@@ -64,7 +66,12 @@ def test_csv_has_one_line_a_log(logs: Any) -> None:
 
 @pytest.mark.parametrize(
     ("name", "start"),
-    [("r.json", "{"), ("r.csv", "name,"), ("r.html", "<!doctype html>"), ("r.txt", "Error")],
+    [
+        ("r.json", "{"),
+        ("r.csv", "name,"),
+        ("r.html", "<!doctype html>"),
+        ("r.txt", "after.csv: 0.10 um RMSE, 1.2 % of the range\n\nError"),
+    ],
 )
 def test_the_form_follows_the_name_of_the_output(logs: Any, name: str, start: str) -> None:
     assert logs("report", "after.csv", "-o", name) == (0, "", "")
@@ -219,7 +226,7 @@ def test_figures_are_drawn(logs: Any) -> None:
     assert logs("report", "before.csv", "after.csv", "--figures", "both", "-o", "r.html").code == 0
     assert {"all-logs-errors.png", "all-logs-errors.svg"} <= folder_content(Path("both"))
     page = Path("r.html").read_text()
-    assert page.index("Error of all logs against time") < page.index("<h2>")
+    assert page.index("Error of all logs against time") < page.index("<section>")
 
 
 REFUSED = {

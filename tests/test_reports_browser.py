@@ -66,7 +66,7 @@ def browser():
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 820, 390])
+@pytest.mark.parametrize("width", [1280, 1101, 820, 400])
 def test_page(browser, page, width, scheme):
     browser.open(page, width, scheme)
     scroll_width, client_width, sticking_out = browser.evaluate(OVERFLOW)
@@ -87,7 +87,32 @@ def test_page(browser, page, width, scheme):
     assert [event for event in browser.events if event.get("method") in complaints] == []
 
 
-def test_print_is_light(browser, page):
+CHIEF = """
+(() => { const sentence = document.querySelector('.headline'), box = sentence.getBoundingClientRect();
+  const ratio = document.querySelector('tbody tr:nth-child(2) td:last-child').getBoundingClientRect();
+  return [sentence.textContent, box.left >= 0 && box.right <= innerWidth && box.bottom <= innerHeight,
+    ratio.width > 0 && ratio.right <= innerWidth]; })()
+"""
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_the_sentence_stands_first_and_the_ratio_is_in_sight(browser, page, width):
+    browser.open(page, width, "light")
+    sentence, inside, ratio_inside = browser.evaluate(CHIEF)
+    long_name = "recordings/2024-05-02/" + "long_name_" * 12 + ".csv"
+    assert sentence == f"{long_name}: 1.4 µm RMSE, 2.6 times more than short.csv."
+    assert inside and ratio_inside
+
+
+def test_the_glossary_is_one_click_away(browser, page):
+    browser.open(page, 1280, "light")
+    shown = "document.querySelector('details').getBoundingClientRect().height"
+    closed = browser.evaluate(shown)
+    browser.evaluate("document.querySelector('summary').click()")
+    assert closed < 60 < 300 < browser.evaluate(shown)
+
+
+def test_print_is_light_and_opens_the_glossary(browser, page):
     browser.open(page, 1280, "dark")
     browser.call(
         "Emulation.setEmulatedMedia",
@@ -95,4 +120,5 @@ def test_print_is_light(browser, page):
         features=[{"name": "prefers-color-scheme", "value": "dark"}],
     )
     assert browser.evaluate(COLORS) == ["rgb(255, 255, 255)", "rgb(27, 29, 34)"]
+    assert browser.evaluate("document.querySelector('details').getBoundingClientRect().height") > 200
     browser.call("Emulation.setEmulatedMedia", media="")

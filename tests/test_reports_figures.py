@@ -8,6 +8,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +18,10 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.reports import drawing
 from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
 from dbo_cli.reports.figures import label_decades, plots_of_comparison, plots_of_log
-from dbo_cli.reports.model_figures import loop_of, plots_of_model
+from dbo_cli.reports.models import loop_of, plots_of_model
 from dbo_cli.reports.page import breakable, to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import BATCH
@@ -83,8 +85,8 @@ class TestEnvelope:
         envelope = Envelope()
         for start in range(0, samples, BATCH):
             part = slice(start, min(start + BATCH, samples))
-            envelope.add(np.arange(part.start, part.stop, dtype=float), values[part])
-        band = envelope.band()
+            envelope.add(np.arange(part.start, part.stop, dtype=float), [values[part]])
+        band = envelope.band(0)
         assert len(band.x) <= BUCKETS
         assert (band.low.min(), band.high.max()) == (values.min(), values.max())
         assert np.all(band.low <= band.high)
@@ -94,11 +96,11 @@ class TestEnvelope:
         values = np.random.default_rng(0).normal(size=131072)
         envelope = Envelope()
         for part in np.split(values, 131072 // BATCH):
-            envelope.add(np.zeros(BATCH), part)
+            envelope.add(np.zeros(BATCH), [part])
         stretches = values.reshape(2048, 64)
         band = Band(np.zeros(2048), stretches.min(axis=1), stretches.max(axis=1))
-        assert np.array_equal(envelope._done[1], band.low)
-        assert np.array_equal(envelope._done[3], band.high)
+        assert np.array_equal(envelope._done[0, 1], band.low)
+        assert np.array_equal(envelope._done[0, 3], band.high)
 
     def test_many_cycles_become_their_envelope(self):
         x = np.arange(2048.0)
@@ -120,8 +122,10 @@ class TestPixels:
             pixels.add(x[part], y[part])
         raster = pixels.raster()
         left, right, bottom, top = raster.extent
-        column = ((x - left) / (right - left) * PIXELS).astype(int)
-        row = ((y - bottom) / (top - bottom) * PIXELS).astype(int)
+        rows, columns = raster.passed.shape
+        assert max(rows, columns) <= PIXELS
+        column = ((x - left) / (right - left) * columns).astype(int)
+        row = ((y - bottom) / (top - bottom) * rows).astype(int)
         assert raster.passed[row, column].all()
 
     def test_a_spike_is_drawn_all_the_way(self):
@@ -131,6 +135,24 @@ class TestPixels:
         pixels = Pixels()
         pixels.add(x, y)
         assert pixels.raster().passed.any(axis=1).sum() > 500
+
+
+    def test_the_way_from_one_batch_to_the_next_is_drawn(self):
+        pixels = Pixels()
+        pixels.add(np.zeros(50), np.zeros(50))
+        pixels.add(np.ones(50), np.ones(50))
+        assert pixels.raster().passed.sum() > 500
+
+
+def test_the_windows_of_a_spectrum_overlap_from_one_batch_into_the_next():
+    noise = np.random.default_rng(8).normal(size=2 * BATCH)
+    whole, cut = Spectrum(), Spectrum()
+    whole.add(noise)
+    for part in np.split(noise, 2):
+        cut.add(part)
+    first, second = whole.density(1e-3), cut.density(1e-3)
+    assert first is not None and second is not None
+    assert second.y == pytest.approx(first.y, rel=1e-12)
 
 
 def test_spectrum_of_white_noise_and_of_a_tone():
@@ -164,6 +186,21 @@ def test_figure_data_do_not_depend_on_the_chunk_size(samples):
         if isinstance(first, Raster):
             assert first.extent == second.extent
             assert np.array_equal(first.passed, second.passed)
+
+
+def test_the_offset_is_taken_off_the_pixels_of_a_long_log():
+    from matplotlib.figure import Figure
+
+    desired = 20.0 * np.sin(np.arange(20_000) / 300.0)
+    data, options = FigureData("V"), ReportOptions(remove_offset=True)
+    block = PairBlock(range(1, 20_001), desired, desired + 1000.0, None, desired)
+    log = evaluate("far.csv", [block], options, figure_data=data)
+    for plot in plots_of_log(Report.of([log], options, "um"), log, data):
+        if plot.key in ("output", "loop"):
+            axes = Figure().add_subplot()
+            plot.paint(axes)
+            [image] = axes.images
+            assert image.get_extent() == pytest.approx((-20.0, 20.0, -20.0, 20.0), abs=0.2)
 
 
 def test_one_spike_in_a_long_log_is_kept():
@@ -279,6 +316,15 @@ def test_page_is_self_contained_and_the_same_each_time():
     assert "@media print" in page
 
 
+def test_page_and_style_sheet_have_the_colours_of_the_figures():
+    folder = Path(drawing.__file__).parent
+    light = (folder / "page.css").read_text().partition("@media")[0]
+    variables = dict(re.findall(r"--(\w+): (#[0-9a-f]{6});", light))
+    assert {variables[name]: name for name in drawing.SCHEME.values()} == drawing.SCHEME
+    used = set(re.findall(r"color: ([0-9a-f]{6})$", (folder / "figures.mplstyle").read_text(), re.MULTILINE))
+    assert {f"#{one}" for one in used} == {drawing.INK, drawing.MUTED, drawing.RULE}
+
+
 def test_figures_of_a_model_in_both_directions():
     assert [plot.key for plot in plots_of_model(model())] == ["gears", "slopes", "points"]
     assert [plot.key for plot in plots_of_model(model(points=0).inverse())] == ["gears", "slopes"]
@@ -313,6 +359,9 @@ def test_saved_figures(tmp_path):
     ]
     assert [path.name for path in written][:2] == ["run-tracking.png", "run-tracking.svg"]
     assert written[0].read_bytes()[:4] == b"\x89PNG"
+    for plot, (png, svg) in zip(plots[:2], (written[:2], written[2:]), strict=True):
+        assert png.read_bytes() == draw(plot, "png", "run.csv")
+        assert svg.read_bytes() == draw(plot, "svg", "run.csv")
 
 
 def test_unwritable_figure_folder(tmp_path):
@@ -396,12 +445,12 @@ def test_errors_of_all_logs_stand_in_one_figure():
     assert plot.title == "Error of the first 6 of 8 logs against time"
     assert plot.head == pytest.approx(5 * 0.17)
     page = to_html(report, [[]] * 8, comparison_plots=[plot])
-    assert page.index("Error of the first 6") < page.index("<h2>")
+    assert page.index("Error of the first 6") < page.index("<section>")
 
 
 def test_logs_that_begin_at_different_times_are_drawn_from_their_own_beginning():
     report, figure_data = reports_of(["a.csv", "b.csv"], "um")
-    figure_data[1]._whole = (figure_data[1]._whole[0] + 1000.0, *figure_data[1]._whole[1:])
+    figure_data[1]._whole["time"] += 1000.0
     figure_data[1].start += 1000.0
     [plot] = plots_of_comparison(report, figure_data)
     texts = re.findall(r"<text[^>]*>([^<]+)</text>", draw(plot, "inline").decode())

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.loop_width import LoopWidth
-from dbo_cli.reports.phase_lag import PhaseLag
+from dbo_cli.reports.loop_and_lag import LoopWidth, PhaseLag
 from dbo_cli.reports.running_statistics import (
     BATCH,
     Batches,
@@ -250,17 +249,19 @@ class TestPhaseLag:
 @settings(max_examples=60, derandomize=True, deadline=None)
 def test_batches_keep_every_sample_in_order(lengths, size):
     stream = np.arange(float(sum(lengths)))
-    batches = Batches(2, size)
+    batches = Batches(size)
     seen, start = [], 0
     for length in lengths:
         part = stream[start : start + length]
         seen += [(a.copy(), b.copy()) for a, b in batches.add(part, -part)]
         start += length
     assert all(len(a) == size for a, _ in seen)
-    a, b = batches.rest()
-    assert len(a) < size
-    assert np.array_equal(np.concatenate([*(x for x, _ in seen), a]), stream)
-    assert np.array_equal(np.concatenate([*(x for _, x in seen), b]), -stream)
+    rest = list(batches.rest())
+    assert len(rest) <= 1 and all(0 < len(a) < size for a, _ in rest)
+    assert list(batches.rest()) == []
+    empty = np.empty(0)
+    assert np.array_equal(np.concatenate([empty, *(x for x, _ in [*seen, *rest])]), stream)
+    assert np.array_equal(np.concatenate([empty, *(x for _, x in [*seen, *rest])]), -stream)
 
 
 def test_compensated_sum_keeps_what_rounding_takes():
@@ -268,3 +269,13 @@ def test_compensated_sum_keeps_what_rounding_takes():
     for value in (1.0, 1e100, 1.0, -1e100):
         total.add(value)
     assert total.value == 2.0
+
+
+def test_the_range_is_that_of_all_batches():
+    desired = np.zeros(3 * BATCH)
+    desired[[5, 7]] = -4.0, 6.0
+    metrics = TrackingMetrics()
+    metrics.add(desired, desired + 1.0)
+    figures = metrics.result()
+    assert figures is not None
+    assert (figures.desired_min, figures.desired_max, figures.nrmse_percent) == (-4.0, 6.0, 10.0)

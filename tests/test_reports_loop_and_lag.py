@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbo_cli.reports.direction import DirectionTracker, NoiseLevel, monotone_ends
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.held_signal import hold_length
-from dbo_cli.reports.loop_width import LoopWidth
+from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, hold_length
+from dbo_cli.reports.loop_and_lag import DirectionTracker, LoopWidth, NoiseLevel, PhaseLag, monotone_ends
 from dbo_cli.reports.running_statistics import BATCH
 
 TRUE_LOOP = 0.5
@@ -216,7 +214,48 @@ def test_bins_that_are_doubled_keep_their_places() -> None:
     for batch in np.array_split(signal, 40):
         width.add(batch, np.zeros(len(batch)))
     counted = width._sums[0] + width._sums[2] + width._sums[4]
-    places = np.floor(signal / width._width).astype(int) - width._first
+    places = np.floor(signal / width._bins.width).astype(int) - width._bins.first
     expected = np.bincount(places, minlength=len(counted))
     assert np.abs(counted - expected).sum() <= 2  # the very first sample has no direction yet
     assert expected.max() > 500
+
+
+def test_a_value_held_from_one_batch_into_the_next_counts_once():
+    hold, count = 7, 3 * BATCH
+    assert BATCH % hold != 0
+    phase = 2.0 * np.pi * np.arange(count) / 3500.0
+    desired = np.sin(phase)[np.arange(count) // hold * hold]
+    measured = np.sin(phase - 0.2)
+    held, new = TrackingMetrics(), TrackingMetrics()
+    held.add(desired, measured)
+    new.add(desired[::hold], measured[::hold])
+    first, second = held.result(), new.result()
+    assert first is not None and second is not None
+    assert first.phase_left == pytest.approx(second.phase_left, rel=1e-9)
+    assert first.lag_left == pytest.approx(hold * second.lag_left, rel=1e-9)
+    assert first.phase_left == pytest.approx(np.degrees(0.2), rel=1e-4)
+
+
+def test_what_is_open_at_the_end_of_a_batch_counts_once_its_way_is_known():
+    stairs = np.arange(2 * BATCH) // 1000.0  # a step of 1,000 samples lies across the end of the first batch
+    desired = np.concatenate([stairs, stairs[::-1]])
+    error = np.zeros(len(desired))
+    error[BATCH // 1000 * 1000 + 1 : BATCH] = 1.0  # of the batch's last step all but its first sample
+    width = LoopWidth()
+    for part in np.split(np.arange(len(desired)), 4):
+        width.add(desired[part], error[part])
+    loop = width.loop()
+    assert loop is not None
+    assert loop.width == pytest.approx(-(BATCH % 1000 - 1) / 2000.0, rel=1e-12)  # a bin holds two steps
+
+
+def test_the_lag_loses_no_sample_between_two_batches():
+    phase = 2.0 * np.pi * np.arange(400) / 20.0
+    measured = np.sin(phase - 0.3) + np.random.default_rng(5).normal(0.0, 0.2, 400)
+    whole, cut = PhaseLag(), PhaseLag()
+    whole.add(np.sin(phase), measured)
+    for part in np.split(np.arange(400), 8):
+        cut.add(np.sin(phase[part]), measured[part])
+    first, second = whole.lag(), cut.lag()
+    assert first is not None and second is not None
+    assert second == pytest.approx(first, rel=1e-9)

@@ -14,7 +14,7 @@ import pytest
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.reports import report as report_module
-from dbo_cli.reports.renderers import digits, to_csv, to_json, to_text
+from dbo_cli.reports.renderers import digits, headline, to_csv, to_json, to_text
 from dbo_cli.reports.report import (
     Report,
     ReportOptions,
@@ -115,13 +115,55 @@ def test_csv_is_one_line_a_log():
 def test_text():
     report = report_of({"uncompensated.csv": 1.0, "compensated.csv": -0.25})
     assert to_text(report) == (
+        "compensated.csv: 0.25 um RMSE, 4.0 times less than uncompensated.csv\n"
+        "\n"
         "Error = measured - desired in um\n"
         "\n"
         "log                samples    RMSE  % range    95 %  largest     mean   ratio\n"
         "uncompensated.csv     1000   1.000    2.500   1.000    1.000    1.000   1.000\n"
         "compensated.csv       1000  0.2500   0.6250  0.2500   0.2500  -0.2500  0.2500\n"
-        "\n" + to_text(report).split("\n\n")[2]
+        "\n"
+        "Left over: hysteresis (loop: error going down less going up) and delay (lag)\n"
+        + to_text(report).partition("(lag)\n")[2]
     )
+    head = to_text(report).partition("(lag)\n")[2].splitlines()[0]
+    assert head.split("  ")[0] == "log" and head.endswith("phase worst row")
+
+
+@pytest.mark.parametrize(
+    ("offsets", "sentence"),
+    [
+        ({"a.csv": 0.5}, "a.csv: 0.50 um RMSE, 1.2 % of the range"),
+        ({"a.csv": 0.5, "b.csv": 0.0081}, "b.csv: 0.0081 um RMSE, 62 times less than a.csv"),
+        ({"a.csv": 0.5, "b.csv": 0.51}, "b.csv: 0.51 um RMSE, as much as a.csv"),
+        ({"a.csv": 0.5, "b.csv": 1.0}, "b.csv: 1.0 um RMSE, 2.0 times more than a.csv"),
+        (
+            {"a.csv": 1.0, "b.csv": 0.5, "c.csv": 0.1, "d.csv": 0.2},
+            "c.csv: 0.10 um RMSE, 10 times less than a.csv",
+        ),
+        ({"a.csv": 1.0, "b.csv": 0.0}, "b.csv: 0 um RMSE; a.csv: 1.0 um RMSE"),
+        ({"a.csv": 0.0, "b.csv": 1.0}, "b.csv: 1.0 um RMSE; a.csv: 0 um RMSE"),
+    ],
+)
+def test_one_sentence_first(offsets, sentence):
+    assert headline(report_of(offsets)) == sentence
+    assert to_text(report_of(offsets)).splitlines()[0] == sentence
+
+
+def test_a_name_is_never_cut_in_a_table():
+    name = "recordings/2024-05-02/bench-3/a_name_that_needs_a_line_of_its_own.csv"
+    lines = to_text(report_of({name: 1.0, "b.csv": 0.5})).splitlines()
+    assert lines.count(name) == 2
+    assert lines[lines.index(name) + 1].split() == [
+        "1000",
+        "1.000",
+        "2.500",
+        "1.000",
+        "1.000",
+        "1.000",
+        "1.000",
+    ]
+    assert "…" not in "".join(lines)
 
 
 @pytest.mark.parametrize("segment", [None, "cycles", 1.0])
@@ -437,7 +479,7 @@ def test_names_and_units_obey_no_terminal():
 
 def test_wide_letters_keep_their_columns():
     report = report_of({"駆動電圧の記録.csv": 1.0, "b.csv": 0.5})
-    table = to_text(report).split("\n\n")[1].splitlines()
+    table = to_text(report).split("\n\n")[2].splitlines()
     wide = [len(line) + sum(unicodedata.east_asian_width(sign) in "WF" for sign in line) for line in table]
     assert len(set(wide)) == 1
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.sample_block import SampleBlock
+from dbo_cli.reports.report import cycles, spans
 from dbo_cli.reports.sample_pairs import PairBlock, batched, find_lag, lagged, rows_to_read
-from dbo_cli.reports.segments import cycles, spans
 
 
 def blocks_of(desired, measured, chunk=7, time=None, first=1):

@@ -7,7 +7,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.reports.trajectory_match import TrajectoryMatch
+from dbo_cli.reports.sample_pairs import TrajectoryMatch
 
 
 def blocks(size, time=None, **values):
@@ -136,3 +136,21 @@ def test_refusals():
         assert str(caught.value) == (
             "b: row 3: time goes backwards (cut the trajectory there, or `match` by rows)"
         )
+
+
+def test_a_stamp_a_hair_beyond_the_end_belongs_to_it_in_whatever_block_it_comes():
+    # after a block, two samples of the trajectory stay: their step tells how far beyond is still the end
+    wanted = np.arange(4.0)
+    recorded = np.array([0.0, 1.0, 2.0, 3.0, 3.0 + 5e-7, 3.0 + 2e-6])
+    for size in (4, 6):
+        match = TrajectoryMatch(
+            "run.csv",
+            "drive.csv",
+            blocks(size, recorded, measured=recorded),
+            blocks(4, wanted, desired=10.0 * wanted),
+            by_time=True,
+        )
+        row, desired, _, _ = joined(match)
+        assert row.tolist() == [1, 2, 3, 4, 5]
+        assert desired.tolist() == [0.0, 10.0, 20.0, 30.0, 30.0]
+        assert match.left_out == 1

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dbo_cli.reports import figure_style as style
+from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.renderers import digits, short_name
 from dbo_cli.reports.report import LogReport, Report
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 WIDE_BAND = 1.5  # times the lowest frequency, up to which segments are of one frequency
 LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
+WIDEST = 52  # letters of 9 points in 4.3 inches of legend; names that need more stand below each other
+LEGEND_LINE = 0.17  # inches
 
 
 def shown_unit(unit: str | None) -> str:
@@ -50,13 +53,13 @@ def decade(value: float, _: float = 0.0) -> str:
     return "10" + f"{math.log10(value):.0f}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def label_decades(axis: Axis) -> None:
-    """Label a logarithmic axis: every power of ten, 2, 3 and 5 where it spans less than two, all within one.
+def label_decades(*axes: Axis) -> None:
+    """Label logarithmic axes: every power of ten, 2, 3 and 5 where it spans less than two, all within one.
 
     Matplotlib's own labels between are formulas, which are not set here (a dollar in a name is a dollar).
     """
 
-    def between(value: float, _: float = 0.0) -> str:
+    def between(axis: Axis, value: float, _: float = 0.0) -> str:
         low, high = sorted(axis.get_view_interval())
         if high < 10.0 * low:
             return f"{value:.6g}"
@@ -65,8 +68,9 @@ def label_decades(axis: Axis) -> None:
             return ""
         return f"{value:g}" if 0.0005 < value < 5000.0 else f"{lead}·{decade(10.0 ** int(exponent))}"
 
-    axis.set_major_formatter(decade)
-    axis.set_minor_formatter(between)
+    for axis in axes:
+        axis.set_major_formatter(decade)
+        axis.set_minor_formatter(partial(between, axis))
 
 
 def plots_of_comparison(report: Report, figure_data: Sequence[FigureData]) -> list[Plot]:
@@ -77,47 +81,33 @@ def plots_of_comparison(report: Report, figure_data: Sequence[FigureData]) -> li
     """
     if len(report.logs) < 2:
         return []
-    view = _ComparisonView(report, figure_data)
+    shown = list(zip(report.logs, figure_data, style.SEVERAL, strict=False))
+    names = [short_name(log.name, WIDEST) for log, _, _ in shown]
+    columns = max(1, min(3, len(names), WIDEST // (max(map(len, names)) + 6)))
+    head = legend_head(len(names), columns)
     first, second = report.options.labels
-    title = "Error of all logs against time"
-    if view.left_out:
-        title = f"Error of the first {len(view.logs)} of {len(report.logs)} logs against time"
+    whole = (
+        "all logs" if len(shown) == len(report.logs) else f"the first {len(shown)} of {len(report.logs)} logs"
+    )
     words = f"{second.capitalize()} less {first} displacement against time, a line for each log."
-    return [Plot("errors", title, words, style.WIDE, view.errors, head=view.head)]
 
-
-class _ComparisonView:
-    """Paint the errors of several logs into one figure."""
-
-    LINE = 0.17  # inches, of the legend
-    WIDEST = 64  # letters in a legend of one line; names that need more stand below each other
-
-    def __init__(self, report: Report, figure_data: Sequence[FigureData]) -> None:
-        most = len(style.SEVERAL)
-        self._report = report
-        self.logs = report.logs[:most]
-        self.left_out = len(report.logs) - len(self.logs)
-        self._figure_data = list(figure_data[:most])
-        self._names = [short_name(log.name, self.WIDEST) for log in self.logs]
-        longest = max(map(len, self._names))
-        self._columns = max(1, min(3, len(self._names), self.WIDEST // (longest + 6)))
-        self.head = self.LINE * (math.ceil(len(self._names) / self._columns) - 1)
-
-    def errors(self, axes: Axes) -> None:
-        timed = all(figure_data.has_time for figure_data in self._figure_data)
-        apart = timed and len({figure_data.start for figure_data in self._figure_data}) > 1
+    def paint(axes: Axes) -> None:
+        timed = all(data.has_time for _, data, _ in shown)
+        apart = timed and len({data.start for _, data, _ in shown}) > 1
         handles = []
-        for log, figure_data, look in zip(self.logs, self._figure_data, style.SEVERAL, strict=False):
-            shape = figure_data.against_time("error")
+        for log, data, look in shown:
+            shape = data.against_time("error")
             if apart:
-                shape = replace(shape, x=shape.x - figure_data.start)
+                shape = replace(shape, x=shape.x - data.start)
             _against_time(axes, shape, look, log.figures.offset)
             handles += axes.plot([], [], **(look | {"linewidth": 1.6}))
         axes.set(xlabel="Time since each log began (s)" if apart else "Time (s)" if timed else "Row")
-        axes.set(ylabel=axis_label("Error", self._report.unit))
-        legend = mark_curves(axes, handles, ["log"] * len(handles), self._columns)
-        for text, name in zip(legend.get_texts(), self._names, strict=True):
+        axes.set(ylabel=axis_label("Error", report.unit))
+        legend = mark_curves(axes, handles, ["log"] * len(handles), columns)
+        for text, name in zip(legend.get_texts(), names, strict=True):
             text.set_text(name)  # as a label, a name that begins with "_" would be left out
+
+    return [Plot("errors", f"Error of {whole} against time", words, style.WIDE, paint, head)]
 
 
 def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> list[Plot]:
@@ -125,28 +115,27 @@ def plots_of_log(report: Report, log: LogReport, figure_data: FigureData) -> lis
     view = _LogView(report, log, figure_data)
     first, second = report.options.labels
     wide, tall = style.WIDE, style.TALL
+    by_frequency = view.by_frequency is not None
     both = f"{first.capitalize()} and {second} against time"
+    tracks = f"{both}, the first as a solid line, the second dashed."
     error = f"{second.capitalize()} less {first} displacement against time, with a band of one RMSE."
     output = f"{second.capitalize()} against {first}"
     loop = "Hysteresis loop: displacement against drive voltage"
     share = "Share of all samples against their error."
     density = "Amplitude density of the error against frequency, both axes logarithmic."
+    speeds = "RMS error of each segment against the frequency of the desired signal, both logarithmic."
+    has_drive, has_spectrum = figure_data.has_drive, figure_data.spectrum.density(1.0) is not None
     plots = [
-        Plot("tracking", both, f"{both}, the first as a solid line, the second dashed.", wide, view.tracking),
-        Plot("error", "Error against time", error, wide, view.error),
-        Plot("output", output, f"{output}, beside the identity.", tall, view.output),
-        Plot("loop", loop, f"{loop}.", tall, view.loop),
-        Plot("histogram", "Distribution of the error", share, wide, view.histogram),
-        Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum),
-        Plot("drive", "Drive against time", "Drive voltage against time.", wide, view.drive),
+        (True, Plot("tracking", both, tracks, wide, view.tracking)),
+        (True, Plot("error", "Error against time", error, wide, view.error)),
+        (True, Plot("output", output, f"{output}, beside the identity.", tall, view.output)),
+        (has_drive, Plot("loop", loop, f"{loop}.", tall, view.loop)),
+        (True, Plot("histogram", "Distribution of the error", share, wide, view.histogram)),
+        (has_spectrum, Plot("spectrum", "Spectrum of the error", density, wide, view.spectrum)),
+        (has_drive, Plot("drive", "Drive against time", "Drive voltage against time.", wide, view.drive)),
+        (by_frequency, Plot("frequency", "Error against frequency", speeds, wide, view.frequency)),
     ]
-    if view.by_frequency is not None:
-        words = "RMS error of each segment against the frequency of the desired signal, both logarithmic."
-        plots.append(Plot("frequency", "Error against frequency", words, wide, view.frequency))
-    missing = set() if figure_data.has_drive else {"loop", "drive"}
-    if figure_data.spectrum.density(1.0) is None:
-        missing.add("spectrum")
-    return [plot for plot in plots if plot.key not in missing]
+    return [plot for shown, plot in plots if shown]
 
 
 class _LogView:
@@ -175,8 +164,8 @@ class _LogView:
 
     def error(self, axes: Axes) -> None:
         rmse = self._figures.rmse
-        said = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
-        axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=said)
+        band = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
+        axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=band)
         _against_time(axes, self._figure_data.against_time("error"), style.ALONE, self._offset)
         axes.set(xlabel=self._time(), ylabel=self._length("Error"))
         mark_curves(axes)
@@ -184,9 +173,7 @@ class _LogView:
     def output(self, axes: Axes) -> None:
         first, second = self._report.options.labels
         ends = [self._figures.desired_min, self._figures.desired_max]
-        axes.plot(
-            ends, ends, label="identity", zorder=3, color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6))
-        )
+        axes.plot(ends, ends, label="identity", zorder=3, **style.DOTTED)
         self._curve(axes, "desired", "measured", style.DASHED | {"linestyle": "-"}, second, self._offset)
         what = self._quantity.lower()
         axes.set(xlabel=self._length(f"{first.capitalize()} {what}"))
@@ -214,15 +201,8 @@ class _LogView:
         share, edges = np.histogram(
             np.clip(values - self._offset, low, high), bins, range=(low, high), weights=counts
         )
-        axes.bar(
-            edges[:-1],
-            100.0 * share / self._figures.samples,
-            width=np.diff(edges),
-            align="edge",
-            color=style.FILL,
-            edgecolor=style.INK,
-            linewidth=0.4,
-        )
+        look: dict[str, Any] = {"color": style.FILL, "edgecolor": style.INK, "linewidth": 0.4}
+        axes.bar(edges[:-1], 100.0 * share / self._figures.samples, np.diff(edges), align="edge", **look)
         if self._figures.max_abs > 3.0 * self._figures.p95_abs > 0.0:
             axes.set_yscale("log")  # or a spike of one sample in a million is not to be seen
             label_decades(axes.yaxis)
@@ -235,8 +215,7 @@ class _LogView:
             return
         floor = curve.y.max() * 1e-9 if curve.y.max() > 0.0 else 1e-30
         axes.loglog(curve.x, np.maximum(curve.y, floor), **style.ALONE)
-        label_decades(axes.xaxis)
-        label_decades(axes.yaxis)
+        label_decades(axes.xaxis, axes.yaxis)
         unit = shown_unit(self._report.unit)
         axes.set_xlabel("Frequency (Hz)" if period else "Frequency (cycles a sample)")
         density = f"{unit}/√Hz" if period else unit
@@ -245,10 +224,8 @@ class _LogView:
     def frequency(self, axes: Axes) -> None:
         assert self.by_frequency is not None
         at, errors = self.by_frequency
-        look = {"color": style.FIRST, "linestyle": "none", "marker": "o", "markersize": 3.2}
-        axes.loglog(at, np.maximum(errors, errors.max() * 1e-9), **look)
-        label_decades(axes.xaxis)
-        label_decades(axes.yaxis)
+        axes.loglog(at, np.maximum(errors, errors.max() * 1e-9), **(style.POINTS | {"color": style.FIRST}))
+        label_decades(axes.xaxis, axes.yaxis)
         axes.set(xlabel="Frequency of the desired signal (Hz)", ylabel=self._length("RMS error of a segment"))
 
     def _curve(self, axes: Axes, x: str, y: str, look: dict[str, Any], label: str, shift: float) -> None:
@@ -292,7 +269,7 @@ def _against_time(
 
 def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
     """Paint the passed pixels, cut to those in use and as thick as a line, in one colour on nothing."""
-    from matplotlib.colors import to_rgb
+    from matplotlib.colors import ListedColormap, NoNorm
 
     rows, columns = (np.flatnonzero(raster.passed.any(axis=axis)) for axis in (1, 0))
     inner = raster.passed[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
@@ -301,9 +278,6 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
         passed = passed | np.roll(passed, 1, axis) | np.roll(passed, -1, axis)
     left, right, bottom, top = raster.extent
     across, up = (right - left) / raster.passed.shape[1], (top - bottom) / raster.passed.shape[0]
-    image = np.zeros((*passed.shape, 4))
-    image[..., :3] = to_rgb(color)
-    image[..., 3] = passed
     extent = (
         left + across * (columns[0] - 1),
         left + across * (columns[-1] + 2),
@@ -311,7 +285,16 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
         bottom + up * (rows[-1] + 2) - shift,
     )
     axes.use_sticky_edges = False
-    axes.imshow(image, extent=extent, origin="lower", aspect="auto", interpolation="nearest", zorder=2)
+    # numbers of colours, scaled before they become colours, take a tenth of the memory of colours in floats
+    look: dict[str, Any] = {"cmap": ListedColormap(["none", color]), "norm": NoNorm()}
+    look |= {
+        "interpolation_stage": "data",
+        "origin": "lower",
+        "aspect": "auto",
+        "interpolation": "nearest",
+        "zorder": 2,
+    }
+    axes.imshow(passed.astype(np.uint8), extent=extent, **look)
     axes.autoscale(enable=True)
 
 
@@ -324,3 +307,8 @@ def mark_curves(
     return axes.legend(
         handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, columnspacing=1.6
     )
+
+
+def legend_head(curves: int, columns: int) -> float:
+    """Return the inches that a legend of more than one line needs above a figure."""
+    return LEGEND_LINE * (math.ceil(curves / columns) - 1)

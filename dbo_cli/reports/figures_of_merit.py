@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dbo_cli.reports.held_signal import hold_length
-from dbo_cli.reports.loop_width import LoopWidth
-from dbo_cli.reports.phase_lag import PhaseLag
+from dbo_cli.reports.loop_and_lag import LoopWidth, NoiseLevel, PhaseLag
 from dbo_cli.reports.running_statistics import (
     Batches,
     CompensatedSum,
@@ -21,6 +19,15 @@ from dbo_cli.reports.running_statistics import (
     Floats,
     comparable,
 )
+
+# Of a desired signal that was sampled more slowly than the log and held in between:
+_ALIKE = 0.8  # of all plateaus have about the same length: held; those of a rounded sine differ severalfold
+_ABOUT = 0.2  # of the length: a program that polls a setpoint is not punctual
+_FEWEST_PLATEAUS = 8
+# Where the measurement moves evenly through a plateau, no part of it does more than this much of the mean. A
+# measurement that steps with the desired signal, or follows within the plateau, does several times as much.
+_EVENLY = 1.5
+_DEVIATIONS = 3.0  # of the noise in such a sum
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,12 @@ class TrackingFigures:
         cycles, period = self.cycles_a_sample, self.sample_period
         return None if cycles is None or period is None else cycles / period
 
+    @property
+    def lag_left_seconds(self) -> float | None:
+        """The lag that is left in seconds, where the clock is known."""
+        lag, period = self.lag_left, self.sample_period
+        return None if lag is None or period is None or not math.isfinite(lag * period) else lag * period
+
 
 def percent_of(value: float, whole: float) -> float | None:
     """Return a value in percent of a range; None where there is none, or next to none."""
@@ -84,14 +97,14 @@ class TrackingMetrics:
 
     def __init__(self, *, remove_offset: bool = False) -> None:
         self._remove_offset = remove_offset
-        self._batches = Batches(4)
+        self._batches = Batches()
         self.distribution = ErrorDistribution()
         self._loop = LoopWidth()
         self._phase = PhaseLag()
         self._hold: float | None = None
         self._last_desired = math.nan
         self._sums = (CompensatedSum(), CompensatedSum())
-        self._extremes: dict[str, tuple[float, float, float]] = {}
+        self._extremes: list[tuple[float, float, float]] = []  # least and greatest error: value, row, time
         self._range = (math.inf, -math.inf)
         self._not_finite = 0
         self.missing = [0, 0]
@@ -116,7 +129,8 @@ class TrackingMetrics:
 
         The accumulator is spent by this call.
         """
-        self._take(*self._batches.rest())
+        for batch in self._batches.rest():
+            self._take(*batch)
         n = self.distribution.count
         if n == 0:
             return None
@@ -126,7 +140,7 @@ class TrackingMetrics:
         offset = mean if self._remove_offset else 0.0
         variance = max(square - mean_shifted * mean_shifted, 0.0)
         rmse = math.sqrt(variance + (mean - offset) ** 2)
-        largest = max(self._extremes.values(), key=lambda extreme: abs(extreme[0] - offset))
+        largest = max(self._extremes, key=lambda extreme: abs(extreme[0] - offset))
         low, high = self._range
         span = high - low
         loop, lag = self._loop.loop(), self._phase.lag()
@@ -164,8 +178,6 @@ class TrackingMetrics:
         return period if math.isfinite(period) and period > 0.0 else None
 
     def _take(self, desired: Floats, measured: Floats, row: Floats, time: Floats) -> None:
-        if len(desired) == 0:
-            return
         first = self._times[0] if self._times else float(time[0])
         self._times = (first, float(time[-1]))
         finite = comparable(desired, measured)
@@ -182,11 +194,9 @@ class TrackingMetrics:
         shifted = error - self.distribution.centre
         self._sums[0].add(float(np.add.reduce(shifted)))
         self._sums[1].add(float(np.add.reduce(shifted * shifted)))
-        for side, place in (("low", int(error.argmin())), ("high", int(error.argmax()))):
-            value = float(error[place])
-            held = self._extremes.get(side)
-            if held is None or (value < held[0] if side == "low" else value > held[0]):
-                self._extremes[side] = (value, float(row[place]), float(time[place]))
+        places = int(error.argmin()), int(error.argmax())
+        found = [*self._extremes, *((float(error[k]), float(row[k]), float(time[k])) for k in places)]
+        self._extremes = [end(found, key=lambda extreme: extreme[0]) for end in (min, max)]
         self._take_motion(desired, measured)
 
     def _take_motion(self, desired: Floats, measured: Floats) -> None:
@@ -199,3 +209,34 @@ class TrackingMetrics:
             desired, measured = desired[new], measured[new]
         self._phase.add(desired, measured)
         self._loop.add(desired, measured - desired)
+
+
+def hold_length(desired: Floats, measured: Floats) -> float | None:
+    """Return the samples between new values of a desired signal that is held while the measurement goes on.
+
+    Of such a log only the samples at which the desired signal is new belong together: a value held for L
+    samples is late by up to L - 1 of them, although nobody asked for that. Where the measurement moves in
+    steps as the desired signal does, the hold is part of what was asked for, and every sample counts. A
+    coarsely rounded triangle cannot be told from a held one, and counts as held.
+
+    Returns 1 where every sample counts and None where the desired signal moves too little to tell.
+    """
+    changes = np.flatnonzero(np.diff(desired)) + 1
+    if len(changes) <= _FEWEST_PLATEAUS:
+        return None
+    lengths = np.diff(changes)
+    typical = float(np.median(lengths))
+    alike = np.abs(lengths - typical) <= _ABOUT * typical
+    if typical < 2.0 or np.mean(alike) < _ALIKE:
+        return 1.0
+    starts = changes[:-1][alike]
+    way = np.sign(desired[starts] - desired[starts - 1])
+    # How far the measurement goes the desired signal's way in the 1st, 2nd ... sample of all plateaus.
+    steps = np.diff(measured)
+    places = range(int(lengths[alike].min()))
+    moved = np.array([float((way * steps[starts - 1 + place]).sum()) for place in places])
+    noise = NoiseLevel()
+    noise.add(measured)
+    unsure = _DEVIATIONS * noise.deviation * math.sqrt(2.0 * len(starts))
+    evenly = unsure < moved.sum() and moved.max() <= _EVENLY * moved.mean() + unsure
+    return float(lengths[alike].mean()) if evenly else 1.0

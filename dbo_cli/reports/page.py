@@ -4,36 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from html import escape
+from pathlib import Path
+from string import Template
+from typing import Any
 
 from dbo_cli.reports.drawing import Plot, draw
 from dbo_cli.reports.figures import shown_unit
-from dbo_cli.reports.page_style import style_sheet
-from dbo_cli.reports.renderers import digits, settings_line
-from dbo_cli.reports.report import LogReport, Report
-
-UNBROKEN = 28  # letters of a name that stay together; 13 columns beside it fit into 1,280 pixels
-
-MEANINGS = (
-    ("RMSE", "Root of the mean square of the error."),
-    ("% of range", "The same in percent of the range that {first} covers (NRMSE)."),
-    ("95 %", "95 % of all samples have an error no larger than this."),
-    ("Largest", "The largest error, and the data row of the log where it is."),
-    ("Mean", "Mean of the error; where it was taken off beforehand, the offset that was taken off."),
-    (
-        "Loop left",
-        "The hysteresis that is left: for equal values of {first}, the error on the way down less the"
-        " error on the way up, averaged over the log, where it differs most. Negative: compensated too much."
-        " A pure delay and a drift of the sensor open a loop, too.",
-    ),
-    ("Loop noise", "What noise alone would show as a loop; a loop no wider than that says nothing."),
-    (
-        "Lag left",
-        "The delay by which {second} still follows {first}, from a fit of {first} and its slope;"
-        " hysteresis shows in it too.",
-    ),
-    ("Ratio", "RMSE as a ratio to that of the first log."),
+from dbo_cli.reports.renderers import (
+    Column,
+    headline,
+    log_tables,
+    segment_table,
+    segment_words,
+    settings_line,
 )
+from dbo_cli.reports.report import Report
+
+UNBROKEN = 28  # letters of a name that stay together: nine columns beside it fit into 1,000 pixels
 
 
 def to_html(
@@ -56,12 +45,21 @@ def to_html(
     comparison_plots : sequence of Plot
         The figures of all logs together (``figures.plots_of_comparison``); they stand first.
     model_plots : sequence of Plot
-        The figures of the model, where one was compared (``model_figures.plots_of_model``).
+        The figures of the model, where one was compared (``models.plots_of_model``).
     title, program : str
         Heading of the page, and who made it (program and version), for the footer.
     """
-    several = len(report.logs) > 1
-    parts = [f"<h1>{escape(title)}</h1>", f"<p>{escape(_settings(report))}.</p>", _summary(report, several)]
+    report = replace(report, unit=shown_unit(report.unit) or None)
+    found = " ".join(map(breakable, headline(report).split()))
+    errors, left = log_tables(report)
+    parts = [f"<h1>{escape(title)}</h1>", f'<p class="headline">{found}.</p>']
+    parts += [
+        f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
+        _table(errors, report.logs),
+    ]
+    parts += ["<h2>What is left of hysteresis and delay</h2>", _table(left, report.logs, chief=1)]
+    first, second = map(escape, report.options.labels)
+    parts.append(filled("glossary.html", first=first, second=second))
     if report.notes:
         parts.append(
             '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
@@ -69,10 +67,12 @@ def to_html(
     parts.append(drawn_figures(comparison_plots, "all"))
     for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
         parts.append(f"<section><h2>{breakable(log.name)}</h2>{drawn_figures(figures, f'l{number}')}")
-        parts.append(_segments(report, log) + "</section>")
+        if log.segments:
+            parts.append(f"<h3>{escape(segment_words(report).capitalize())}</h3>")
+            parts.append(_table(segment_table(report), log.segments))
+        parts.append("</section>")
     if model_plots:
         parts.append(f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>")
-    parts.append(_meanings(report, several))
     if program:
         parts.append(f"<footer>{escape(program)}</footer>")
     return page_of(title, parts)
@@ -80,62 +80,20 @@ def to_html(
 
 def page_of(title: str, parts: Sequence[str]) -> str:
     """Return a whole page of parts that are HTML already."""
-    return _PAGE.format(title=escape(title), style=style_sheet(), body="\n".join(parts))
+    return filled("page.html", title=escape(title), style=filled("page.css"), body="\n".join(parts))
 
 
-def _settings(report: Report) -> str:
-    line = settings_line(report)
-    return line.replace(f" in {report.unit}", f" in {shown_unit(report.unit)}", 1).replace(" - ", " − ", 1)
+def filled(name: str, **values: str) -> str:
+    """Return a file that lies beside this module, its ``$names`` replaced."""
+    return Template(Path(__file__).with_name(name).read_text("utf-8")).substitute(values)
 
 
-def _summary(report: Report, several: bool) -> str:
-    unit = shown_unit(report.unit)
-    in_unit = f" ({unit})" if unit else ""
-    removed = report.options.remove_offset
-    head = ["Log", "Samples", f"RMSE{in_unit}", "% of range", f"95 %{in_unit}", f"Largest{in_unit}", "at row"]
-    head += [f"{'Offset' if removed else 'Mean'}{in_unit}", f"Loop left{in_unit}", "Loop noise"]
-    head += ["Lag left (samples)", "Lag left (ms)", "Phase left"]
-    head += ["Ratio"] if several else []
-    rows = []
-    for log in report.logs:
-        figures, record = log.figures, log.record()
-        row = [
-            log.name,
-            str(figures.samples),
-            digits(figures.rmse),
-            digits(figures.nrmse_percent),
-            digits(figures.p95_abs),
-            digits(figures.max_abs),
-            str(figures.max_abs_row),
-            digits(figures.offset if removed else figures.mean),
-            digits(figures.loop_width),
-            digits(figures.loop_noise, 2),
-            digits(figures.lag_left, 3),
-            digits(None if record["lag_left_s"] is None else 1000.0 * record["lag_left_s"], 3),
-            "-" if figures.phase_left is None else f"{digits(figures.phase_left, 3)}°",
-        ]
-        rows.append(row + ([digits(log.ratio_to_first)] if several else []))
-    return table(head, rows, chief=2)
+def _table(columns: Sequence[Column], parts: Sequence[Any], chief: int = 2) -> str:
+    shown = [column for column in columns if column.long]
+    return table([column.long for column in shown], [[c.cell(part) for c in shown] for part in parts], chief)
 
 
-def _segments(report: Report, log: LogReport) -> str:
-    if not log.segments:
-        return ""
-    removed = report.options.remove_offset
-    what = "cycle" if report.options.segment == "cycles" else f"{report.options.segment:g} s"
-    head = ["Part", "Rows", "RMSE", "% of range", "95 %", "Largest", "Offset" if removed else "Mean"]
-    head += ["Loop left", "Lag left"]
-    rows = []
-    for part in log.segments:
-        figures = part.figures
-        numbers = [figures.rmse, figures.nrmse_percent, figures.p95_abs, figures.max_abs]
-        numbers += [figures.offset if removed else figures.mean, figures.loop_width, figures.lag_left]
-        place = f"{part.first_row}–{part.last_row}"
-        rows.append([f"{part.number}", place, *(digits(number, 3) for number in numbers)])
-    return f"<h3>By {escape(what)}</h3>{table(head, rows, chief=2, name='segments')}"
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int, name: str = "summary") -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -> str:
     """Return a table whose cells know their heading, so that a narrow screen can show a row as a card."""
     cells = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     lines = []
@@ -147,7 +105,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int, name: 
             line += f'<td{mark} data-label="{escape(title)}">{content}</td>'
         lines.append(f"<tr>{line}</tr>")
     body = "\n".join(lines)
-    return f'<table class="{name}"><thead><tr>{cells}</tr></thead><tbody>\n{body}\n</tbody></table>'
+    return f"<table><thead><tr>{cells}</tr></thead><tbody>\n{body}\n</tbody></table>"
 
 
 def breakable(name: str) -> str:
@@ -167,32 +125,3 @@ def drawn_figures(plots: Sequence[Plot], scope: str) -> str:
         image = draw(plot, "inline", scope=scope).decode()
         drawn.append(f"<figure><figcaption>{escape(plot.title)}</figcaption>{image}</figure>")
     return '<div class="figures">' + "\n".join(drawn) + "</div>" if drawn else ""
-
-
-def _meanings(report: Report, several: bool) -> str:
-    first, second = report.options.labels
-    chosen = MEANINGS if several else MEANINGS[:-1]
-    items = "".join(
-        f"<dt>{escape(term)}</dt><dd>{escape(text.format(first=first, second=second))}</dd>"
-        for term, text in chosen
-    )
-    return f"<section><h2>What the figures mean</h2><dl>{items}</dl></section>"
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<link rel="icon" href="data:,">
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""

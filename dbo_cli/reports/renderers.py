@@ -5,15 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import json
+import textwrap
 import unicodedata
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
-from dbo_cli.reports.report import LogReport, Report
+from dbo_cli.reports.report import Report
 
-JSON_VERSION = 1
-WIDTH = 80
-NAME_WIDTH = 20
+JSON_VERSION = 1  # of the form dbo-report; a change of meaning would need another
+WIDTH = 80  # columns of the narrowest usual terminal
+LEFT = "Left over: hysteresis (loop: error going down less going up) and delay (lag)"
 
 
 def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
@@ -24,7 +25,7 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
     ``logs``, ``notes`` and, where given, ``provenance``. Each log: ``name``, ``samples``, ``rmse``,
     ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``, ``max_abs_row``
     (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no larger),
-    ``loop_width`` (signed, see ``loop_width.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
+    ``loop_width`` (signed, see ``loop_and_lag.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
     ``lag_left_s``, ``phase_left_degrees``, ``desired_min``, ``desired_max``, ``lag_samples`` (taken out
     beforehand), ``lag_s``, ``offset_removed`` (subtracted from the error), ``sample_period_s``,
     ``not_finite`` (rows left out), ``ratio_to_first`` (of the RMSE), ``loop_noise`` (what noise alone would
@@ -46,7 +47,7 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
     }
     if provenance is not None:
         content["provenance"] = dict(provenance)
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_text(content)
 
 
 def to_csv(report: Report) -> str:
@@ -64,9 +65,18 @@ def to_csv(report: Report) -> str:
             own = part.record()
             place = {"segment": own.pop("number"), **{key: own.pop(key) for key in ("first_row", "last_row")}}
             rows.append(dict.fromkeys(whole) | {"name": whole["name"]} | own | unit | place)
-    columns = max(rows, key=len)
+    return csv_text(rows)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return plain values as JSON text."""
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def csv_text(rows: Sequence[dict[str, Any]]) -> str:
+    """Return one line a row; the longest row has all columns, what another lacks is left empty."""
     out = io.StringIO()
-    writer = csv.DictWriter(out, fieldnames=list(columns), lineterminator="\n")
+    writer = csv.DictWriter(out, max(map(list[str], rows), key=len), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()
@@ -78,26 +88,121 @@ def no_formula(name: str) -> str:
 
 
 def to_text(report: Report) -> str:
-    """Return tables of at most 80 columns, four significant digits, for a terminal or a notebook."""
-    parts = ["\n".join(_headline(report)), _error_table(report), _loop_table(report)]
-    parts += [_segment_table(report, log) for log in report.logs if log.segments]
+    """Return one sentence and tables of at most 80 columns, four significant digits, for a terminal."""
+    errors, left = log_tables(report)
+    parts = ["\n".join(wrapped(headline(report))), "\n".join(wrapped(settings_line(report)))]
+    parts += [_text_table(errors, report.logs), f"{LEFT}\n{_text_table(left, report.logs)}"]
+    for log in report.logs:
+        if log.segments:
+            title = "\n".join(wrapped(f"{log.name}, {segment_words(report)}"))
+            parts.append(f"{title}\n{_text_table(segment_table(report), log.segments)}")
     if report.notes:
         parts.append("\n".join(line for note in report.notes for line in wrapped(f"Note: {note}")))
     return "\n\n".join(parts) + "\n"
 
 
-def digits(value: float | None, places: int = 4) -> str:
+def headline(report: Report) -> str:
+    """Return what was found in one sentence: of several logs the least error, and that of the first one."""
+    first, *others = report.logs
+    best = min(others, key=lambda log: log.figures.rmse, default=first)
+    figures = best.figures
+    found = f"{best.name}: {digits(figures.rmse, 2)}{_unit(report)} RMSE"
+    if best is first:
+        percent = figures.nrmse_percent
+        return found if percent is None else f"{found}, {digits(percent, 2)} % of the range"
+    if not figures.rmse > 0.0 or not first.figures.rmse > 0.0:
+        return f"{found}; {first.name}: {digits(first.figures.rmse, 2)}{_unit(report)} RMSE"
+    times = first.figures.rmse / figures.rmse
+    factor = digits(max(times, 1.0 / times), 2)
+    if factor == "1.0":
+        return f"{found}, as much as {first.name}"
+    return f"{found}, {factor} times {'less' if times > 1.0 else 'more'} than {first.name}"
+
+
+class Column(NamedTuple):
+    """One column of a table: its heading in text and on a page (empty: not there), and its cells."""
+
+    short: str
+    long: str
+    cell: Callable[[Any], str]
+
+
+def log_tables(report: Report) -> tuple[list[Column], list[Column]]:
+    """Return the columns of both tables of logs: their errors, and the loop and the lag that are left."""
+    unit = _unit(report, " ({})")
+    name = Column("log", "Log", lambda log: str(log.name))
+    errors = [name, Column("samples", "Samples", lambda log: str(log.figures.samples)), *_errors(report, 4)]
+    if len(report.logs) > 1:
+        errors.append(Column("ratio", "Times the first", lambda log: digits(log.ratio_to_first)))
+    return errors, [
+        name,
+        Column("loop left", f"Hysteresis left{unit}", lambda log: digits(log.figures.loop_width)),
+        Column("% range", "the same, % of range", lambda log: digits(log.figures.loop_width_percent)),
+        Column("noise", f"Noise alone{unit}", lambda log: digits(log.figures.loop_noise, 2)),
+        Column("lag left", "Delay left (samples)", lambda log: digits(log.figures.lag_left, 3)),
+        Column("seconds", "", lambda log: digits(log.figures.lag_left_seconds, 3)),
+        Column("", "Delay left (ms)", lambda log: digits(log.figures.lag_left_seconds, 3, 1000.0)),
+        Column("phase", "Phase left (360° a cycle)", lambda log: digits(log.figures.phase_left, 3) + "°"),
+        Column("worst row", "", lambda log: str(log.figures.max_abs_row)),
+    ]
+
+
+def segment_table(report: Report) -> list[Column]:
+    """Return the columns of a table of segments."""
+    return [
+        Column("part", "Part", lambda part: str(part.number)),
+        Column("rows", "Rows", lambda part: f"{part.first_row}:{part.last_row}"),
+        *_errors(report, 3),
+        Column("loop", "Hysteresis left", lambda part: digits(part.figures.loop_width, 3)),
+        Column("lag", "Delay left (samples)", lambda part: digits(part.figures.lag_left, 3)),
+    ]
+
+
+def segment_words(report: Report) -> str:
+    """Return how the segments were cut."""
+    segment = report.options.segment
+    return "by cycle" if segment == "cycles" else f"by {segment:g} s"
+
+
+def _errors(report: Report, places: int) -> list[Column]:
+    unit = _unit(report, " ({})")
+    removed = report.options.remove_offset
+    mean = "offset" if removed else "mean"
+
+    def mean_of(part: Any) -> str:
+        return digits(part.figures.offset if removed else part.figures.mean, places)
+
+    return [
+        Column("RMSE", f"RMSE{unit}", lambda part: digits(part.figures.rmse, places)),
+        Column("% range", "% of range", lambda part: digits(part.figures.nrmse_percent, places)),
+        Column("95 %", f"95 % below{unit}", lambda part: digits(part.figures.p95_abs, places)),
+        Column("largest", f"Largest{unit}", lambda part: digits(part.figures.max_abs, places)),
+        Column("", "at row", lambda part: str(part.figures.max_abs_row)),
+        Column(mean, f"{mean.capitalize()}{unit}", mean_of),
+    ]
+
+
+def _unit(report: Report, form: str = " {}") -> str:
+    return form.format(report.unit) if report.unit else ""
+
+
+def _text_table(columns: Sequence[Column], parts: Sequence[Any]) -> str:
+    shown = [column for column in columns if column.short]
+    rows = [[column.cell(part) for column in shown] for part in parts]
+    return table([column.short for column in shown], rows)
+
+
+def digits(value: float | None, places: int = 4, factor: float = 1.0) -> str:
     """Return a number to ``places`` significant digits, without an exponent in 1e-3 to 1e6; None is ``-``."""
     if value is None:
         return "-"
+    value *= factor
     if value == 0.0:
         return "0"
-    if 1e-3 <= abs(value) < 1e6:
-        text = f"{value:#.{places}g}"
-        if "e" in text:
-            return f"{value:.0f}"
-        return text.rstrip(".")
-    return f"{value:.{places - 1}e}"
+    if not 1e-3 <= abs(value) < 1e6:
+        return f"{value:.{places - 1}e}"
+    text = f"{value:#.{places}g}"
+    return f"{value:.0f}" if "e" in text else text.rstrip(".")
 
 
 def settings_line(report: Report) -> str:
@@ -108,100 +213,32 @@ def settings_line(report: Report) -> str:
     lags = sorted({log.lag for log in report.logs})
     lag = ""
     if lags != [0]:
-        said = " or ".join(str(value) for value in lags)
-        lag = f", {second} taken {said} sample{'' if lags == [1] else 's'} after {first}"
+        samples = " or ".join(str(value) for value in lags)
+        lag = f", {second} taken {samples} sample{'' if lags == [1] else 's'} after {first}"
     return f"Error = {second} - {first}{unit}{offset}{lag}"
-
-
-def _headline(report: Report) -> list[str]:
-    return wrapped(settings_line(report))
-
-
-def _mean_title(report: Report) -> str:
-    return "offset" if report.options.remove_offset else "mean"
-
-
-def _error_table(report: Report) -> str:
-    several = len(report.logs) > 1
-    head = ["log", "samples", "RMSE", "% range", "95 %", "largest", _mean_title(report)]
-    rows = []
-    for log in report.logs:
-        figures = log.figures
-        shown = figures.offset if report.options.remove_offset else figures.mean
-        numbers = [figures.rmse, figures.nrmse_percent, figures.p95_abs, figures.max_abs, shown]
-        ratio = [digits(log.ratio_to_first)] if several else []
-        rows.append([short_name(log.name), str(figures.samples), *map(digits, numbers), *ratio])
-    return table(head + ["ratio"] * several, rows)
-
-
-def _loop_table(report: Report) -> str:
-    head = ["log", "loop left", "% range", "noise", "lag left", "seconds", "phase", "largest at row"]
-    rows = []
-    for log in report.logs:
-        record = log.record()
-        phase = digits(log.figures.phase_left, 3)
-        rows.append(
-            [
-                short_name(log.name),
-                digits(record["loop_width"]),
-                digits(record["loop_width_percent"]),
-                digits(record["loop_noise"], 2),
-                digits(record["lag_left_samples"], 3),
-                digits(record["lag_left_s"], 3),
-                phase if phase == "-" else f"{phase}°",
-                str(record["max_abs_row"]),
-            ]
-        )
-    return table(head, rows)
-
-
-def _segment_table(report: Report, log: LogReport) -> str:
-    head = ["part", "rows", "RMSE", "% range", "95 %", "largest", _mean_title(report), "loop", "lag"]
-    rows = []
-    for part in log.segments:
-        figures = part.figures
-        numbers = [
-            figures.rmse,
-            figures.nrmse_percent,
-            figures.p95_abs,
-            figures.max_abs,
-            figures.offset if report.options.remove_offset else figures.mean,
-            figures.loop_width,
-        ]
-        rows.append(
-            [
-                str(part.number),
-                f"{part.first_row}:{part.last_row}",
-                *(digits(number, 3) for number in numbers),
-                digits(figures.lag_left, 3),
-            ]
-        )
-    what = "cycle" if report.options.segment == "cycles" else f"{report.options.segment:g} s"
-    title = f"{short_name(log.name, WIDTH - 24)}, by {what}" if report.options.segment else log.name
-    return f"{title}\n{table(head, rows)}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return columns two blanks apart, the first to the left, numbers to the right.
 
-    Where that is too wide: one blank, then shorter names.
+    Where that is too wide: one blank, then every name on a line of its own above its numbers.
     """
-    widths = [max(_cells(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    gap = 2 if sum(widths) + 2 * (len(widths) - 1) <= WIDTH else 1
-    excess = sum(widths) + gap * (len(widths) - 1) - WIDTH
-    if excess > 0:
-        widths[0] = max(widths[0] - excess, 5)
-        rows = [[short_name(row[0], widths[0]), *row[1:]] for row in rows]
+    widths = [max(map(_cells, column)) for column in zip(head, *rows, strict=True)]
+    gap = "  " if sum(widths) + 2 * (len(widths) - 1) <= WIDTH else " "
+    room = WIDTH - sum(widths[1:]) - len(gap) * (len(widths) - 1)
+    widths[0] = min(widths[0], max(room, _cells(head[0])))
+    lines = []
+    for cells in [head, *rows]:
+        name = cells[0]
+        if _cells(name) > widths[0]:
+            lines.append(short_name(name, WIDTH))
+            name = ""
+        numbers = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
+        lines.append(gap.join([name + " " * (widths[0] - _cells(name)), *numbers]).rstrip())
+    return "\n".join(lines)
 
-    def line(cells: Sequence[str]) -> str:
-        first = cells[0] + " " * (widths[0] - _cells(cells[0]))
-        others = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
-        return (" " * gap).join([first, *others]).rstrip()
 
-    return "\n".join([line(head), *map(line, rows)])
-
-
-def short_name(name: str, width: int = NAME_WIDTH) -> str:
+def short_name(name: str, width: int) -> str:
     """Return a name cut in its middle where it is too long; its end, the file, tells more than its start."""
     if _cells(name) <= width:
         return name
@@ -223,11 +260,6 @@ def _cells(text: str) -> int:
 
 def wrapped(text: str) -> list[str]:
     """Return a text as lines of at most 80 columns, the later ones indented."""
-    lines, line = [], ""
-    for word in text.split(" "):
-        if line and len(line) + 1 + len(word) > WIDTH:
-            lines.append(line)
-            line = "      " + word
-        else:
-            line = f"{line} {word}" if line else word
-    return [*lines, line]
+    return textwrap.wrap(
+        text, WIDTH, subsequent_indent=" " * 6, break_long_words=False, break_on_hyphens=False
+    )

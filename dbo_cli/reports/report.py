@@ -13,33 +13,26 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.running_statistics import ErrorDistribution, Floats
-from dbo_cli.reports.sample_pairs import BeforeZero, PairBlock, batched, find_lag, lagged, scored
-from dbo_cli.reports.segments import cycles, spans
+from dbo_cli.reports.loop_and_lag import monotone_ends
+from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import BeforeZero, PairBlock, batched, find_lag, lagged, released, scored
 
 if TYPE_CHECKING:
     import pandas
 
-MOST_SEGMENTS = 10_000
+    from dbo_cli.reports.thinned_curves import FigureData
 
-
-class Collector(Protocol):
-    """What looks at every block on its way, e.g. the figure_data that figures are drawn from."""
-
-    def begin(self, labels: tuple[str, str]) -> None:
-        """Learn what is compared with what, and forget what came before."""
-
-    def add(self, block: PairBlock) -> None:
-        """Take one block."""
-
-    def finish(self, figures: TrackingFigures, distribution: ErrorDistribution) -> None:
-        """Take the figures of the whole log and the distribution of its error."""
+MOST_SEGMENTS = 10_000  # more are no report, and take seconds
+PATIENCE = 1 << 18  # samples that a rest at the lowest place may last within a cycle
 
 
 @dataclass(frozen=True)
@@ -75,11 +68,16 @@ class Segment:
 
     def record(self) -> dict[str, Any]:
         """Return the segment as plain values under the keys of the JSON form."""
-        rows = {"number": self.number, "first_row": self.first_row, "last_row": self.last_row}
         figures = self.figures
-        own = {"offset_removed": figures.offset, "loop_noise": figures.loop_noise}
-        own["frequency_hz"] = figures.frequency
-        return rows | _record(figures) | own
+        return {
+            "number": self.number,
+            "first_row": self.first_row,
+            "last_row": self.last_row,
+            **_record(figures),
+            "offset_removed": figures.offset,
+            "loop_noise": figures.loop_noise,
+            "frequency_hz": figures.frequency,
+        }
 
 
 @dataclass(frozen=True)
@@ -167,7 +165,7 @@ def evaluate(
     options: ReportOptions,
     *,
     sample_rate: float | None = None,
-    figure_data: Collector | None = None,
+    figure_data: FigureData | None = None,
     score_rows: Rows | None = None,
     count_sweep: bool = False,
 ) -> LogReport:
@@ -198,19 +196,19 @@ def evaluate(
     UsageError
         ``segment`` in seconds where no time is known; more than 10,000 segments.
     """
-    comparison = _Comparison(cleaned(name), options, sample_rate, figure_data, score_rows)
+    evaluation = _Evaluation(cleaned(name), options, sample_rate, figure_data, score_rows)
     if score_rows is not None or count_sweep:
-        return comparison.run(blocks)
+        return evaluation.run(blocks)
     parts = BeforeZero(blocks)
     try:
-        log = comparison.run(parts.before())
+        log = evaluation.run(parts.before())
     except InputError:
         if not parts.found:
             raise
     if not parts.found:
         return log
-    log = comparison.run(parts.after())
-    note = f"{comparison.name}: {_counted(parts.count, 'row')} before time 0, a conditioning sweep, left out"
+    log = evaluation.run(parts.after())
+    note = f"{evaluation.name}: {_counted(parts.count, 'row')} before time 0, a conditioning sweep, left out"
     return replace(log, notes=(note, *log.notes))
 
 
@@ -226,40 +224,39 @@ def check_limits(
     A log whose NRMSE is undefined misses ``max_nrmse_percent``: a gate that cannot be judged is not passed.
     """
     unit = f" {report.unit}" if report.unit else ""
-    limits: list[tuple[str, str, str, float | None]] = [
-        ("RMSE", "rmse", unit, max_rmse),
-        ("largest error", "max_abs", unit, max_abs),
-        ("NRMSE", "nrmse_percent", " % of the range", max_nrmse_percent),
-    ]
+    limits = {
+        "rmse": ("RMSE", unit, max_rmse),
+        "abs": ("largest error", unit, max_abs),
+        "nrmse_percent": ("NRMSE", " % of the range", max_nrmse_percent),
+    }
     missed = []
     for log in report.logs:
-        for title, key, suffix, limit in limits:
-            value = getattr(log.figures, key)
-            if limit is None:
+        figures = log.figures
+        values = {"rmse": figures.rmse, "abs": figures.max_abs, "nrmse_percent": figures.nrmse_percent}
+        for key, (title, suffix, limit) in limits.items():
+            value = values[key]
+            if limit is None or (value is not None and value <= limit):
                 continue
             if value is None:
-                missed.append(
-                    f"{log.name}: {title} is undefined, so `max_nrmse_percent` {limit:g} is not met"
-                )
-            elif not value <= limit:
-                option = f"`max_{key.removeprefix('max_')}`"
-                missed.append(
-                    f"{log.name}: {title} {value:.6g}{suffix} is above the limit of {limit:g}{suffix}"
-                    f" by {value - limit:.3g} ({option})"
-                )
+                missed.append(f"{log.name}: {title} is undefined, so `max_{key}` {limit:g} is not met")
+                continue
+            missed.append(
+                f"{log.name}: {title} {value:.6g}{suffix} is above the limit of {limit:g}{suffix}"
+                f" by {value - limit:.3g} (`max_{key}`)"
+            )
     if missed:
         more = f"; {len(missed) - 1} more missed" if len(missed) > 1 else ""
         raise LimitError(missed[0] + more)
 
 
 @dataclass(frozen=True)
-class _Comparison:
+class _Evaluation:
     """How one log is compared; each ``run`` begins anew."""
 
     name: str
     options: ReportOptions
     sample_rate: float | None
-    figure_data: Collector | None
+    figure_data: FigureData | None
     score_rows: Rows | None
 
     def run(self, blocks: Iterable[PairBlock]) -> LogReport:
@@ -268,95 +265,176 @@ class _Comparison:
         blocks, lag, notes = self._paired(blocks)
         if figure_data is not None:
             figure_data.begin(options.labels)
-        whole = TrackingMetrics(remove_offset=options.remove_offset)
-        segments = _SegmentFigures(name, options, self.sample_rate)
-        for part in _segmented(batched(blocks), options.segment, self.sample_rate):
+        whole, current = _Running(self), _Running(self)
+        segments: list[Segment] = []
+        for part in chain(self._segmented(batched(blocks)), [None]):
             if part is None:
-                segments.close()
+                segments += current.closed(len(segments) + 1)
+                current = _Running(self)
                 continue
-            rows = part.row_numbers()
-            whole.add(part.desired, part.measured, row=rows, time=part.time)
+            whole.add(part)
             if options.segment is not None:
-                segments.add(part, rows)
+                current.add(part)
             if figure_data is not None:
                 figure_data.add(part)
         figures = whole.result()
         if figures is None:
-            raise InputError(_nothing(name, options.labels, whole.missing))
-        segments.close()
-        figures = _with_rate(figures, self.sample_rate)
+            raise InputError(_nothing(name, options.labels, whole.metrics.missing))
         if figure_data is not None:
-            figure_data.finish(figures, whole.distribution)
+            figure_data.finish(figures, whole.metrics.distribution)
         notes += _notes(name, options.labels, figures)
-        return LogReport(name, figures, lag, segments=tuple(segments.done), notes=tuple(notes))
+        return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
 
     def _paired(self, blocks: Iterable[PairBlock]) -> tuple[Iterator[PairBlock], int, list[str]]:
-        """Return the pairs that count, their lag taken out, the lag and what is to be said of it."""
-        lag = self.options.lag
-        rows = self.score_rows
+        """Return the pairs that count, their lag taken out, the lag and the notes on it."""
+        lag, rows = self.options.lag, self.score_rows
+        notes = []
         if lag == "auto":
             if rows is not None:  # the lag of the rows that count, from these rows alone
                 blocks, rows = scored(blocks, rows), None
             lag, blocks = find_lag(self.name, blocks)
             notes = [f"{self.name}: measured follows best at a lag of {_counted(lag, 'sample')}"]
-        else:
-            notes = []
         pairs = lagged(self.name, blocks, lag)
         return (pairs if rows is None else scored(pairs, rows)), lag, notes
 
+    def _segmented(self, blocks: Iterator[PairBlock]) -> Iterator[PairBlock | None]:
+        segment = self.options.segment
+        if segment is None:
+            return blocks
+        return cycles(blocks) if segment == "cycles" else spans(blocks, segment, self.sample_rate)
 
-class _SegmentFigures:
-    """The figures of the segments, one accumulator at a time; ``done`` grows with every ``close``."""
 
-    def __init__(self, name: str, options: ReportOptions, sample_rate: float | None) -> None:
-        self._name = name
-        self._remove_offset = options.remove_offset
-        self._sample_rate = sample_rate
-        self._metrics: TrackingMetrics | None = None
-        self._rows = (0, 0)
-        self.done: list[Segment] = []
+class _Running:
+    """The figures of a log or a segment while its pairs come."""
 
-    def add(self, part: PairBlock, rows: Floats) -> None:
-        if not len(part):
-            return
-        if self._metrics is None:
-            self._metrics = TrackingMetrics(remove_offset=self._remove_offset)
-            self._rows = (int(rows[0]), int(rows[-1]))
-        self._rows = (self._rows[0], int(rows[-1]))
-        self._metrics.add(part.desired, part.measured, row=rows, time=part.time)
+    def __init__(self, evaluation: _Evaluation) -> None:
+        self.metrics = TrackingMetrics(remove_offset=evaluation.options.remove_offset)
+        self.rows: tuple[int, int] | None = None
+        self._name, self._rate = evaluation.name, evaluation.sample_rate
 
-    def close(self) -> None:
-        figures = self._metrics.result() if self._metrics is not None else None
-        self._metrics = None
-        if figures is None:
-            return
-        if len(self.done) == MOST_SEGMENTS:
+    def add(self, part: PairBlock) -> None:
+        if len(part):
+            rows = part.row_numbers()
+            self.rows = (int(rows[0]) if self.rows is None else self.rows[0], int(rows[-1]))
+            self.metrics.add(part.desired, part.measured, row=rows, time=part.time)
+
+    def result(self) -> TrackingFigures | None:
+        figures = self.metrics.result()
+        if figures is None or figures.sample_period is not None or self._rate is None:
+            return figures
+        return replace(figures, sample_period=1.0 / self._rate)
+
+    def closed(self, number: int) -> list[Segment]:
+        """Return the segment that ends here; none where it holds no number."""
+        figures = self.result()
+        if figures is None or self.rows is None:
+            return []
+        if number > MOST_SEGMENTS:
             raise UsageError(
                 f"{self._name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)"
             )
-        figures = _with_rate(figures, self._sample_rate)
-        self.done.append(Segment(len(self.done) + 1, *self._rows, figures))
+        return [Segment(number, *self.rows, figures)]
 
 
-def _segmented(
-    blocks: Iterator[PairBlock], segment: float | Literal["cycles"] | None, sample_rate: float | None
+def cycles(
+    blocks: Iterable[PairBlock], part: float = 0.05, patience: int = PATIENCE
 ) -> Iterator[PairBlock | None]:
-    if segment is None:
-        yield from blocks
-    elif segment == "cycles":
-        yield from cycles(blocks)
-    else:
-        yield from spans(blocks, segment, sample_rate)
+    """Yield the same samples, and None at the end of every cycle of the desired signal but the last.
+
+    A cycle ends at a minimum. Turns smaller than ``part`` of the range seen so far are noise or rest and end
+    none. What follows the lowest sample so far is held back until the signal has risen by that much, at
+    most ``patience`` samples: a longer rest belongs to the cycle before it.
+    """
+    turns = _Turns(part)
+    held: list[PairBlock] = []
+    start = end = 0  # stream positions of what is held
+    for block in blocks:
+        held.append(block)
+        end += len(block)
+        for minimum in turns.minima(block.desired):
+            yield from released(held, minimum - start)
+            yield None
+            start = max(start, minimum)
+        sure = max(turns.candidate, end - patience)
+        if sure > start:
+            yield from released(held, sure - start)
+            start = sure
+    yield from held
 
 
-def _with_rate(figures: TrackingFigures, sample_rate: float | None) -> TrackingFigures:
-    if figures.sample_period is not None or sample_rate is None:
-        return figures
-    return replace(figures, sample_period=1.0 / sample_rate)
+def spans(
+    blocks: Iterable[PairBlock], seconds: float, sample_rate: float | None
+) -> Iterator[PairBlock | None]:
+    """Yield the same samples, and None at the end of every span of ``seconds`` but the last.
+
+    Without times, a span is ``seconds * sample_rate`` samples (UsageError where that is not known either).
+    """
+    if not seconds > 0.0:
+        raise UsageError(f"`segment` {seconds:g}: a segment must last longer than 0 seconds")
+    origin = math.nan
+    current = 0.0
+    position = 0
+    for block in blocks:
+        if block.time is not None:
+            time = block.time
+        elif sample_rate is not None:
+            time = (position + np.arange(len(block))) / sample_rate
+        else:
+            raise UsageError("`segment` in seconds needs a time column or `sample_rate`")
+        position += len(block)
+        if math.isnan(origin):
+            origin = float(time[0])
+        # a clock that restarts or steps back must not open a segment twice: only forward steps cut
+        number = np.fmax.accumulate(np.concatenate([[current], np.floor((time - origin) / seconds + 1e-9)]))
+        current = float(number[-1])
+        done = 0
+        for place in np.flatnonzero(np.diff(number)).tolist():
+            if place > done:
+                yield block.part(done, place)
+            yield None
+            done = place
+        yield block.part(done, len(block))
+
+
+class _Turns:
+    """Find the minima of a stream that stand deeper than a part of the range seen so far."""
+
+    def __init__(self, part: float) -> None:
+        self._part = part
+        self._seen = 0
+        self._low = math.inf
+        self._high = -math.inf
+        self._falling = True
+        self._extreme = math.inf
+        self.candidate = 0  # stream position before which no minimum can be found any more
+
+    def minima(self, desired: Floats) -> list[int]:
+        """Return the stream positions of the minima that this block confirms."""
+        found: list[int] = []
+        places = monotone_ends(desired)
+        places = places[np.isfinite(desired[places])]
+        for place, value in zip(places.tolist(), desired[places].tolist(), strict=True):
+            position = self._seen + place
+            self._low, self._high = min(self._low, value), max(self._high, value)
+            threshold = self._part * (self._high - self._low)
+            if self._falling:
+                if value <= self._extreme:
+                    self._extreme, self.candidate = value, position
+                elif value - self._extreme > threshold:
+                    if self.candidate > 0:
+                        found.append(self.candidate)
+                    self._falling, self._extreme = False, value
+            elif value >= self._extreme:
+                self._extreme = value
+            elif self._extreme - value > threshold:
+                self._falling, self._extreme, self.candidate = True, value, position
+        self._seen += len(desired)
+        if not self._falling:
+            self.candidate = self._seen
+        return found
 
 
 def _record(figures: TrackingFigures) -> dict[str, Any]:
-    lag, period = figures.lag_left, figures.sample_period
     return {
         "samples": figures.samples,
         "rmse": figures.rmse,
@@ -368,8 +446,8 @@ def _record(figures: TrackingFigures) -> dict[str, Any]:
         "p95_abs": figures.p95_abs,
         "loop_width": figures.loop_width,
         "loop_width_percent": figures.loop_width_percent,
-        "lag_left_samples": lag,
-        "lag_left_s": None if lag is None or period is None else _finite(lag * period),
+        "lag_left_samples": figures.lag_left,
+        "lag_left_s": figures.lag_left_seconds,
         "phase_left_degrees": figures.phase_left,
         "desired_min": figures.desired_min,
         "desired_max": figures.desired_max,

@@ -12,19 +12,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-BATCH = 32768
+BATCH = 32768  # samples: four columns of them fit into a cache of 1 MB
 Floats = NDArray[np.float64]
 
+# Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover any unit.
 _MANTISSA_BITS = 9
 _SHIFT = 52 - _MANTISSA_BITS
 _LOWEST = (1023 - 64) << _MANTISSA_BITS
 _BINS = 128 << _MANTISSA_BITS
 
-LARGEST = 1e70
+LARGEST = 1e70  # its fourth power is still a number
 SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a width
 
 
@@ -34,54 +36,82 @@ def comparable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
 
 
 class Batches:
-    """Cut a stream of equally long columns into batches of one fixed length.
+    """Cut a stream of equally long columns into batches of one fixed length."""
+
+    def __init__(self, size: int = BATCH) -> None:
+        self._size = size
+        self._held: list[tuple[Floats, ...]] = []
+        self._count = 0
+
+    def add(self, *columns: Floats) -> Iterator[tuple[Floats, ...]]:
+        """Yield the batches that ``columns`` complete; what is left waits for the next call."""
+        self._held.append(columns)
+        self._count += len(columns[0])
+        if self._count < self._size:
+            return
+        [whole] = self.rest()
+        full = len(whole[0]) // self._size * self._size
+        if full < len(whole[0]):
+            self._held.append(tuple(column[full:] for column in whole))
+            self._count = len(whole[0]) - full
+        for start in range(0, full, self._size):
+            yield tuple(column[start : start + self._size] for column in whole)
+
+    def rest(self) -> Iterator[tuple[Floats, ...]]:
+        """Yield what has not filled a batch, as one; nothing where nothing is left."""
+        held, count, self._held, self._count = self._held, self._count, [], 0
+        if count:
+            yield held[0] if len(held) == 1 else tuple(map(np.concatenate, zip(*held, strict=True)))
+
+
+class DoublingBins:
+    """Bins along one axis, a power of two wide; they double in width whenever the range outgrows them.
+
+    No range need be known beforehand. What they hold is an array whose last axis they are.
 
     Parameters
     ----------
-    columns : int
-        Number of arrays that travel together.
-    size : int
-        Samples in a batch.
+    most : int
+        Bins to keep at most; more than half of them are in use once the signal has moved.
+    still : float
+        The range to begin with for a signal that does not move, as a part of its magnitude (at least 1).
     """
 
-    def __init__(self, columns: int, size: int = BATCH) -> None:
-        self._size = size
-        self._columns = columns
-        self._buffer: Floats | None = None  # a short log, a cycle of a thousand, needs no full batch
-        self._filled = 0
+    def __init__(self, most: int, still: float) -> None:
+        self._most = most
+        self._still = still
+        self.width = 0.0
+        self.first = 0
 
-    def add(self, *arrays: Floats) -> Iterator[tuple[Floats, ...]]:
-        """Yield the batches that ``arrays`` complete; what is left waits for the next call."""
-        length = len(arrays[0])
-        taken = 0
-        while taken < length:
-            if self._filled == 0 and length - taken >= self._size:
-                yield tuple(array[taken : taken + self._size] for array in arrays)
-                taken += self._size
-                continue
-            count = min(length - taken, self._size - self._filled)
-            buffer = self._room_for(self._filled + count)
-            for row, array in zip(buffer, arrays, strict=True):
-                row[self._filled : self._filled + count] = array[taken : taken + count]
-            self._filled += count
-            taken += count
-            if self._filled == self._size:
-                self._filled = 0
-                yield tuple(buffer)
+    def fit(self, held: NDArray[Any], values: Floats) -> NDArray[Any]:
+        """Return what the bins hold, with bins for ``values`` (finite, not empty) too."""
+        low, high = float(values.min()), float(values.max())
+        if self.width == 0.0:
+            span = high - low if high > low else max(abs(low), 1.0) * self._still
+            self.width = 2.0 ** math.floor(math.log2(max(span, SMALLEST_SPAN) / self._most) + 1)
+            self.first = math.floor(low / self.width)
+        while True:
+            first = min(self.first, math.floor(low / self.width))
+            last = max(self.first + held.shape[-1] - 1, math.floor(high / self.width))
+            if last - first < self._most:
+                break
+            held = self.double(held)
+        return self._padded(held, self.first - first, last - (self.first + held.shape[-1] - 1))
 
-    def rest(self) -> tuple[Floats, ...]:
-        """Return what has not filled a batch (possibly arrays of length 0)."""
-        return tuple(self._room_for(self._filled)[:, : self._filled])
+    def double(self, held: NDArray[Any]) -> NDArray[Any]:
+        """Return what bins of twice the width hold: the sum (of truths: either) of two neighbours."""
+        odd = self.first % 2
+        padded = self._padded(held, odd, (odd + held.shape[-1]) % 2)
+        self.first //= 2
+        self.width *= 2.0
+        merged: NDArray[Any] = padded[..., 0::2] + padded[..., 1::2]
+        return merged
 
-    def _room_for(self, samples: int) -> Floats:
-        old = self._buffer
-        if old is None or old.shape[1] < samples:
-            room = min(self._size, max(1024, 1 << max(samples - 1, 0).bit_length()))
-            self._buffer = np.empty((self._columns, room))
-            if old is not None:
-                self._buffer[:, : self._filled] = old[:, : self._filled]
-            return self._buffer
-        return old
+    def _padded(self, held: NDArray[Any], before: int, after: int) -> NDArray[Any]:
+        self.first -= before
+        if before == after == 0:
+            return held
+        return np.pad(held, [(0, 0)] * (held.ndim - 1) + [(before, after)])
 
 
 class CompensatedSum:
@@ -128,9 +158,10 @@ class ErrorDistribution:
         else:
             if self._bins is None and self._first is not None:
                 self._bins = np.zeros(2 * _BINS, dtype=np.int64)
-                self._count(self._first)
+                self._count(self._bins, self._first)
                 self._first = None
-            self._count(error)
+            assert self._bins is not None
+            self._count(self._bins, error)
         self.count += len(error)
 
     def values(self) -> tuple[Floats, NDArray[np.int64]]:
@@ -155,13 +186,11 @@ class ErrorDistribution:
         place = int(np.searchsorted(reached, math.ceil(fraction * self.count)))
         return float(distance[order[min(place, len(order) - 1)]])
 
-    def _count(self, error: Floats) -> None:
-        if self._bins is None:
-            return
+    def _count(self, bins: NDArray[np.int64], error: Floats) -> None:
         distance = error - self.centre
         bits = (np.abs(distance).view(np.int64) >> _SHIFT) - _LOWEST
         np.clip(bits, 0, _BINS - 1, out=bits)
         index = np.where(distance >= 0.0, bits + _BINS, _BINS - 1 - bits)
         low = int(index.min())
         counts = np.bincount(index - low)
-        self._bins[low : low + len(counts)] += counts
+        bins[low : low + len(counts)] += counts

@@ -1,18 +1,23 @@
-"""Pairs of desired and measured samples: checked, and lagged against each other."""
+"""Pairs of desired and measured samples: joined from two files, checked, and lagged against each other."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
+from dbo_cli.hysteresis.delay import interpolated
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
 from dbo_cli.reports.running_statistics import BATCH, Floats, comparable
 
-LAG_WINDOW = 1 << 18
+LAG_WINDOW = 1 << 18  # samples in which a lag is looked for: 26 s at 10,000 a second, 4 MB
+_AT_THE_END = 1e-6  # of a step: a stamp so little beyond the trajectory's last one is the same stamp
 
 
 @dataclass(frozen=True)
@@ -59,13 +64,15 @@ class PairBlock:
 
     def part(self, start: int, stop: int) -> PairBlock:
         """Return the samples ``start`` to ``stop`` (not included) as a block of their own."""
-        return PairBlock(
-            self.rows[start:stop],
-            self.desired[start:stop],
-            self.measured[start:stop],
-            None if self.time is None else self.time[start:stop],
-            None if self.drive is None else self.drive[start:stop],
-        )
+        return self._taken(self.rows[start:stop], slice(start, stop))
+
+    def only(self, kept: NDArray[np.bool_]) -> PairBlock:
+        """Return the samples that are kept."""
+        return self if kept.all() else self._taken(np.asarray(self.rows, dtype=np.int64)[kept], kept)
+
+    def _taken(self, rows: Places, which: slice | NDArray[np.bool_]) -> PairBlock:
+        time, drive = (None if column is None else column[which] for column in (self.time, self.drive))
+        return PairBlock(rows, self.desired[which], self.measured[which], time, drive)
 
 
 def rows_to_read(rows: Rows, lag: int) -> Rows:
@@ -134,11 +141,139 @@ class BeforeZero:
         yield from self._blocks
 
 
+@dataclass
+class TrajectoryMatch:
+    """Give every sample of a recording the desired value that belongs to it.
+
+    By time, the desired signal is interpolated linearly at the recording's times; what lies outside the
+    trajectory's time, or goes back in time, takes no part. By rows, the first recorded row belongs to the
+    first of the trajectory, and the time is the trajectory's, where it has one; what one of them has more
+    takes no part. Both are read once and side by side, never held whole, and how they are cut into blocks
+    changes no digit.
+
+    Parameters
+    ----------
+    name, trajectory_name : str
+        How messages call the two.
+    recording : iterable of SampleBlock
+        Roles ``measured`` and perhaps ``voltage``.
+    trajectory : iterable of SampleBlock
+        Role ``desired``.
+    by_time : bool
+        Both must carry time, then.
+
+    Attributes
+    ----------
+    left_out : int
+        Samples of the recording that found no partner; complete after the last pair.
+    goes_on : bool
+        By rows, whether the trajectory has more samples than the recording.
+    """
+
+    name: str
+    trajectory_name: str
+    recording: Iterable[SampleBlock]
+    trajectory: Iterable[SampleBlock]
+    by_time: bool = field(kw_only=True)
+    left_out: int = field(default=0, init=False)
+    goes_on: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        """Begin with the trajectory's first samples."""
+        self._coming = (block for block in self.trajectory if len(block))
+
+    def pairs(self) -> Iterator[PairBlock]:
+        """Yield the recording's samples with their desired values.
+
+        Raises
+        ------
+        InputError
+            The trajectory's time goes backwards, or no sample found a partner.
+        """
+        found = False
+        for pair in self._pairs_by_time() if self.by_time else self._pairs_by_row():
+            found = True
+            yield pair
+        if not found:
+            raise InputError(
+                f"{self.name}: no sample lies within the times of {self.trajectory_name}"
+                " (where their clocks differ, `match` them by rows)"
+                if self.by_time
+                else f"{self.name}: no row to compare with {self.trajectory_name}"
+            )
+
+    def notes(self) -> list[str]:
+        """Return what was left out, a line each."""
+        notes = []
+        if self.left_out:
+            what = "outside the time of" if self.by_time else "more than in"
+            notes.append(f"{self.name}: {self.left_out:,} rows {what} {self.trajectory_name} take no part")
+        if self.goes_on:
+            notes.append(f"{self.trajectory_name}: goes on behind the last row of {self.name}")
+        return notes
+
+    def _pairs_by_time(self) -> Iterator[PairBlock]:
+        times, values = np.empty(0), np.empty(0)
+        reached = -math.inf  # the recording's latest time; a sample before it has no place any more
+        for block in self.recording:
+            if not len(block):
+                continue
+            assert block.time is not None
+            onward = np.maximum.accumulate(np.concatenate([[reached], block.time]))
+            reached = float(onward[-1])
+            while not len(times) or times[-1] < reached:
+                following = next(self._coming, None)
+                if following is None:
+                    break
+                times, values = self._appended(times, values, following)
+            if not len(times):
+                self.left_out += len(block)
+                continue
+            last_step = float(times[-1] - times[-2]) if len(times) > 1 else 0.0
+            inside = (block.time >= times[0]) & (block.time <= times[-1] + _AT_THE_END * last_step)
+            inside &= block.time >= onward[:-1]
+            self.left_out += int(len(block) - np.count_nonzero(inside))
+            if inside.any():
+                desired, _ = interpolated(times, values, block.time)
+                yield PairBlock.of(block, desired).only(inside)
+            # two stay: the one to interpolate from, and one more, whose step tells where the end is
+            keep = max(int(np.searchsorted(times, reached, side="right")) - 2, 0)
+            times, values = times[keep:], values[keep:]
+
+    def _appended(self, times: Floats, values: Floats, block: SampleBlock) -> tuple[Floats, Floats]:
+        assert block.time is not None
+        together = np.concatenate([times, block.time])
+        back = np.flatnonzero(np.diff(together[max(len(times) - 1, 0) :]) < 0.0)
+        if len(back):
+            place = block.place(self.trajectory_name, int(back[0]) + (len(times) == 0))
+            raise InputError(f"{place}: time goes backwards (cut the trajectory there, or `match` by rows)")
+        return together, np.concatenate([values, block.values["desired"]])
+
+    def _pairs_by_row(self) -> Iterator[PairBlock]:
+        wanted: SampleBlock | None = None
+        for block in self.recording:
+            done = 0
+            while done < len(block):
+                if wanted is None or not len(wanted):
+                    wanted = next(self._coming, None)
+                    if wanted is None:
+                        self.left_out += len(block) - done
+                        break
+                count = min(len(block) - done, len(wanted))
+                own, partner = block.part(done, done + count), wanted.part(0, count)
+                time = own.time if partner.time is None else partner.time
+                yield replace(PairBlock.of(own, partner.values["desired"]), time=time)
+                done, wanted = done + count, wanted.part(count, len(wanted))
+        left = wanted is not None and len(wanted) > 0
+        self.goes_on = left or next(self._coming, None) is not None
+
+
 def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlock]:
     """Pair every desired sample with the one measured ``lag`` samples later (earlier where negative).
 
     ``|lag|`` samples are held back, no more. Raises InputError where nothing is left to compare.
     """
+    late, early = max(lag, 0), max(-lag, 0)
     held: PairBlock | None = None
     paired = total = 0
     for block in blocks:
@@ -148,12 +283,11 @@ def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlo
                 " (both must be recorded together, one for one)"
             )
         total += len(block)
-        if lag == 0:
-            ready, held = block, None
-        else:
-            whole = block if held is None else _merged([held, block])
-            count = max(len(whole) - abs(lag), 0)
-            ready, held = _shifted(whole, lag, count), whole.part(count, len(whole))
+        whole = block if held is None else _merged([held, block])
+        count = max(len(whole) - abs(lag), 0)
+        ready = whole.part(early, early + count)
+        ready = replace(ready, measured=whole.measured[late : late + count])
+        held = whole.part(count, len(whole)) if lag else None
         if len(ready):
             paired += len(ready)
             yield ready
@@ -188,13 +322,15 @@ def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[Pair
     finite = comparable(desired, measured)
     if not finite.any():
         raise InputError(f"{name}: no sample is a number, so no lag can be found")
-    desired = np.where(finite, desired, 0.0) - np.where(finite, desired[finite].mean(), 0.0)
-    measured = np.where(finite, measured, 0.0) - np.where(finite, measured[finite].mean(), 0.0)
+    desired, measured = (
+        np.where(finite, column, 0.0) - np.where(finite, column[finite].mean(), 0.0)
+        for column in (desired, measured)
+    )
     scale = max(float(np.abs(desired).max()), float(np.abs(measured).max()), 1e-290)
 
     def again() -> Iterator[PairBlock]:
-        yield from window
-        window.clear()
+        while window:
+            yield window.pop(0)
         yield from source
 
     return _best_lag(desired / scale, measured / scale), again()
@@ -233,24 +369,12 @@ def _merged(blocks: list[PairBlock]) -> PairBlock:
     if len(blocks) == 1:
         return blocks[0]
 
-    def column(name: str) -> Floats | None:
+    def column(name: str) -> Any:
         parts = [getattr(block, name) for block in blocks]
         return None if any(part is None for part in parts) else np.concatenate(parts)
 
-    return PairBlock(
-        join_places([block.rows for block in blocks]),
-        np.concatenate([block.desired for block in blocks]),
-        np.concatenate([block.measured for block in blocks]),
-        column("time"),
-        column("drive"),
-    )
-
-
-def _shifted(block: PairBlock, lag: int, count: int) -> PairBlock:
-    """Return the first ``count`` pairs of a block whose measured column is taken ``lag`` samples later."""
-    late = max(lag, 0)
-    early = max(-lag, 0)
-    return replace(block.part(early, early + count), measured=block.measured[late : late + count])
+    rows = join_places([block.rows for block in blocks])
+    return PairBlock(rows, *map(column, ("desired", "measured", "time", "drive")))
 
 
 def _best_lag(desired: Floats, measured: Floats) -> int:

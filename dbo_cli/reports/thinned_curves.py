@@ -9,6 +9,7 @@ on batches of one fixed length, so the figures do not depend on how the log was 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +17,21 @@ from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports.figures_of_merit import TrackingFigures
-from dbo_cli.reports.running_statistics import BATCH, Batches, ErrorDistribution, Floats, comparable
+from dbo_cli.reports.running_statistics import (
+    BATCH,
+    Batches,
+    DoublingBins,
+    ErrorDistribution,
+    Floats,
+    comparable,
+)
 from dbo_cli.reports.sample_pairs import PairBlock
 
-WHOLE = 8192
-BUCKETS = 2048
-PIXELS = 1024
-WINDOW = 4096
+WHOLE = 8192  # samples of a log that is kept as it is: some eight for every pixel of a figure
+BUCKETS = 2048  # stretches: at least one for every pixel, as they double from half of it
+PIXELS = 1024  # either way; a figure has about as many
+WINDOW = 4096  # samples of a periodogram: 2,048 frequencies, two for every pixel
+SIGNALS = ("desired", "measured", "error", "drive")
 
 
 @dataclass(frozen=True)
@@ -73,130 +82,97 @@ class Raster:
 
 
 class Envelope:
-    """One signal against time, thinned to the extremes of at most ``BUCKETS`` stretches of equal length.
+    """Signals against time, thinned to the extremes of at most ``BUCKETS`` stretches of equal length.
 
     The stretch doubles whenever there are too many of them.
     """
 
     def __init__(self) -> None:
         self._length = 1
-        self._done = np.empty((4, 0))  # time of least, least, time of greatest, greatest
+        self._done = np.empty((0, 4, 0))  # of each signal: time of least, least, time of greatest, greatest
         self._pending: list[Floats] = []
 
-    def add(self, time: Floats, values: Floats) -> None:
-        """Take one batch (``BATCH`` samples, the last one fewer)."""
+    def add(self, time: Floats, signals: Sequence[Floats]) -> None:
+        """Take one batch (``BATCH`` samples, the last one fewer) of all signals."""
         length = min(self._length, BATCH)
-        while math.ceil(len(values) / length) > BUCKETS:
+        while math.ceil(len(time) / length) > BUCKETS:
             length *= 2
         if length > self._length:
             self._grow(length)
-        self._pending.append(_extremes(time, values, length))
+        found = np.stack([np.stack([time, values, time, values]) for values in signals])
+        self._pending.append(_merged(found, length))
         if len(self._pending) >= self._length // length:
-            merged = np.concatenate(self._pending, axis=1)
+            merged = _merged(np.concatenate(self._pending, axis=2), self._length // length)
             self._pending = []
-            if self._length > BATCH:
-                merged = _pairwise(merged, merged.shape[1])
-            self._done = np.concatenate([self._done, merged], axis=1)
-        while self._done.shape[1] > BUCKETS:
+            self._done = np.concatenate([self._done.reshape(len(signals), 4, -1), merged], axis=2)
+        while self._done.shape[2] > BUCKETS:
             self._grow(self._length * 2)
 
-    def band(self) -> Band:
+    def band(self, signal: int) -> Band:
         """Return the extremes, each drawn at the middle of the two times at which they were met."""
-        found = np.concatenate([self._done, *self._pending], axis=1)
+        found = np.concatenate([self._done, *self._pending], axis=2)[signal]
         return Band(0.5 * (found[0] + found[2]), found[1], found[3]).smooth()
 
     def _grow(self, length: int) -> None:
-        self._done = _pairwise(self._done, length // self._length)
+        self._done = _merged(self._done, length // self._length)
         self._length = length
+
+
+def _merged(found: Floats, count: int) -> Floats:
+    """Merge every ``count`` neighbouring stretches into one."""
+    if count == 1 or not found.size:
+        return found
+    short = -found.shape[2] % count
+    if short:
+        found = np.pad(found, ((0, 0), (0, 0), (0, short)), mode="edge")
+    rows = found.reshape(len(found), 4, -1, count)
+    places = rows[:, 1].argmin(axis=2), rows[:, 3].argmax(axis=2)
+    at = np.stack([places[0], places[0], places[1], places[1]], axis=1)
+    return np.take_along_axis(rows, at[..., np.newaxis], axis=3)[..., 0]
 
 
 class Pixels:
     """One signal against another as the pixels its curve passes; the pixels double when the range grows."""
 
     def __init__(self) -> None:
-        self._passed = np.zeros((PIXELS, PIXELS), dtype=bool)
-        self._width = [0.0, 0.0]
-        self._first = [0, 0]
-        self._last: tuple[float, float] | None = None
+        self._passed = np.zeros((1, 1), dtype=bool)
+        # a signal that does not move is drawn in the middle of a range that rounding does not fill
+        self._across, self._up = DoublingBins(PIXELS, 1e-6), DoublingBins(PIXELS, 1e-6)
+        self._last: tuple[Floats, Floats] = (np.empty(0), np.empty(0))
 
     def add(self, x: Floats, y: Floats) -> None:
         """Take one batch, drawn on from the last sample of the one before."""
-        self._fit(0, x)
-        self._fit(1, y)
-        if self._last is not None:
-            x = np.concatenate([[self._last[0]], x])
-            y = np.concatenate([[self._last[1]], y])
-        self._last = (float(x[-1]), float(y[-1]))
-        across, up = x / self._width[0] - self._first[0], y / self._width[1] - self._first[1]
+        self._passed = self._across.fit(self._passed, x)
+        self._passed = self._up.fit(self._passed.T, y).T
+        x, y = np.concatenate([self._last[0], x]), np.concatenate([self._last[1], y])
+        self._last = (x[-1:], y[-1:])
+        across = x / self._across.width - self._across.first
+        up = y / self._up.width - self._up.first
+        self._mark(across, up)
         if len(x) == 1:
-            self._mark(across, up)
             return
-        jump = np.diff(across)
-        np.abs(jump, out=jump)
-        rise = np.diff(up)
-        np.maximum(jump, np.abs(rise, out=rise), out=jump)
+        jump = np.maximum(np.abs(np.diff(across)), np.abs(np.diff(up)))
         typical = float(np.quantile(jump[:: 1 + len(jump) // 4096], 0.99))
         usual = min(math.ceil(max(typical, 1.0)), max(8, min(32, 8 * BATCH // len(x))))
-        self._mark(across, up)
         for step in range(1, usual):
             part = step / usual
             self._mark((1.0 - part) * across[:-1] + part * across[1:], (1.0 - part) * up[:-1] + part * up[1:])
         spikes = np.flatnonzero(jump > usual + 3.0)  # few, and not to be lost
         for at in spikes[np.argsort(-jump[spikes], kind="stable")[:200]].tolist():
             parts = np.linspace(0.0, 1.0, math.ceil(jump[at]) + 1)
-            between = (side[at] + parts * (side[at + 1] - side[at]) for side in (across, up))
-            self._mark(*between)
+            self._mark(*(side[at] + parts * (side[at + 1] - side[at]) for side in (across, up)))
 
     def _mark(self, across: Floats, up: Floats) -> None:
-        column, row = across.astype(np.int64), up.astype(np.int64)
-        for place in (column, row):  # between two samples at the edge, rounding may step over it
-            np.clip(place, 0, PIXELS - 1, out=place)
-        self._passed.ravel()[row * PIXELS + column] = True
+        # between two samples at the edge, rounding may step over it
+        places = (up.astype(np.int64), across.astype(np.int64))
+        self._passed[tuple(map(np.clip, places, (0, 0), np.array(self._passed.shape) - 1))] = True
 
     def raster(self) -> Raster:
         """Return the pixels and where they lie."""
-        left, bottom = (self._first[k] * self._width[k] for k in (0, 1))
-        extent = (left, left + PIXELS * self._width[0], bottom, bottom + PIXELS * self._width[1])
+        left, bottom = (bins.first * bins.width for bins in (self._across, self._up))
+        rows, columns = self._passed.shape
+        extent = (left, left + columns * self._across.width, bottom, bottom + rows * self._up.width)
         return Raster(self._passed, extent)
-
-    def _fit(self, axis: int, values: Floats) -> None:
-        low, high = float(values.min()), float(values.max())
-        width = self._width[axis]
-        if width == 0.0:
-            span = max(high - low if high > low else max(abs(high), 1.0) * 1e-6, 1e-290)
-            width = 2.0 ** math.floor(math.log2(span / PIXELS) + 1)
-            self._width[axis], self._first[axis] = width, math.floor(low / width)
-        while True:
-            width, first = self._width[axis], self._first[axis]
-            lowest = min(first, math.floor(low / width)) if not self._is_empty() else math.floor(low / width)
-            if math.floor(high / width) - lowest < PIXELS and (
-                first == lowest or first - lowest <= self._free(axis)
-            ):
-                break
-            self._double(axis)
-        shift = first - lowest
-        if shift:
-            self._passed = np.roll(self._passed, shift, axis=1 - axis)
-            self._first[axis] = lowest
-
-    def _is_empty(self) -> bool:
-        return self._last is None
-
-    def _free(self, axis: int) -> int:
-        """Return how many columns (rows) at the far end hold nothing, so that they may move to the front."""
-        used = np.flatnonzero(self._passed.any(axis=axis))
-        return PIXELS - 1 - int(used[-1]) if len(used) else PIXELS
-
-    def _double(self, axis: int) -> None:
-        odd = self._first[axis] % 2
-        passed = self._passed if axis == 0 else self._passed.T
-        padded = np.pad(passed, ((0, 0), (odd, odd)))
-        merged = padded[:, 0::2] | padded[:, 1::2]
-        passed = np.zeros_like(self._passed)
-        passed[:, : merged.shape[1]] = merged
-        self._passed = passed if axis == 0 else np.ascontiguousarray(passed.T)
-        self._first[axis] //= 2
-        self._width[axis] *= 2.0
 
 
 class Spectrum:
@@ -269,9 +245,9 @@ class FigureData:
         self.figures: TrackingFigures | None = None
         self.distribution = ErrorDistribution()
         self.spectrum = Spectrum()
-        self._batches = Batches(4)
-        self._whole: tuple[Floats, ...] | None = None
-        self._envelopes = {name: Envelope() for name in ("desired", "measured", "error", "drive")}
+        self._batches = Batches()
+        self._whole: dict[str, Floats] | None = None
+        self._envelope = Envelope()
         self._pixels = {pair: Pixels() for pair in (("desired", "measured"), ("drive", "measured"))}
         if labels[0] == "model":
             self._pixels["drive", "desired"] = Pixels()
@@ -282,79 +258,43 @@ class FigureData:
         self.has_drive = self.has_drive or block.drive is not None
         time = block.row_numbers() if block.time is None else block.time
         drive = np.zeros(len(block)) if block.drive is None else block.drive
-        columns = (time, block.desired, block.measured, drive)
+        columns: tuple[Floats, ...] = (time, block.desired, block.measured, drive)
         finite = comparable(block.desired, block.measured) & comparable(drive, drive)
         if not finite.all():
-            columns = (time[finite], block.desired[finite], block.measured[finite], drive[finite])
+            columns = tuple(column[finite] for column in columns)
         for batch in self._batches.add(*columns):
             self._take(*batch)
 
     def finish(self, figures: TrackingFigures, distribution: ErrorDistribution) -> None:
         """Take what is left, and the results that the figures refer to."""
-        self._take(*self._batches.rest())
+        for batch in self._batches.rest():
+            self._take(*batch)
         self.figures = figures
         self.distribution = distribution
 
     def against_time(self, name: str) -> Curve | Band:
         """Return ``desired``, ``measured``, ``error`` or ``drive`` against time (row, if not known)."""
         if self._whole is not None:
-            time, desired, measured, drive = self._whole
-            columns = {"desired": desired, "measured": measured, "error": measured - desired, "drive": drive}
-            return Curve(time, columns[name])
-        return self._envelopes[name].band()
+            return Curve(self._whole["time"], self._whole[name])
+        return self._envelope.band(SIGNALS.index(name))
 
     def against(self, x: str, y: str) -> Curve | Raster:
         """Return ``desired`` or ``measured`` against ``drive``, or ``measured`` against ``desired``."""
         if self._whole is not None:
-            columns = dict(zip(("time", "desired", "measured", "drive"), self._whole, strict=True))
-            return Curve(columns[x], columns[y])
+            return Curve(self._whole[x], self._whole[y])
         return self._pixels[x, y].raster()
 
     def _take(self, time: Floats, desired: Floats, measured: Floats, drive: Floats) -> None:
-        if not len(time):
-            return
         if self.samples == 0:
             self.start = float(time[0])
-            if len(time) <= WHOLE:
-                self._whole = (time.copy(), desired.copy(), measured.copy(), drive.copy())
         self.samples += len(time)
         error = measured - desired
         self.spectrum.add(error)
-        if self._whole is not None:
+        columns = dict(zip(SIGNALS, (desired, measured, error, drive), strict=True))
+        if self.samples <= WHOLE:
+            self._whole = {"time": time.copy()} | {name: column.copy() for name, column in columns.items()}
             return
-        columns = {"desired": desired, "measured": measured, "error": error}
-        if self.has_drive:
-            columns["drive"] = drive
-        for name, column in columns.items():
-            self._envelopes[name].add(time, column)
+        self._envelope.add(time, list(columns.values()))
         for (x, y), pixels in self._pixels.items():
-            if x in columns:
+            if self.has_drive or x != "drive":
                 pixels.add(columns[x], columns[y])
-
-
-def _extremes(time: Floats, values: Floats, length: int) -> Floats:
-    """Return time of least, least, time of greatest and greatest of every ``length`` samples."""
-    if length == 1:
-        return np.stack([time, values, time, values])
-    short = -len(values) % length
-    if short:
-        time, values = np.pad(time, (0, short), mode="edge"), np.pad(values, (0, short), mode="edge")
-    times, rows = time.reshape(-1, length), values.reshape(-1, length)
-    each = np.arange(len(rows))
-    least, greatest = rows.argmin(axis=1), rows.argmax(axis=1)
-    return np.stack([times[each, least], rows[each, least], times[each, greatest], rows[each, greatest]])
-
-
-def _pairwise(found: Floats, count: int) -> Floats:
-    """Merge every ``count`` neighbouring stretches into one."""
-    if count <= 1 or not found.shape[1]:
-        return found
-    short = -found.shape[1] % count
-    if short:
-        found = np.pad(found, ((0, 0), (0, short)), mode="edge")
-    rows = found.reshape(4, -1, count)
-    each = np.arange(rows.shape[1])
-    least, greatest = rows[1].argmin(axis=1), rows[3].argmax(axis=1)
-    return np.stack(
-        [rows[0, each, least], rows[1, each, least], rows[2, each, greatest], rows[3, each, greatest]]
-    )

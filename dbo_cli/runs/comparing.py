@@ -18,7 +18,7 @@ from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, wr
 from dbo_cli.relatives.comparison import NAMES, compare
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import check_folder, save
-from dbo_cli.reports.model_comparison import ModelComparison
+from dbo_cli.reports.models import ModelTable
 from dbo_cli.runs.identifying import read_recordings
 from dbo_cli.runs.reporting import ENDINGS
 
@@ -64,7 +64,7 @@ def compare_logs(
     rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)
     unit = recordings[0].displacement_unit
     names = [tuple(one.name for one in some) for some in (recordings, others)]
-    shown = ModelComparison(tuple(rows), unit, names[0], names[1])
+    shown = ModelTable(tuple(rows), unit, names[0], names[1])
     if options.figures is not None:
         save(shown.plots(), Path(options.figures), "models")
     program = program_version_string()

@@ -19,8 +19,7 @@ from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
-from dbo_cli.reports.sample_pairs import PairBlock
-from dbo_cli.reports.trajectory_match import TrajectoryMatch
+from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch
 from dbo_cli.runs.roles import bring_to
 
 if TYPE_CHECKING:
@@ -238,7 +237,7 @@ class ComparisonReport:
     def to_html(self) -> str:
         """Return the report as one self-contained page with its figures."""
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
-        from dbo_cli.reports.model_figures import plots_of_model
+        from dbo_cli.reports.models import plots_of_model
         from dbo_cli.reports.page import to_html
 
         return to_html(
@@ -263,7 +262,7 @@ class ComparisonReport:
         """
         from dbo_cli.reports.drawing import check_folder, file_stems, save
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
-        from dbo_cli.reports.model_figures import plots_of_model
+        from dbo_cli.reports.models import plots_of_model
 
         target = check_folder(str(folder))
         stems = file_stems([log.name for log in self.report.logs])

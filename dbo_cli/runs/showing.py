@@ -32,7 +32,7 @@ def show_model(model_file: str, output: str, form: str | None, figures: str | No
     if figures is None:
         return []
     from dbo_cli.reports.drawing import save
-    from dbo_cli.reports.model_figures import plots_of_model
+    from dbo_cli.reports.models import plots_of_model
 
     save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]

@@ -1,0 +1,366 @@
+"""The figures of a model, and several models of one actuator side by side: a table and two figures.
+
+``gears`` and ``points`` are drawn in the manner of the paper's Figs. 1 to 3.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dbo_cli.hysteresis.cascade import OtherHysteresis
+from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.dynamics import Lag, Resonance
+from dbo_cli.hysteresis.linear_sections import Complexes
+from dbo_cli.hysteresis.model import ActuatorModel, Quantity
+from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.reports import drawing as style
+from dbo_cli.reports.drawing import Plot
+from dbo_cli.reports.figures import axis_label, label_decades, legend_head, mark_curves, shown_unit
+from dbo_cli.reports.page import drawn_figures, filled, page_of, table
+from dbo_cli.reports.renderers import csv_text, digits, json_text, no_formula, wrapped
+from dbo_cli.reports.renderers import table as text_table
+from dbo_cli.reports.running_statistics import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from dbo_cli.relatives.comparison import Row
+
+FEW = 40  # gears or segments that are marked one by one
+JSON_VERSION = 1  # of the form dbo-compare; a change of meaning would need another
+LOOP_POINTS = 201  # each way: half a percent of the range, finer than the line is wide
+LEGEND_COLUMNS = 3  # names of relatives are short; three fit above a figure
+RECORD = (
+    *("name", "rmse", "expected_rmse", "validation_rmse", "parameters", "fit_seconds", "forward_ns"),
+    *("inverse_ns", "round_trip", "refused", "words"),
+)
+
+
+def plots_of_model(model: ActuatorModel) -> list[Plot]:
+    """Return the figures of a model in either direction; of one without gears, the loop of the whole."""
+    if any(isinstance(stage, OtherHysteresis) for stage in model.stages):
+        words = f"Output against input of the model with {model.size}, slowly up and back down."
+        paint = partial(_paint_slow_loop, model)
+        return [Plot("loop", f"The loop of the model with {model.size}", words, style.TALL, paint)]
+    gears = model.backlash
+    place = next(i for i, stage in enumerate(model.stages) if stage is gears)
+    drawn = _Gears(
+        gears,
+        _quantity(model.input) if place == 0 else "Input of the gears",
+        _quantity(model.output) if place == len(model.stages) - 1 else "Output of the gears",
+        model.input.unit if place == 0 else None,
+    )
+    loop = f"Output against input of the backlash operator of {gears.n} gears, up and back down."
+    slopes = "Slope of each gear, one step as wide as the gear, in the order they engage after a turn."
+    plots = [
+        Plot("gears", f"The loop of the {gears.n} gears", loop, style.TALL, drawn.loop),
+        Plot("slopes", "Slope of the gears against their width", slopes, style.WIDE, drawn.slopes),
+    ]
+    usual = "after" if model.direction == "forward" else "before"
+    for number, stage in enumerate(model.stages):
+        if isinstance(stage, DiscretePointOperator):
+            side = "before" if number < place else "after"
+            title = f"The curve {side} the gears, {stage.m} segment{'' if stage.m == 1 else 's'}"
+            words = f"Output against input of the point operator of {stage.m} segments {side} the gears."
+            key = "points" if side == usual else f"points-{side}"
+            plots.append(Plot(key, title, words, style.TALL, partial(_paint_points, stage)))
+    return plots + _bode_plots(model)
+
+
+def _quantity(quantity: Quantity) -> str:
+    return axis_label(quantity.quantity.capitalize(), quantity.unit)
+
+
+def loop_of(operator: DiscreteBacklashOperator) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the major loop, (2) and (3): x and y of the corners on the way up, then on the way down.
+
+    Both ways start with gear 0: after a turn at either end it is the first that engages.
+    """
+    x = operator.x0 + np.concatenate([[0.0], np.cumsum(operator.dx)])
+    y = operator.y0 + np.concatenate([[0.0], np.cumsum(operator.dy)])
+    return x, y, x[-1] - (x - x[0]), y[-1] - (y - y[0])
+
+
+@dataclass(frozen=True)
+class _Gears:
+    """Paint gears, with the labels of their axes."""
+
+    gears: DiscreteBacklashOperator
+    input: str
+    output: str
+    unit: str | None
+
+    def loop(self, axes: Axes) -> None:
+        up_x, up_y, down_x, down_y = loop_of(self.gears)
+        marks = {"marker": "o", "markersize": 3.2} if self.gears.n <= FEW else {}
+        axes.plot(up_x, up_y, label="up", **(style.SOLID | marks))
+        axes.plot(down_x, down_y, label="down", **(style.DASHED | marks))
+        axes.set(xlabel=self.input, ylabel=self.output)
+        mark_curves(axes)
+
+    def slopes(self, axes: Axes) -> None:
+        edges = np.concatenate([[0.0], np.cumsum(self.gears.dx)])
+        slopes = self.gears.dy / self.gears.dx
+        axes.stairs(slopes, edges, baseline=None, color=style.FIRST, linewidth=1.3)
+        axes.set_ylim(0.0, 1.06 * float(slopes.max()))
+        travelled = axis_label("Input travelled since the turn", self.unit)
+        axes.set(xlabel=travelled, ylabel="Slope ΔY/ΔX of the gear")
+
+
+def _bode_plots(model: ActuatorModel) -> list[Plot]:
+    """Return gain and phase of the dynamics; of an inverse model those that it undoes."""
+    if model.drive_lag is None and model.dynamics is None:
+        return []
+    words = "of the dynamics against frequency, both measured and of the model, frequency logarithmic."
+    return [
+        Plot(key, f"{what} of the dynamics", f"{what} {words}", style.WIDE, partial(_paint_bode, model, what))
+        for key, what in (("bode", "Gain"), ("bode-phase", "Phase"))
+    ]
+
+
+def _measured_response(model: ActuatorModel) -> dict[str, Floats]:
+    """Return what the identification kept of the measured response; empty where it kept none."""
+    dynamics = model.fit.get("dynamics")
+    kept = dynamics.get("response") if isinstance(dynamics, Mapping) else None
+    keys = ("frequency", "gain", "phase_degrees")
+    if not isinstance(kept, Mapping) or not all(isinstance(kept.get(key), list) for key in keys):
+        return {}
+    try:
+        found = {key: np.array(kept[key], dtype=np.float64) for key in keys}
+    except (TypeError, ValueError):
+        return {}
+    alike = len({values.shape for values in found.values()}) == 1 and found["frequency"].ndim == 1
+    return found if alike and found["frequency"].size and bool(np.all(found["frequency"] > 0.0)) else {}
+
+
+def _modelled_response(model: ActuatorModel) -> tuple[Floats, Complexes]:
+    """Return frequencies (Hz) around what was swept, or around the resonances, and the response there."""
+    measured = _measured_response(model)
+    stages = [stage for stage in (model.drive_lag, model.dynamics) if stage is not None]
+    sections = [section for stage in stages for section in stage.sections]
+    quick = [one for one in sections if not (isinstance(one, Lag) and one.lead)]  # creep is slow
+    corners = [
+        s.highest if isinstance(s, Resonance) else 0.5 / (np.pi * s.seconds) for s in quick or sections
+    ]
+    low, high = 0.03 * min(corners), 3.0 * max(corners)
+    if measured:
+        low, high = float(measured["frequency"].min()), float(measured["frequency"].max())
+    peaks = [s.frequency for s in sections if isinstance(s, Resonance)]
+    near = [peak * np.linspace(0.9, 1.1, 101) for peak in peaks]  # a peak is narrower than a step elsewhere
+    at = np.unique(np.concatenate([np.geomspace(low, high, 400), *near]))
+    at = at[(at >= low) & (at <= high)]
+    return at, np.prod([stage.response(at) for stage in stages], axis=0)
+
+
+def _paint_bode(model: ActuatorModel, what: str, axes: Axes) -> None:
+    at, response = _modelled_response(model)
+    measured = _measured_response(model)
+    axes.set_xscale("log")
+    if what == "Gain":
+        axes.set_yscale("log")
+        shown = np.abs(response)
+        if measured:
+            seen = measured["gain"] / measured["gain"][0] * shown[0]
+    else:
+        shown = np.degrees(np.unwrap(np.angle(response)))
+        if measured:
+            seen = measured["phase_degrees"]
+            seen = seen + 360.0 * np.round((shown[0] - seen[0]) / 360.0)
+    if measured:
+        axes.plot(measured["frequency"], seen, label="measured", **style.POINTS)
+    axes.plot(at, shown, label="model", **style.SOLID)
+    trusted = model.fit.get("trusted_hz")
+    if isinstance(trusted, int | float) and trusted > 0.0:
+        axes.axvline(trusted, label="trusted up to", **style.DOTTED)
+    label_decades(*([axes.xaxis, axes.yaxis] if what == "Gain" else [axes.xaxis]))
+    axes.set(xlabel="Frequency (Hz)", ylabel=what if what == "Gain" else "Phase (degrees)")
+    mark_curves(axes)
+
+
+def slow_loop(model: ActuatorModel, count: int = 1001) -> tuple[Floats, Floats, Floats]:
+    """Return the input on the way up, and the output there and on the way down, slowly and without delay."""
+    up = np.linspace(model.input.minimum, model.input.maximum, count)
+    stages = tuple(stage for stage in model.stages if not isinstance(stage, DelayStage))
+    still = dataclasses.replace(model, stages=stages)
+    walk = np.concatenate((up, up[::-1]))
+    start = still.start(float(up[0]), "empty")
+    y = still.simulate(walk, start, time_step=1e9 if still.needs_time else None).y
+    return up, y[:count], y[: count - 1 : -1]
+
+
+def _paint_slow_loop(model: ActuatorModel, axes: Axes) -> None:
+    drive, rising, falling = slow_loop(model)
+    axes.plot(drive, rising, label="up", **style.SOLID)
+    axes.plot(drive, falling, label="down", **style.DASHED)
+    axes.set(xlabel=_quantity(model.input), ylabel=_quantity(model.output))
+    mark_curves(axes)
+
+
+def _paint_points(stage: DiscretePointOperator, axes: Axes) -> None:
+    x = stage.x0 + np.concatenate([[0.0], np.cumsum(stage.dx)])
+    y = stage.y0 + np.concatenate([[0.0], np.cumsum(stage.dy)])
+    axes.plot([x[0], x[-1]], [y[0], y[-1]], label="straight line", **style.DOTTED)
+    marks = {"marker": "o", "markersize": 4.0} if stage.m <= FEW else {}
+    axes.plot(x, y, label="points", **(style.SOLID | marks))
+    axes.set(xlabel="Input of the points", ylabel="Output of the points")
+    mark_curves(axes)
+
+
+@dataclass(frozen=True)
+class ModelTable:
+    """Several models, a row each, and what they were fitted to.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        One a model.
+    unit : str, or None
+        Of every length.
+    logs, validation : tuple of str
+        Names of the logs.
+    """
+
+    rows: tuple[Row, ...]
+    unit: str | None
+    logs: tuple[str, ...]
+    validation: tuple[str, ...]
+
+    def rendered(self, form: str, provenance: Mapping[str, Any], program: str) -> bytes:
+        """Return the table in one form: text, json, csv or html."""
+        if form == "json":
+            content = {"format": "dbo-compare", "version": JSON_VERSION, "unit": self.unit}
+            content |= {"logs": list(self.logs), "validation": list(self.validation)}
+            content |= {"models": [record(row) for row in self.rows], "provenance": dict(provenance)}
+            text = json_text(content)
+        elif form == "csv":
+            unit = {"unit": self.unit and no_formula(self.unit)}
+            text = csv_text([record(row) | unit for row in self.rows])
+        elif form == "html":
+            text = self._page(program)
+        else:
+            text = self._text()
+        return text.encode()
+
+    def _heading(self) -> str:
+        checked = f"; validation on {', '.join(self.validation)}" if self.validation else ""
+        unit = f", RMSE in {self.unit}" if self.unit else ""
+        return f"Models fitted to {', '.join(self.logs)}{checked}{unit}"
+
+    def _text(self) -> str:
+        head = ["model", "fit", "expected", "valid.", "numbers", "fit s", "ns fwd", "ns inv", "trip"]
+        rows = [_cells(row, row.name, "{:.0e}") for row in self.rows if row.refused is None]
+        parts = ["\n".join(wrapped(self._heading()))]
+        if rows:
+            parts.append(text_table(head, rows))
+        remarks = [f"{row.name}: {row.refused}" for row in self.rows if row.refused is not None]
+        remarks += [f"{row.name}: {inexact(row)}" for row in self.rows if row.invertible is False]
+        parts += ["\n".join(wrapped(line)) for line in remarks]
+        return "\n\n".join(parts) + "\n"
+
+    def _page(self, program: str) -> str:
+        unit = f" ({shown_unit(self.unit)})" if self.unit else ""
+        head = ["Model", f"Fit{unit}", f"Expected{unit}", f"Validation{unit}", "Numbers", "s to fit"]
+        head += ["ns forward", "ns inverse", f"Round trip{unit}", "Remark"]
+        rows = []
+        for row in self.rows:
+            remark = row.refused or (inexact(row) if row.invertible is False else "")
+            rows.append([*_cells(row, row.words, "{:.1e}"), remark])
+        parts = [
+            "<h1>Models side by side</h1>",
+            f"<p>{escape(self._heading())}.</p>",
+            table(head, rows, chief=3 if self.validation else 1),
+            filled("glossary_models.html"),
+            drawn_figures(self.plots(), "models"),
+            f"<footer>{escape(program)}</footer>",
+        ]
+        return page_of("Models side by side", parts)
+
+    def plots(self) -> list[Plot]:
+        """Return the figures: error against cost where that was measured, and the loops."""
+        fitted = [row for row in self.rows if row.model is not None]
+        bent = [row for row in fitted if row.name != "line"]
+        plots = []
+        if any(row.inverse_ns is not None for row in fitted):
+            words = "RMSE of each model against the nanoseconds a sample of its inverse takes."
+            paint = partial(_paint_cost, self, fitted)
+            plots.append(
+                Plot(
+                    "cost",
+                    "Error against cost",
+                    words,
+                    style.WIDE,
+                    paint,
+                    legend_head(len(fitted), LEGEND_COLUMNS),
+                )
+            )
+        if bent:
+            words = "Slow loop of each model, a straight line taken off, against the drive."
+            paint = partial(_paint_loops, self, bent)
+            title = "The loops, a straight line taken off"
+            plots.append(
+                Plot("loops", title, words, style.TALL, paint, legend_head(len(bent), LEGEND_COLUMNS))
+            )
+        return plots
+
+
+def record(row: Row) -> dict[str, Any]:
+    """Return a row as plain values, in the order of the JSON form."""
+    return {key: vars(row)[key] for key in RECORD} | {"invertible": row.invertible}
+
+
+def inexact(row: Row) -> str:
+    """Say why an inverse is not exact."""
+    return (
+        "its inverse takes the drive's rate from that of what is wanted, so it is not exact"
+        if row.name == "rate"
+        else "its inverse is not exact to rounding"
+    )
+
+
+def _cells(row: Row, name: str, trip: str) -> list[str]:
+    cells = [name]
+    cells += [digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)]
+    cells.append("-" if row.parameters is None else str(row.parameters))
+    cells += [digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)]
+    return [*cells, "-" if row.round_trip is None else trip.format(row.round_trip)]
+
+
+def _paint_cost(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
+    error = "Validation RMSE" if shown.validation else "Expected RMSE"
+    for number, row in enumerate(rows):
+        y = row.validation_rmse if shown.validation else row.expected_rmse
+        look = style.SEVERAL[number % len(style.SEVERAL)]
+        assert row.inverse_ns is not None and y is not None
+        axes.plot([row.inverse_ns], [y], label=row.name, color=look["color"], linestyle="none", marker="o")
+    axes.margins(0.08)
+    axes.set(xscale="log", yscale="log", xlabel="Inverse (ns a sample)", ylabel=axis_label(error, shown.unit))
+    label_decades(axes.xaxis, axes.yaxis)
+    mark_curves(axes, columns=LEGEND_COLUMNS)
+
+
+def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
+    from dbo_cli.relatives.comparison import without_lateness
+
+    line = None
+    for number, row in enumerate(rows):
+        assert row.model is not None
+        drive, rising, falling = slow_loop(without_lateness(row.model), LOOP_POINTS)
+        if line is None:
+            line = np.polyfit(np.tile(drive, 2), np.concatenate((rising, falling)), 1)
+        taken = np.polyval(line, drive)
+        look = style.SEVERAL[number % len(style.SEVERAL)]
+        around = np.concatenate((rising - taken, (falling - taken)[::-1]))
+        pattern = {"linestyle": (0, (3.2, 1.4))} if number % 2 else {}
+        axes.plot(
+            np.concatenate((drive, drive[::-1])), around - around.mean(), label=row.name, **(look | pattern)
+        )
+        axes.set(xlabel=axis_label("Drive voltage", row.model.input.unit))
+    axes.set(ylabel=axis_label("Displacement less a line", shown.unit))
+    mark_curves(axes, columns=LEGEND_COLUMNS)
