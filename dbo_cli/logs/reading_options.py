@@ -104,7 +104,7 @@ class ReadingOptions:
             count = getattr(self, name)
             if count is not None and count < least:
                 raise UsageError(f"`{name}`: must be at least {least}, not {count}")
-        check_rows(self.rows)
+        object.__setattr__(self, "rows", parse_rows(self.rows))
         self._check_marks()
         if self.encoding is not None:
             check_encoding(self.encoding)
@@ -184,30 +184,31 @@ class ReadingOptions:
         return found
 
 
-def parse_rows(text: str) -> Rows:
-    """Read ``A:B``: data rows counted from 1, both ends included, either may be left out.
+def parse_rows(given: object) -> Rows:
+    """Read ``A:B``, or a pair of numbers: data rows counted from 1, both ends included.
 
     Raises
     ------
     UsageError
         It is not of that form, or B is before A.
     """
-    first, separator, last = text.strip().partition(":")
-    numbers = [part for part in (first, last) if part]
-    if not separator or not all(part.isdecimal() and part.isascii() and len(part) < 19 for part in numbers):
-        raise UsageError(f"`rows` {text}: give A:B, data rows counted from 1, both ends included")
-    rows = int(first or 1), int(last) if last else None
+    if isinstance(given, str):
+        first, separator, last = given.strip().partition(":")
+        numbers = [part for part in (first, last) if part]
+        written = all(part.isdecimal() and part.isascii() and len(part) < 19 for part in numbers)
+        rows: object = (int(first or 1), int(last) if last else None) if separator and written else None
+    else:
+        rows = given
+    if (
+        not isinstance(rows, tuple | list)
+        or len(rows) != 2
+        or not all(type(number) is int for number in (rows[0], rows[1] or 1))
+    ):
+        raise UsageError(f"`rows` {given}: give A:B, data rows counted from 1, both ends included")
     if rows[0] < 1 or (rows[1] is not None and rows[1] < rows[0]):
+        text = given if isinstance(given, str) else f"{rows[0]}:{'' if rows[1] is None else rows[1]}"
         raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
-    return rows
-
-
-def check_rows(rows: Rows) -> None:
-    """Refuse rows that are none (UsageError)."""
-    first, last = rows
-    if first < 1 or (last is not None and last < first):
-        text = f"{first}:{'' if last is None else last}"
-        raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
+    return rows[0], rows[1]
 
 
 def check_encoding(name: str) -> None:

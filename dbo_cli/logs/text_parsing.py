@@ -7,8 +7,9 @@ take a block only when every line is a row of the usual width and every wanted c
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -34,6 +35,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, Rows
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock
 from dbo_cli.logs.text_dialect import Dialect, is_comment
 
+_DIGIT = re.compile(r"\d")
 _AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
 
@@ -107,9 +109,15 @@ class BlockParser:
         picks = list(self.picks.values())
         plain = small or (len(text) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
         read = _parse_plain if plain or self._stamped else _parse_fast
-        unpicked = self._unpicked
-        guarded = unpicked if unpicked and _has_letters(text, self.dialect.delimiter) else []
-        arrays = read(text, lines, picks, guarded, self.dialect)
+        if self.dialect.decimal == "," and b"." in text:
+            return None
+        # With all columns wanted polars itself refuses long rows, and short ones leave a null.
+        whole = read is _parse_fast and len({pick.number for pick in picks}) == self.dialect.width
+        if not whole and not _is_rectangular(text, lines, self.dialect):
+            return None
+        if _has_text_in(self._unpicked, text, self.dialect):
+            return None
+        arrays = read(text, lines, picks, self.dialect)
         if arrays is not None and self.repeated is not None and TIME in self.picks:
             at = list(self.picks).index(TIME)
             arrays[at] = self.repeated.continued(arrays[at])
@@ -202,7 +210,8 @@ class BlockParser:
     def _text_among_numbers(self, cells: list[str]) -> str:
         """Say where text stands in a column of numbers that nobody asked for: such a row is no sample."""
         for column in self._unpicked:
-            if column < len(cells) and _is_guarded_text(cells[column], column, self.dialect):
+            numeric = column in self.dialect.numeric
+            if column < len(cells) and _is_text_in(cells[column], numeric, self.dialect):
                 names = self.dialect.headers
                 info = column_info(names[column] if names else None, column + 1)
                 written = self.dialect.writings[column] if self.dialect.writings else "numbers"
@@ -300,40 +309,53 @@ def _counts(block: bytes, *letters: int) -> list[int]:
     return counts
 
 
-def _has_letters(block: bytes, delimiter: str) -> bool:
-    """Tell whether a block holds a character that no number has: at ``@`` or above, but no exponent's e."""
+def _letters(block: bytes, delimiter: str) -> NDArray[np.int64]:
+    """Find the characters that no number has: at ``@`` or above, but no exponent's e and no delimiter."""
     text = np.frombuffer(block, dtype=np.uint8)
+    found = [np.empty(0, dtype=np.int64)]
     for start in range(0, len(text), _AT_ONCE):
         part = text[start : start + _AT_ONCE]
-        found = np.count_nonzero(part >= 64)
-        if not found:
-            continue
-        known = np.count_nonzero((part | 32) == 101)  # e and E
-        if ord(delimiter) >= 64:
-            known += np.count_nonzero(part == ord(delimiter))
-        if found > known:
-            return True
-    return False
+        letters = part >= 64
+        if letters.any():
+            letters &= ((part | 32) != 101) & (part != ord(delimiter))  # 101: e and E
+            found.append(start + np.flatnonzero(letters))
+    return np.concatenate(found)
+
+
+def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool:
+    """Tell whether one of the columns (from 0) holds text somewhere in a rectangular block."""
+    letters = _letters(block, dialect.delimiter) if columns else ()
+    if not len(letters):
+        return False
+    text = np.frombuffer(block, dtype=np.uint8)
+    ends = np.flatnonzero((text == ord(dialect.delimiter)) | (text == 10))
+    asked = np.zeros(dialect.width, dtype=bool)
+    asked[columns] = True
+    cells = np.searchsorted(ends, letters)
+    cells = cells[(np.diff(cells, prepend=-1) > 0) & asked[cells % dialect.width]]  # each cell once
+    starts = np.where(cells > 0, ends[cells - 1] + 1, 0)
+    stops = np.append(ends, len(block))[cells]
+    found = zip(starts.tolist(), stops.tolist(), (cells % dialect.width).tolist(), strict=True)
+    words = {(block[start:stop], column in dialect.numeric) for start, stop, column in found}
+    return any(_is_text_in(decode_line(word).strip(), numeric, dialect) for word, numeric in words)
+
+
+def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:
+    """Tell whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
+    return (numeric or not _DIGIT.search(cell)) and is_text(cell, dialect.decimal)
 
 
 def _parse_plain(
-    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+    block: bytes, lines: int, picks: list[ColumnInfo], dialect: Dialect
 ) -> list[FloatArray] | None:
-    """Parse a small regular block without any library; None where it is not regular after all.
-
-    ``guarded`` are columns (from 0) of numbers that are not wanted: text in them makes a row irregular.
-    """
-    if b'"' in block or b"_" in block or not block.isascii() or not _is_rectangular(block, lines, dialect):
+    """Parse a small rectangular block without any library; None where a cell needs a careful look."""
+    if b'"' in block or b"_" in block or not block.isascii():
         return None
     mark = dialect.delimiter.encode()
     cells = block.removesuffix(b"\n").replace(b"\n", mark)
     if dialect.decimal == ",":
-        if b"." in cells:
-            return None
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
-    if any(_any_text(words[column :: dialect.width], column, dialect) for column in guarded):
-        return None
     try:
         arrays = [
             np.array(list(map(_reader(pick), words[pick.number - 1 :: dialect.width])), dtype=np.float64)
@@ -354,42 +376,22 @@ def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
     return lambda cell: read(cell.decode().strip())
 
 
-def _is_guarded_text(cell: str, column: int, dialect: Dialect) -> bool:
-    """Tell whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
-    if column in dialect.numeric:
-        return is_text(cell, dialect.decimal)
-    return is_text(cell, dialect.decimal) and not any(character.isdigit() for character in cell)
-
-
-def _any_text(cells: Iterable[bytes], column: int, dialect: Dialect) -> bool:
-    """Tell whether any of the cells of a column holds text."""
-    return any(_is_guarded_text(cell.decode().strip(), column, dialect) for cell in set(cells))
-
-
 def _parse_fast(
-    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+    block: bytes, lines: int, picks: list[ColumnInfo], dialect: Dialect
 ) -> list[FloatArray] | None:
-    """Parse a large block with polars; None where it is not regular after all (see ``_parse_plain``)."""
+    """Parse a large rectangular block with polars; None where a cell needs a careful look."""
     import polars
 
     keep_interrupts()
-
-    columns = [pick.number - 1 for pick in picks]
-    whole = len(set(columns)) == dialect.width  # then polars refuses long rows, and short ones leave a null
-    if not whole and not _is_rectangular(block, lines, dialect):
-        return None
-    if dialect.decimal == "," and b"." in block:
-        return None
-    wanted = set(columns)
-    schema: dict[str, Any] = {}
-    for n in range(dialect.width):
-        schema[f"column_{n + 1}"] = polars.Float64 if n in wanted else polars.String
+    columns = sorted({pick.number - 1 for pick in picks})
+    schema: dict[str, Any] = {f"column_{n + 1}": polars.String for n in range(dialect.width)}
+    schema |= {f"column_{n + 1}": polars.Float64 for n in columns}
     try:
         table = polars.read_csv(
             block,
             has_header=False,
             schema=schema,
-            columns=None if whole else sorted(wanted | set(guarded)),
+            columns=columns if len(columns) < dialect.width else None,  # all: short rows leave a null
             separator=dialect.delimiter,
             decimal_comma=dialect.decimal == ",",
             quote_char='"' if b'"' in block else None,
@@ -399,15 +401,9 @@ def _parse_fast(
         return None
     if len(table) != lines:
         return None
-    for column in guarded:
-        text = table.get_column(f"column_{column + 1}").drop_nulls()
-        worded = r"[^\x00-?eE]" if column in dialect.numeric else r"^[^0-9]+$"
-        odd = text.filter(text.str.contains(worded)).unique()
-        if any(_is_guarded_text(cell.strip(), column, dialect) for cell in odd):
-            return None
     arrays = []
-    for column in columns:
-        read = table.get_column(f"column_{column + 1}")
+    for pick in picks:
+        read = table.get_column(f"column_{pick.number}")
         array = read.to_numpy()
         if read.null_count() or not are_measured(array).all():
             return None

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import contradicted_unit, is_torn
 from dbo_cli.logs.sample_block import ColumnInfo
-from dbo_cli.logs.units import ONE, UnitFactor, kind_of_unit
+from dbo_cli.logs.units import ONE, UnitFactor, kind_of_unit, parse_factor, shortened
 
 _SIZES = {
     "s": (1, 1), "ms": (1, 10**3), "us": (1, 10**6), "ns": (1, 10**9), "ps": (1, 10**12),
@@ -52,7 +52,7 @@ _NO_UNIT = frozenset(
 _OTHER_HALVES = frozenset(("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day"))
 _STATED = re.compile(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
 _SINCE = re.compile(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
-_FACTOR = re.compile(r"(?P<whole>\d+)(?:\.(?P<part>\d+))?\s*(?P<unit>[^\d\s.].*)")
+_COUNT = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
 
 
 def time_unit(text: str) -> str | None:
@@ -69,18 +69,16 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
     UsageError
         It is none.
     """
-    found = _FACTOR.fullmatch(text.strip())
+    found = _COUNT.fullmatch(text.strip())
     unit = time_unit(found["unit"] if found else text)
-    digits = (found["whole"] + (found["part"] or "")) if found else "1"
-    if unit is None or not int(digits):
+    count = parse_factor(found["number"]) if found else ONE
+    if unit is None or count is None or not count.numerator:
+        names = ", ".join(TIME_UNIT_NAMES[:-1])
         raise UsageError(
-            f"`time_unit` {text}: give {', '.join(TIME_UNIT_NAMES[:-1])} or {TIME_UNIT_NAMES[-1]}, "
-            "or a number of them such as 10us"
+            f"`time_unit` {shortened(text)}: give {names} or {TIME_UNIT_NAMES[-1]}, or a number of them such "
+            "as 10us"
         )
-    factor = UnitFactor(*_SIZES[unit])
-    if found is None:
-        return unit, factor
-    return text.strip(), factor.times(int(digits), 10 ** len(found["part"] or ""))
+    return text.strip() if found else unit, count.times(*_SIZES[unit])
 
 
 class StatedTime(NamedTuple):

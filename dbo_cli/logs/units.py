@@ -222,10 +222,29 @@ class Scale:
         return self.factor.times(before.numerator, before.denominator), replace(column, unit=self.unit_out)
 
 
+_NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _SCALE = re.compile(
-    r"\s*(?P<role>[^=\s]+)\s*=\s*(?P<sign>[+-]?)(?P<whole>\d*)\.?(?P<part>\d*)(?:[eE](?P<power>[+-]?\d+))?"
+    rf"\s*(?P<role>[^=\s]+)\s*=\s*(?P<factor>{_NUMBER})"
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
+_LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
+_SHOWN = 40  # characters of what a user gave are enough for a message
+
+
+def parse_factor(text: str) -> UnitFactor | None:
+    """Read a decimal number as an exact fraction; None where it is beyond the range of float64."""
+    from decimal import Decimal
+
+    try:
+        number = Decimal(text)
+    except ArithmeticError:  # an exponent that no machine counts
+        return None
+    return UnitFactor(*number.as_integer_ratio()) if abs(number.adjusted()) <= _LARGEST_POWER else None
+
+
+def shortened(text: str) -> str:
+    """Return what a user gave as messages show it."""
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
 def parse_scale(text: str) -> Scale:
@@ -236,19 +255,15 @@ def parse_scale(text: str) -> Scale:
     UsageError
         It is not of that form, or the factor is zero or no float64.
     """
-    found = _SCALE.fullmatch(text)
-    digits = (found["whole"] + found["part"]) if found else ""
-    if found is None or not digits.isascii() or not digits:
+    found, called = _SCALE.fullmatch(text), f"`scale` {shortened(text)}"
+    if found is None:
         raise UsageError(
-            f"`scale` {text}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, "
-            "such as voltage=20 or displacement=10um/V"
+            f"{called}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, such as voltage=20 or displacement=10um/V"
         )
-    power = int(found["power"] or 0) - len(found["part"])
-    if not int(digits):
-        raise UsageError(f"`scale` {text}: a factor of 0 leaves nothing of the signal")
-    if abs(power + len(digits)) > 300:
-        raise UsageError(f"`scale` {text}: the factor is too large or too small")
-    sign = -1 if found["sign"] == "-" else 1
-    factor = ONE.times(sign * int(digits) * 10 ** max(power, 0), 10 ** max(-power, 0))
+    if not re.search("[1-9]", re.split("[eE]", found["factor"])[0]):
+        raise UsageError(f"{called}: a factor of 0 leaves nothing of the signal")
+    factor = parse_factor(found["factor"])
+    if factor is None:
+        raise UsageError(f"{called}: the factor is too large or too small")
     units = normalise_unit(found["out"] or ""), normalise_unit(found["in"] or "")
     return Scale(found["role"].lower(), factor, *units)
