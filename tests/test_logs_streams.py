@@ -16,14 +16,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import text_parsing as parsing
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.number_text import rows_as_text, shortest
+from dbo_cli.logs.out_column import rows_as_text, shortest
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.text_dialect import Dialect
+from dbo_cli.logs.text import block_parser as parsing
+from dbo_cli.logs.text.dialect import Dialect
 
 WANT = {"voltage": ColumnWish(None, ("voltage",))}
 ECHO = """

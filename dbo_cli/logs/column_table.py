@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.cell_grammar import SKIP_REMEDY
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.number_text import are_measured
-from dbo_cli.logs.reading_options import Rows
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.reading_options import SKIP_REMEDY, Rows
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured
 from dbo_cli.logs.stated_clock import Statement, agreed_rate
 
 Fetch = Callable[[int, int], Any]

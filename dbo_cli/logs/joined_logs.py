@@ -22,7 +22,7 @@ from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.time_column import TimeColumn, find_time_column, time_column
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.log_table import Table
+    from dbo_cli.logs.sample_block import Table
 
 _CLOCK = "the clock of file "  # the role of a file's seconds while clocks are compared
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import FORMATS
-from dbo_cli.logs.cell_grammar import BLANKS
 
 if TYPE_CHECKING:
     from dbo_cli.logs.units import Scale
@@ -22,6 +21,8 @@ ALL_ROWS: Rows = (1, None)
 BLOCK_ROWS = 1 << 16
 _LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost in rounding, or the rows are
 
+SKIP_REMEDY = "(`skip_bad` drops such rows)"
+BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 

@@ -1,9 +1,10 @@
-"""What a log gives: blocks of samples, each row with its place in the file."""
+"""What every format gives: a table of columns, and blocks of samples that know their place in the file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ class ColumnInfo:
     ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
     unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
     ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
-    ``date`` (logs.time_cells); such columns are read as seconds.
+    ``date`` (logs.text.time_stamps); such columns are read as seconds.
     """
 
     name: str
@@ -29,6 +30,25 @@ class ColumnInfo:
     quantity: str
     number: int
     written: str = "numbers"
+
+
+# What instruments send in place of a value that is beyond their range (9.9E37) or none (9.91E37): SCPI-99,
+# volume 1, 7.2.1. Their 32-bit numbers are a little off.
+_OVERFLOW_FROM, _OVERFLOW_TO = 9.899e37, 9.911e37
+
+
+def is_overflow(value: float) -> bool:
+    """Tell whether a number is an instrument's way to say that it has none."""
+    return _OVERFLOW_FROM < abs(value) < _OVERFLOW_TO
+
+
+def are_measured(values: FloatArray) -> NDArray[np.bool_]:
+    """Tell which numbers are finite and no instrument's overflow."""
+    size = np.abs(values)
+    usual: NDArray[np.bool_] = size < _OVERFLOW_FROM  # False for NaN and infinity as well
+    if not usual.all():
+        usual = usual | ((size >= _OVERFLOW_TO) & np.isfinite(values))
+    return usual
 
 
 @dataclass(frozen=True)
@@ -92,3 +112,29 @@ def join_places(parts: Sequence[Places]) -> Places:
             return np.concatenate([np.asarray(part, dtype=np.int64) for part in parts])
         following += len(part)
     return range(first, following)
+
+
+class Table(Protocol):
+    """A log in some format: its columns at once, its rows in blocks."""
+
+    place: str
+    columns: list[ColumnInfo]
+    notes: list[str]
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Tell the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
+
+    def describe(self) -> str:
+        """Tell in one line how the log is written."""
+
+    def blocks(
+        self, picks: Mapping[str, ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int
+    ) -> Iterator[SampleBlock]:
+        """Read the wanted columns in blocks; ``rows`` are the first and the last one, counted from 1."""
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read, where it was asked for."""
+
+    def close(self) -> None:
+        """Close the file."""

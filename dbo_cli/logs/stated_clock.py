@@ -17,7 +17,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import split_header
-from dbo_cli.logs.foreign_text import clean_text
+from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.time_units import time_unit
 
 _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",

@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
-from dbo_cli.logs.header_blocks import HeaderBlock, find_header_block
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
+from dbo_cli.logs.text.cells import is_number, split_cells
+from dbo_cli.logs.text.segments import HeaderBlock, find_header_block
 from dbo_cli.logs.units import is_known_unit
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
-_SAMPLE_LINES = 40
+SAMPLE_LINES = 40  # enough rows to outvote junk lines
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     InputError
         There is no line of numbers.
     """
-    lines = [decode_line(line.removesuffix(b"\r")) for line in head.split(b"\n")]
+    lines = [decoded(line.removesuffix(b"\r")) for line in head.split(b"\n")]
     if lines and not lines[-1]:
         lines.pop()
     if lines and lines[0].startswith("\ufeff"):
@@ -99,10 +100,10 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     rows = [split_cells(lines[number], shape.delimiter) for number in data[:3]]
     headers, units = _aligned(place, layout, shape.width, rows)
     if not headers and options.header_lines is None:
-        _ask_about_numbered_columns(place, [lines[number] for number in data[:_SAMPLE_LINES]], shape)
+        _ask_about_numbered_columns(place, [lines[number] for number in data[:SAMPLE_LINES]], shape)
     return Dialect(
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
-        _writings([lines[number] for number in data[-_SAMPLE_LINES:]], shape),
+        _writings([lines[number] for number in data[-SAMPLE_LINES:]], shape),
         find_header_block(lines, layout.first, shape.delimiter),
     )  # fmt: skip
 
@@ -135,7 +136,7 @@ def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:
     others = sorted(set(range(shape.width)) - shape.numeric)
     if not others:
         return ()
-    from dbo_cli.logs.time_cells import writing_of
+    from dbo_cli.logs.text.time_stamps import writing_of
 
     rows = [split_cells(line, shape.delimiter) for line in sample]
     rows = [row for row in rows if len(row) >= shape.width]
@@ -158,7 +159,7 @@ class _Shape(NamedTuple):
 
 def _shapes(lines: list[str], candidates: list[int], options: ReadingOptions) -> list[_Shape]:
     delimiter, decimal = options.delimiter_character, options.decimal_sign
-    sample = [lines[number] for number in candidates[-_SAMPLE_LINES:]]
+    sample = [lines[number] for number in candidates[-SAMPLE_LINES:]]
     delimiters = [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]
     shapes = []
     for sign in [decimal] if decimal else [".", ","]:

@@ -18,22 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cell_grammar import (
-    BLANKS,
-    SKIP_REMEDY,
+from dbo_cli.logs.columns import column_info, column_label
+from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, SKIP_REMEDY, Rows
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
+from dbo_cli.logs.text.cells import (
     complain,
-    decode_line,
     is_text,
     split_cells,
     to_number,
 )
-from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.header_blocks import RepeatedHeader
-from dbo_cli.logs.interrupts import keep_interrupts
-from dbo_cli.logs.number_text import are_measured
-from dbo_cli.logs.reading_options import ALL_ROWS, Rows
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock
-from dbo_cli.logs.text_dialect import Dialect, is_comment
+from dbo_cli.logs.text.dialect import Dialect, is_comment
+from dbo_cli.logs.text.segments import RepeatedHeader
 
 _DIGIT = re.compile(r"\d")
 _AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB
@@ -155,7 +152,7 @@ class BlockParser:
             if not raw:
                 self.next_line += 1
                 continue
-            line = decode_line(raw.removesuffix(b"\r"))
+            line = decoded(raw.removesuffix(b"\r"))
             if self.repeated is not None and self.repeated.takes(line, self.next_line):
                 pass
             elif not is_comment(line, self.dialect.comments):
@@ -203,7 +200,7 @@ class BlockParser:
         """Read a cell as a number or a time stamp (s); None where it is neither."""
         if pick.written == "numbers":
             return to_number(cell, self.dialect.decimal)
-        from dbo_cli.logs.time_cells import READERS
+        from dbo_cli.logs.text.time_stamps import READERS
 
         return READERS[pick.written](cell)
 
@@ -337,7 +334,7 @@ def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool
     stops = np.append(ends, len(block))[cells]
     found = zip(starts.tolist(), stops.tolist(), (cells % dialect.width).tolist(), strict=True)
     words = {(block[start:stop], column in dialect.numeric) for start, stop, column in found}
-    return any(_is_text_in(decode_line(word).strip(), numeric, dialect) for word, numeric in words)
+    return any(_is_text_in(decoded(word).strip(), numeric, dialect) for word, numeric in words)
 
 
 def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:
@@ -370,7 +367,7 @@ def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
     """Return what reads the cells of a column."""
     if pick.written == "numbers":
         return float
-    from dbo_cli.logs.time_cells import READERS
+    from dbo_cli.logs.text.time_stamps import READERS
 
     read = READERS[pick.written]
     return lambda cell: read(cell.decode().strip())

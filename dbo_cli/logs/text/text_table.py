@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.background_io import one_ahead
 from dbo_cli.logs.byte_source import ByteSource, LineBlocks
-from dbo_cli.logs.cell_grammar import decode_line, is_number, split_cells
 from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
-from dbo_cli.logs.record_end import last_cells, looks_cut
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock
-from dbo_cli.logs.text_dialect import COMMENTS, Dialect, detect, is_comment
-from dbo_cli.logs.text_parsing import PLAIN_BYTES, BlockParser
+from dbo_cli.logs.text.block_parser import PLAIN_BYTES, BlockParser
+from dbo_cli.logs.text.cells import is_number, split_cells, to_number
+from dbo_cli.logs.text.dialect import COMMENTS, Dialect, detect, is_comment
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.instrument_headers import InstrumentHeader
+    from dbo_cli.logs.text.instruments import InstrumentHeader
 
+_NEIGHBOURS = 100
+_USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
+_NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
 _LARGEST_BLOCK = 1 << 23
 # One line of names above nothing but numbers: no instrument's header, so its readers need not be loaded.
 # A rate in the names (tInc = 2e-6) and Rohde & Schwarz's "in s" are theirs.
@@ -157,7 +161,7 @@ class TextTable:
 
     def _is_whole(self, last: bytes, parser: BlockParser) -> bool:
         """Judge a last line without its end: True with a note, False where it is dropped, or refuse it."""
-        line, row = decode_line(last.removesuffix(b"\r")), parser.next_row
+        line, row = decoded(last.removesuffix(b"\r")), parser.next_row
         first, final = parser.rows
         if is_comment(line, self.dialect.comments) or row < first or (final is not None and row > final):
             return True
@@ -190,7 +194,7 @@ def _instrument_header(place: str, head: bytes, options: ReadingOptions) -> Inst
     """Read what an instrument says above its data; None for a plain log."""
     if _PLAIN.fullmatch(head):
         return None
-    from dbo_cli.logs.instrument_headers import read_instrument_header
+    from dbo_cli.logs.text.instruments import read_instrument_header
 
     return read_instrument_header(place, head, options)
 
@@ -200,7 +204,7 @@ def _has_data(text: bytes, options: ReadingOptions) -> bool:
     forced = options.delimiter_character
     comments = COMMENTS if options.comment is None else options.comment
     for raw in text.split(b"\n")[-2::-1]:
-        line = decode_line(raw)
+        line = decoded(raw)
         if not is_comment(line, comments):
             marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
             if any(
@@ -208,3 +212,64 @@ def _has_data(text: bytes, options: ReadingOptions) -> bool:
             ):
                 return True
     return False
+
+
+class _Written(NamedTuple):
+    """How a number is written: digits before and after the decimal sign (-1: no sign) and in the exponent."""
+
+    whole: int
+    decimals: int
+    exponent: int
+
+
+def _written(cell: str) -> _Written | None:
+    found = _NUMBER.fullmatch(cell)
+    if found is None:
+        return None
+    decimals = len(found["rest"]) - 1 if found["rest"] is not None else -1
+    return _Written(len(found["whole"]), decimals, len(found["exponent"] or ""))
+
+
+def last_cells(text: bytes, dialect: Dialect) -> list[str]:
+    """Return the last cells of the whole rows in the text above the last line, at most a hundred."""
+    cells = []
+    for raw in text.split(b"\n")[1:-1][-_NEIGHBOURS:]:
+        line = decoded(raw.removesuffix(b"\r"))
+        if not is_comment(line, dialect.comments):
+            row = split_cells(line, dialect.delimiter)
+            if len(row) == dialect.width:
+                cells.append(row[-1])
+    return cells
+
+
+def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Tell whether a number has visibly fewer digits than all the numbers above it.
+
+    Fewer decimals, or fewer digits in the exponent, than any number above: cut, unless it ends in ``.0`` as
+    whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
+    decimal sign alone mean nothing (99 follows 100), unless the value leaps as well.
+    """
+    own = _written(cell)
+    others = [one for one in map(_written, above) if one is not None]
+    if own is None or not others:
+        return False
+    least = _Written(
+        *(min(getattr(one, name) for one in others) for name in ("whole", "decimals", "exponent"))
+    )
+    if own.exponent < least.exponent:
+        return True
+    if own.decimals < least.decimals:
+        varying = len({one.decimals for one in others}) > 1
+        return not (varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal))
+    shorter = len(cell) < min(map(len, above)) or own.whole < least.whole
+    return shorter and _leaps(cell, above, decimal)
+
+
+def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Tell whether the last number is further from the one above than numbers above are from each other."""
+    value = to_number(cell, decimal)
+    numbers = [number for number in (to_number(one, decimal) for one in above) if number is not None]
+    if value is None or len(numbers) < 2:
+        return False
+    steps = [abs(later - earlier) for earlier, later in itertools.pairwise(numbers)]
+    return abs(value - numbers[-1]) > _USUAL_STEPS * max(steps)

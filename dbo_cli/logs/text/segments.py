@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cell_grammar import split_cells
 from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.text.cells import split_cells
 
 END_OF_HEADER = "***End_of_Header***"
 
@@ -38,7 +38,7 @@ def find_header_block(lines: Sequence[str], first: int, delimiter: str) -> Heade
 
 def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     """Return when a segment began: the date and the time that its header states, each in seconds."""
-    from dbo_cli.logs.time_cells import clock_seconds, date_seconds
+    from dbo_cli.logs.text.time_stamps import clock_seconds, date_seconds
 
     rows = [split_cells(line, delimiter) for line in lines]
     told = {cells[0]: cells[1] for cells in rows if len(cells) > 1}

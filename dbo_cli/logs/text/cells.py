@@ -8,20 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from dbo_cli.logs.number_text import is_overflow
+from dbo_cli.logs.reading_options import BLANKS
+from dbo_cli.logs.sample_block import is_overflow
 
-BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 _POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
 NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})
-
-
-def decode_line(line: bytes) -> str:
-    """Turn a line into text: UTF-8, or else the Western code page that old instruments write."""
-    try:
-        return line.decode("utf-8")
-    except UnicodeDecodeError:
-        return line.decode("cp1252", errors="replace")
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
@@ -73,7 +65,6 @@ def is_number(cell: str, decimal: str) -> bool:
     return cell.lstrip("+-").lower() in NOT_FINITE
 
 
-SKIP_REMEDY = "(`skip_bad` drops such rows)"
 MISSING = frozenset({"na", "n/a", "nan", "null", "none", "nil", "missing"})
 """What programs write where a number is missing: no sign that a row is no row of data."""
 
