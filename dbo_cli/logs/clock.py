@@ -65,6 +65,11 @@ class TimeCheck:
     _last: float | None = None
     _first: float = 0.0
 
+    @property
+    def is_even(self) -> bool:
+        """Whether no step is far from the usual one, gaps aside."""
+        return self.widest - self.narrowest <= JITTER * self.step
+
     def feed(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
         """Look at one block of time stamps (s)."""
         if not len(time):
