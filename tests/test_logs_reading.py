@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import column_names, time_column, time_units
+from dbo_cli.logs import column_names, stated_clock, time_column
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -302,7 +302,7 @@ def test_the_page_on_instruments_lists_what_the_program_knows() -> None:
     assert row("desired", 1) == set(column_names.DESIRED.by_unit)
     assert row("displacement, measured", 3) == column_names.DISPLACEMENT.contrary
     assert row("voltage", 2) == column_names.VOLTAGE.contrary
-    for unit, spellings in time_units.SPELLINGS.items():
+    for unit, spellings in stated_clock.SPELLINGS.items():
         assert row(unit) == set(spellings)
     for calendar in (*time_column._CALENDARS, *time_column._DAY_CALENDARS):
         assert f"| {calendar.name}" in page

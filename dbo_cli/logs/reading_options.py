@@ -121,7 +121,7 @@ class ReadingOptions:
     def _check_units(self) -> None:
         """Refuse a unit of time or a scale that is none."""
         if self.time_unit is not None:
-            from dbo_cli.logs.time_units import parse_time_unit
+            from dbo_cli.logs.stated_clock import parse_time_unit
 
             parse_time_unit(self.time_unit)
             if self.sample_rate is not None:

@@ -19,7 +19,7 @@ from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time, time_unit
+from dbo_cli.logs.stated_clock import StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
@@ -55,6 +55,8 @@ _DAY_CALENDARS = (
 # by a clock that has run for half a day; 2e-5 days are 1.7 s, slower than any log of a hysteresis loop.
 # Up to ten times as much, either may be meant.
 _DAY_STEP = 2e-5
+# After how many seconds a clock begins anew, and how that moment is called.
+_PERIODS = {"clock": (86_400.0, "midnight"), "minutes": (3_600.0, "the full hour")}
 _PLAIN_NAMES = frozenset(TIME_NAMES) - {"t"}  # T is a temperature as often as a time
 _DATE_WORDS = ("date", "datum", "timestamp", "datetime", "serial", "datenum", "excel", "zeitstempel")
 
@@ -148,17 +150,16 @@ class TimeColumn:
     def seconds(self, values: dict[str, FloatArray]) -> FloatArray:
         """Take the time out of a block's columns and return it in seconds."""
         raw, dates = values.pop(TIME), values.pop(DATE, None)
-        if self.column.written in ("clock", "minutes") and dates is None:
-            return self._unrolled(raw, 86_400.0 if self.column.written == "clock" else 3_600.0)
         if dates is not None:
             return raw + dates
-        if self.column.written != "numbers":
+        if self.column.written in _PERIODS:
+            return self._unrolled(raw, *_PERIODS[self.column.written])
+        if self.column.written != "numbers" or not len(raw):
             return raw
-        if len(raw):
-            self._first = float(raw[0]) if self._first is None else self._first
-            self._final = float(raw[-1])
-            self._count += len(raw)
-            self._whole = self._whole and bool((raw == np.rint(raw)).all())
+        self._first = float(raw[0]) if self._first is None else self._first
+        self._final = float(raw[-1])
+        self._count += len(raw)
+        self._whole = self._whole and bool((raw == np.rint(raw)).all())
         if self._calendar is not None:
             return self._calendar.factor.apply(raw) + self._calendar.offset
         return self.stated.factor.apply(raw)
@@ -166,27 +167,20 @@ class TimeColumn:
     def _decide(self, figures: FloatArray, last: bool) -> bool:
         """Look for a calendar in the first stamps; False where a second one is needed to tell."""
         first = float(figures[0]) if len(figures) else 0.0
-        for calendar in _CALENDARS:
-            if calendar.low <= first < calendar.high:
-                self._take(calendar)
+        found = next((one for one in (*_CALENDARS, *_DAY_CALENDARS) if one.low <= first < one.high), None)
+        if found in _DAY_CALENDARS:
+            others = figures[figures != first]
+            if not len(others) and not last:
+                return False
+            step = abs(float(others[0]) - first) if len(others) else np.inf
+            if step >= _DAY_STEP and not any(word in self.column.name.lower() for word in _DATE_WORDS):
+                self._doubt = found.name if found and step < 10.0 * _DAY_STEP else ""
                 return True
-        for calendar in _DAY_CALENDARS:
-            if calendar.low <= first < calendar.high:
-                others = figures[figures != first]
-                if not len(others) and not last:
-                    return False
-                step = abs(float(others[0]) - first) if len(others) else np.inf
-                if step < _DAY_STEP or any(word in self.column.name.lower() for word in _DATE_WORDS):
-                    self._take(calendar)
-                elif step < 10.0 * _DAY_STEP:
-                    self._doubt = calendar.name
+        if found is not None:
+            self._calendar, self.said = found, f"no unit, read as {found.name}"
         return True
 
-    def _take(self, calendar: _Calendar) -> None:
-        self._calendar = calendar
-        self.said = f"no unit, read as {calendar.name}"
-
-    def _unrolled(self, raw: FloatArray, period: float) -> FloatArray:
+    def _unrolled(self, raw: FloatArray, period: float, what: str) -> FloatArray:
         """Let a clock go on where it passes midnight (or, of minutes alone, the full hour)."""
         if not len(raw):
             return raw
@@ -195,8 +189,7 @@ class TimeColumn:
         passed = steps < -period / 2.0
         if not passed.any() and not self._carried:
             return raw
-        if passed.any() and not self._carried:
-            what = "midnight" if period > 3_600.0 else "the full hour"
+        if not self._carried:
             self.notes.append(f"{self.place}: the clock passes {what} and goes on")
         carried = self._carried + period * np.cumsum(passed)
         self._carried = float(carried[-1])
@@ -205,25 +198,26 @@ class TimeColumn:
     def warnings(self, check: TimeCheck) -> list[str]:
         """Say what is doubtful about the figures, with the remedy, once all of them have gone by."""
         called = f"{self.place}: the time column '{self.column.name}'"
-        told = [self._of_figures(called, check)] if self.bare and not self.given else []
-        rows = check.rows
+        told, rows = [], check.rows
+        if self.bare and not self.given and self._count > 1:
+            told.append(self._of_figures(check.step))
         if check.backward.count > BACKWARD_SHARE * rows:
             told.append(
-                f"{called} goes backwards in {check.backward.count:,} of {rows:,} rows: is it a clock? "
+                f"goes backwards in {check.backward.count:,} of {rows:,} rows: is it a clock? "
                 "(`time` COLUMN or `sample_rate` HZ)"
             )
         elif check.repeat.count > rows / 2:
             told.append(
-                f"{called} repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
+                f"repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
                 "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
             )
         if self.column.written == "numbers" and not self.bare and not self.given:
-            told.append(self._of_stated(called, check.step))
-        return [text for text in told if text]
+            told.append(self._of_stated(check.step))
+        return [f"{called} {text}" for text in told if text]
 
-    def _of_stated(self, called: str, step: float) -> str:
+    def _of_stated(self, step: float) -> str:
         """Say why figures can hardly be in the unit that is stated."""
-        first, last = (float(self.stated.factor) * (value or 0.0) for value in (self._first, self._final))
+        first, last = (float(self.stated.factor) * value for value in (self._first or 0.0, self._final))
         if abs(last) > _CALENDARS[0].high:
             told = f"its stamps would be {last:.3g} s"
         elif self._count > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
@@ -232,40 +226,36 @@ class TimeColumn:
             told = f"its usual step would be {step:.3g} s"
         else:
             return ""
-        return f"{called} is stated in {self.stated.unit}, but {told} (`time_unit` says what it counts)"
+        return f"is stated in {self.stated.unit}, but {told} (`time_unit` says what it counts)"
 
-    def _of_figures(self, called: str, check: TimeCheck) -> str:
+    def _of_figures(self, step: float) -> str:
         """Say why figures without a unit can hardly be seconds."""
+        first, last = self._first or 0.0, self._final
         remedy = "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
-        if self._first is None or self._count < 2:
-            return ""
-        step = check.step
         if self._doubt:
             return (
-                f"{called} has no unit: stamps from {self._first:.6g} on are read as seconds of a day, but "
-                f"may be {self._doubt} (`time_unit` s or d)"
+                f"has no unit: stamps from {first:.6g} on are read as seconds of a day, but may be "
+                f"{self._doubt} (`time_unit` s or d)"
             )
         if self._calendar is not None:
-            if step > LONG_STEP and np.isfinite(step):
-                return f"{called} has {self.said}, and a usual step of {step:.4g} s {remedy}"
-            if self._calendar in _DAY_CALENDARS:
-                return f"{called} has {self.said} (`time_unit` s if they are seconds of a day)"
-            return ""
+            if LONG_STEP < step < np.inf:
+                return f"has {self.said}, and a usual step of {step:.4g} s {remedy}"
+            days = self._calendar in _DAY_CALENDARS
+            return f"has {self.said} (`time_unit` s if they are seconds of a day)" if days else ""
         if self._whole and step == 1.0:
             return (
-                f"{called} has no unit and counts whole numbers one by one: read as seconds, though it may "
-                f"count rows or milliseconds {remedy}"
+                "has no unit and counts whole numbers one by one: read as seconds, though it may count rows "
+                f"or milliseconds {remedy}"
             )
-        if step >= LONG_STEP and np.isfinite(step):
-            return f"{called} has no unit: read as seconds, its usual step is {step:.6g} s {remedy}"
-        if max(abs(self._first), abs(self._final)) > LATEST_STAMP:
-            return f"{called} has no unit: read as seconds, its stamps reach {self._final:.6g} s {remedy}"
-        if 0.0 < abs(self._final - self._first) < SHORTEST_LOG:
-            return (
-                f"{called} has no unit: read as seconds, the whole log lasts "
-                f"{abs(self._final - self._first):.3g} s {remedy}"
-            )
-        return ""
+        if LONG_STEP <= step < np.inf:
+            odd = f"its usual step is {step:.6g} s"
+        elif max(abs(first), abs(last)) > LATEST_STAMP:
+            odd = f"its stamps reach {last:.6g} s"
+        elif 0.0 < abs(last - first) < SHORTEST_LOG:
+            odd = f"the whole log lasts {abs(last - first):.3g} s"
+        else:
+            return ""
+        return f"has no unit: read as seconds, {odd} {remedy}"
 
 
 def time_column(
