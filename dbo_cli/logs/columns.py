@@ -41,6 +41,7 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
+_LISTED = 20  # names of columns that a message holds at most
 _NAMING = ("length", "angle")  # a column called "um" is in um; "m" and "Volts" may be anything
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
@@ -129,11 +130,15 @@ def list_columns(columns: Sequence[ColumnInfo]) -> str:
     """List the columns of a log for an error message, shortened when there are many."""
     if not any(column.quantity for column in columns):
         return f"it has {len(columns)} column{'s' if len(columns) != 1 else ''} without names"
-    shown = [
-        f"{column.number} {column.name}" if column.quantity else str(column.number) for column in columns[:20]
-    ]
-    more = f", … ({len(columns)} in all)" if len(columns) > 20 else ""
+    shown = [f"{one.number} {one.name}" if one.quantity else str(one.number) for one in columns[:_LISTED]]
+    more = f", … ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
+
+
+def any_of(names: Sequence[str]) -> str:
+    """List what may be meant for an error message, shortened when there is much."""
+    more = f" or … ({len(names)} in all)" if len(names) > _LISTED else ""
+    return " or ".join(names[:_LISTED]) + more
 
 
 def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> ColumnInfo:
@@ -160,12 +165,16 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
             raise InputError(f"{place}: there is no column {number}: it has {len(columns)} column{plural}")
         return columns[number - 1]
     wanted = cleaned(selector)
-    for same in (_same_name, _same_name_but_case, _same_quantity):
-        found = [column for column in columns if same(column, wanted)]
+    named = [(one, " ".join(one.name.split()), one.quantity) for one in columns if one.quantity]
+    for found in (
+        [column for column, name, _ in named if name == wanted],
+        [column for column, name, _ in named if name.lower() == wanted.lower()],
+        [column for column, _, quantity in named if quantity.lower() == wanted.lower()],
+    ):
         if len(found) == 1:
             return found[0]
         if found:
-            numbers = " or ".join(str(column.number) for column in found)
+            numbers = any_of([str(column.number) for column in found])
             raise InputError(
                 f"{place}: column '{selector}' occurs more than once: give its number (`{option}` {numbers})"
             )
@@ -182,18 +191,6 @@ def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, 
             f"{named[0].number}, which is named '{selector}'? "
             f"(`{option}` number={selector} or name={selector})"
         )
-
-
-def _same_name(column: ColumnInfo, wanted: str) -> bool:
-    return bool(column.quantity) and " ".join(column.name.split()) == wanted
-
-
-def _same_name_but_case(column: ColumnInfo, wanted: str) -> bool:
-    return bool(column.quantity) and " ".join(column.name.split()).lower() == wanted.lower()
-
-
-def _same_quantity(column: ColumnInfo, wanted: str) -> bool:
-    return bool(column.quantity) and column.quantity.lower() == wanted.lower()
 
 
 def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list[ColumnInfo]:
@@ -224,8 +221,9 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
     measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
     letters = [column for column in fitting if column.quantity.lower() in wish.letters]
     if found and all(_is_sure(column, wish) for column in found):
-        others = [*slips, *[column for column in letters if column in measuring]]
-        return sorted({one.number: one for one in [*found, *others]}.values(), key=lambda one: one.number)
+        measured_letters = [one for one in measuring if one.quantity.lower() in wish.letters]
+        numbers = {column.number for column in [*found, *slips, *measured_letters]}
+        return [column for column in fitting if column.number in numbers]
     if not found and guess_columns(columns, wish.guesses):
         return []
     lesser = [column for column in measuring if _has_lesser_name(column, wish)]
@@ -396,7 +394,7 @@ def _not_unique(
     for role, found in missing.items():
         called = calls[role]
         if found:
-            names = " or ".join(f"'{column.name}'" for column in found)
+            names = any_of([f"'{column.name}'" for column in found])
             told.append(f"which column is the {called}, {names}?")
             continue
         wanted = [one for one in columns if is_order(one, want[role])]

@@ -16,7 +16,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.columns import find_column, guess_columns
+from dbo_cli.logs.columns import any_of, find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.stated_clock import StatedTime, is_other_kind, stated_time, time_unit
@@ -337,7 +337,7 @@ def find_time_column(
         notes = [f"{place}: `sample_rate` replaces the column '{one.name}'" for one in found[:1]]
         return FoundTime(None, found if len(found) == 1 else [], notes)
     if len(found) > 1:
-        names = " or ".join(f"'{column.name}'" for column in found)
+        names = any_of([f"'{column.name}'" for column in found])
         raise InputError(f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
     if not found:
         return FoundTime(None, [], [])
