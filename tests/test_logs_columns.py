@@ -130,7 +130,10 @@ def test_provenance(tmp_path: Path) -> None:
 
 def calls_to_match(columns: int) -> int:
     """How many functions are called to find the displacement among columns called x."""
-    given = [column_info("stage displacement", 1, "um"), *(column_info("x (um)", n + 2) for n in range(columns))]
+    given = [
+        column_info("stage displacement", 1, "um"),
+        *(column_info("x (um)", n + 2) for n in range(columns)),
+    ]
     calls = 0
 
     def count(frame: object, event: str, argument: object) -> None:

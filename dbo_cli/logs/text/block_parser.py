@@ -76,9 +76,7 @@ class BlockParser:
                 self.next_line += len(block)  # a compressed megabyte may unpack to a billion empty lines
             elif block:
                 parsed = self._parse_regularly(block, small)
-                if parsed is None:
-                    parsed = self._parse_slowly(block)
-                yield parsed if self.rows == ALL_ROWS else self._in_range(parsed)
+                yield self._in_range(self._parse_slowly(block) if parsed is None else parsed)
 
     def _parse_regularly(self, block: bytes, small: bool) -> SampleBlock | None:
         """Take a block at once where every line of it is a good row or empty; else None."""
@@ -122,52 +120,38 @@ class BlockParser:
 
     def _regular(self, block: bytes) -> bytes | None:
         """Bring a block into the form that the fast readers take; None where only careful reading will do."""
-        mark = self.dialect.delimiter
-        if not mark.isascii():
-            return None  # the fast readers know single bytes only
-        for comment in self.dialect.comments:
-            if comment.encode() in block:
-                return None
+        mark, comments = self.dialect.delimiter, self.dialect.comments
+        if not mark.isascii() or any(comment.encode() in block for comment in comments):
+            return None  # the fast readers know single bytes only, and no comments
         if b"\r" in block:
             block = block.replace(b"\r\n", b"\n")
         if mark == BLANKS:
-            return None if b'"' in block else _single_blanks(block)
-        if b" " in block:
-            if b"  " in block:
-                block = _runs_collapsed(block)
-            delimiter = mark.encode()
-            for edge in (delimiter, b"\n"):  # a blank before it; polars does without those after it
-                block = block.replace(b" " + edge, edge)
-        return block
+            return None if b'"' in block else _without_blanks(block.replace(b"\t", b" "), mark)
+        return _without_blanks(block, mark) if b" " in block else block
 
     def _parse_slowly(self, block: bytes) -> SampleBlock:
+        """Take a block line by line."""
         time = list(self.picks).index(TIME) if TIME in self.picks else None
-        rows: list[int] = []
-        lines: list[int] = []
+        places: list[tuple[int, int]] = []
         values: list[list[float]] = []
-        text = block.split(b"\n")
-        if not text[-1]:
-            text.pop()
-        for raw in text:
-            if not raw:
-                self.next_line += 1
-                continue
+        for number, raw in enumerate(block.removesuffix(b"\n").split(b"\n"), start=self.next_line):
+            self.next_line = number
             line = decoded(raw.removesuffix(b"\r"))
-            if self.repeated is not None and self.repeated.takes(line, self.next_line):
-                pass
-            elif not is_comment(line, self.dialect.comments):
+            if raw and self.repeated is not None and self.repeated.takes(line, number):
+                continue
+            if raw and not is_comment(line, self.dialect.comments):
                 row = self._parse_row(line)
                 if row is not None:
                     if time is not None and self.repeated is not None:
                         row[time] = float(self.repeated.continued(np.array(row[time : time + 1]))[0])
-                    rows.append(self.next_row)
-                    lines.append(self.next_line)
+                    places.append((self.next_row, self.next_line))
                     values.append(row)
                 self.next_row += 1
-            self.next_line += 1
+        self.next_line += 1
+        rows, lines = np.array(places, dtype=np.int64).reshape(-1, 2).T
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
         columns = {role: np.ascontiguousarray(table[:, number]) for number, role in enumerate(self.picks)}
-        return SampleBlock(np.array(rows, dtype=np.int64), np.array(lines, dtype=np.int64), None, columns)
+        return SampleBlock(rows, lines, None, columns)
 
     def _parse_row(self, line: str) -> list[float] | None:
         """Read the wanted cells of one line; None for a row that is out of range or dropped."""
@@ -177,24 +161,26 @@ class BlockParser:
         cells = split_cells(line, self.dialect.delimiter)
         problem = _wrong_width(cells, self.dialect.width)
         row: list[float] = []
-        if not problem:
-            for pick in self.picks.values():
-                cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
-                value = self._value(cell, pick)
-                if value is None:
-                    problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
-                    break
-                row.append(value)
-            else:
-                problem = self._text_among_numbers(cells)
+        for pick in () if problem else self.picks.values():
+            cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
+            value = self._value(cell, pick)
+            if value is None:
+                problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
+                break
+            row.append(value)
+        problem = problem or self._text_among_numbers(cells)
         if not problem:
             return row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
             raise InputError(f"{message} {SKIP_REMEDY}")
+        self.drop(message)
+        return None
+
+    def drop(self, message: str) -> None:
+        """Count a row that is left out, and keep the first one's message."""
         self.dropped += 1
         self.first_dropped = self.first_dropped or message
-        return None
 
     def _value(self, cell: str, pick: ColumnInfo) -> float | None:
         """Read a cell as a number or a time stamp (s); None where it is neither."""
@@ -228,7 +214,7 @@ class BlockParser:
 
     def _in_range(self, block: SampleBlock) -> SampleBlock:
         first, last = self.rows
-        if len(block.rows) == 0 or (block.rows[0] >= first and (last is None or block.rows[-1] <= last)):
+        if self.rows == ALL_ROWS or not len(block):
             return block
         rows = np.asarray(block.rows)
         start = int(np.searchsorted(rows, first))
@@ -257,30 +243,21 @@ def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
     return text[kept].tobytes(), filled.astype(np.int64)
 
 
-def _runs_collapsed(block: bytes) -> bytes:
-    """Make one blank of every run of blanks, in time that does not depend on how long they are."""
-    text = np.frombuffer(block, dtype=np.uint8)
-    blank = text == 32
-    blank[1:] &= blank[:-1]
-    blank[0] = False
-    collapsed: bytes = text[~blank].tobytes()
-    return collapsed
+def _without_blanks(block: bytes, delimiter: str) -> bytes:
+    """Make one blank of every run of them, and take off those before a delimiter or the end of a line.
 
-
-def _single_blanks(block: bytes) -> bytes:
-    """Collapse runs of blanks and tabs to one blank, and take off those at the ends of lines."""
-    if b"\t" in block:
-        block = block.replace(b"\t", b" ")
-    text = np.frombuffer(block, dtype=np.uint8)
-    blank = text == 32
-    end = text == 10
-    superfluous = blank.copy()
-    superfluous[1:] &= blank[:-1] | end[:-1]  # after another blank, or at the start of a line
-    superfluous[:-1] |= blank[:-1] & end[1:]  # at the end of a line
-    if not superfluous.any():
-        return block
-    collapsed: bytes = text[~superfluous].tobytes()
-    return collapsed.replace(b" \n", b"\n")  # the one blank left of a run at the end of a line
+    Polars and float() do without those after a delimiter. The time does not depend on how long the runs are.
+    """
+    if b"  " in block:
+        text = np.frombuffer(block, dtype=np.uint8)
+        blank = text == 32
+        blank[1:] &= blank[:-1]
+        blank[0] = False
+        block = text[~blank].tobytes()
+    block = block.replace(b" \n", b"\n")
+    if delimiter == BLANKS:
+        return block.replace(b"\n ", b"\n").removeprefix(b" ")
+    return block.replace(b" " + delimiter.encode(), delimiter.encode())
 
 
 def _is_rectangular(block: bytes, lines: int, dialect: Dialect) -> bool:

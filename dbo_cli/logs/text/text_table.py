@@ -178,8 +178,7 @@ class TextTable:
         if not parser.skip_bad:
             out = f"`skip_bad` or `rows` :{max(1, row - 1)} leaves it out"
             raise InputError(f"{message} ({out}; end the line if it is whole)")
-        parser.dropped += 1
-        parser.first_dropped = parser.first_dropped or message
+        parser.drop(message)
         return False
 
     def _describe_columns(self) -> list[ColumnInfo]:
