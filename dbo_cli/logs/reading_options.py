@@ -6,6 +6,7 @@ import codecs
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
@@ -84,6 +85,27 @@ class ReadingOptions:
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
         object.__setattr__(self, "scale", (self.scale,) if isinstance(self.scale, str) else tuple(self.scale))
+        object.__setattr__(self, "rows", parse_rows(self.rows))
+        self._check_time()
+        self.scales  # noqa: B018 - parsed once; refuses what is none
+        if self.format is not None and self.format not in FORMATS:
+            raise UsageError(f"`format` {self.format}: the formats are {', '.join(FORMATS)}")
+        if self.header_lines is not None and self.header_lines not in (0, 1, 2):
+            raise UsageError(f"`header_lines`: '{self.header_lines}' is none of 0, 1, 2")
+        for name, least in (("skip_lines", 0), ("block_rows", 1)):
+            count = getattr(self, name)
+            if count is not None and count < least:
+                raise UsageError(f"`{name}`: must be at least {least}, not {count}")
+        for name in ("delimiter", "comment"):
+            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
+                raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
+        self.delimiter_character  # noqa: B018
+        self.decimal_sign  # noqa: B018
+        if self.encoding is not None:
+            check_encoding(self.encoding)
+
+    def _check_time(self) -> None:
+        """Refuse rates and units of time that are none, or that exclude each other."""
         for name in ("sample_rate", "resample"):
             rate = getattr(self, name)
             if rate is not None and not (math.isfinite(rate) and rate > 0.0):
@@ -96,30 +118,6 @@ class ReadingOptions:
             raise UsageError(
                 "`time` and `sample_rate` exclude each other: the log has the one or needs the other"
             )
-        self._check_units()
-        if self.format is not None and self.format not in FORMATS:
-            raise UsageError(f"`format` {self.format}: the formats are {', '.join(FORMATS)}")
-        if self.header_lines is not None and self.header_lines not in (0, 1, 2):
-            raise UsageError(f"`header_lines`: '{self.header_lines}' is none of 0, 1, 2")
-        for name, least in (("skip_lines", 0), ("block_rows", 1)):
-            count = getattr(self, name)
-            if count is not None and count < least:
-                raise UsageError(f"`{name}`: must be at least {least}, not {count}")
-        object.__setattr__(self, "rows", parse_rows(self.rows))
-        self._check_marks()
-        if self.encoding is not None:
-            check_encoding(self.encoding)
-
-    def _check_marks(self) -> None:
-        """Refuse marks that no text can hold."""
-        for name in ("delimiter", "comment"):
-            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
-                raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
-        self.delimiter_character  # noqa: B018 - refuses what is none
-        self.decimal_sign  # noqa: B018
-
-    def _check_units(self) -> None:
-        """Refuse a unit of time or a scale that is none."""
         if self.time_unit is not None:
             from dbo_cli.logs.stated_clock import parse_time_unit
 
@@ -128,9 +126,8 @@ class ReadingOptions:
                 raise UsageError(
                     "`time_unit` and `sample_rate` exclude each other: the time column is read or replaced"
                 )
-        self.scales  # noqa: B018 - refuses what is none
 
-    @property
+    @cached_property
     def scales(self) -> tuple[Scale, ...]:
         """The factors by role (UsageError where one is none)."""
         if not self.scale:
@@ -151,7 +148,7 @@ class ReadingOptions:
             said["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
         return said
 
-    @property
+    @cached_property
     def delimiter_character(self) -> str | None:
         """The delimiter asked for, or None where it is to be detected.
 
@@ -168,7 +165,7 @@ class ReadingOptions:
             raise UsageError(f"`delimiter` {self.delimiter}: give a single character or one of {names}")
         return found
 
-    @property
+    @cached_property
     def decimal_sign(self) -> str | None:
         """The decimal sign asked for, or None where it is to be detected.
 
