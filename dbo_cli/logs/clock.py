@@ -89,25 +89,18 @@ class TimeCheck:
         where = "line" if self.has_lines else "row"
         told = []
         for finding, text in (
-            (self.restart, "the clock starts again at {where} {line} (from {before} s to {after} s)"),
-            (self.backward, "time goes backwards at {where} {line} (from {before} s to {after} s)"),
-            (self.repeat, "the time stamp {after} s repeats at {where} {line}"),
-            (
-                self.gap,
-                "a gap at {where} {line} (from {before} s to {after} s, usual step {step:.4g} s)",
-            ),
+            (self.restart, "the clock starts again at {place} ({jump})"),
+            (self.backward, "time goes backwards at {place} ({jump})"),
+            (self.repeat, "the time stamp {after} s repeats at {place}"),
+            (self.gap, "a gap at {place} ({jump}, usual step {step:.4g} s)"),
         ):
             if finding.count:
-                text = text.format(
-                    where=where,
-                    line=finding.line,
-                    before=_stamp(finding.before),
-                    after=_stamp(finding.after),
-                    step=self.step,
-                )
+                after, place = _stamp(finding.after), f"{where} {finding.line}"
+                jump = f"from {_stamp(finding.before)} s to {after} s"
                 again = f", and {finding.count - 1} more" if finding.count > 1 else ""
+                text = text.format(place=place, jump=jump, after=after, step=self.step)
                 told.append(f"{self.place}: {text}{again}")
-        if self.widest - self.narrowest > JITTER * self.step > 0.0 and self.widest > 0.0:
+        if not self.is_even and self.step > 0.0 and self.widest > 0.0:
             told.append(
                 f"{self.place}: time steps vary from {self.narrowest:.4g} s to {self.widest:.4g} s "
                 f"(usual step {self.step:.4g} s)"
@@ -133,20 +126,18 @@ class TimeCheck:
         before = np.concatenate([[self._last], time[:-1]])
         self._last = float(time[-1])
         steps = time - before
-        if steps.min() > 0.0 and steps.max() <= GAP_STEPS * self.step:
-            usual = steps
-        else:
-            anew = (
-                (steps < 0.0) & (np.abs(time - self._first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
-            )
+        usual = steps
+        if steps.min() <= 0.0 or steps.max() > GAP_STEPS * self.step:
+            begins = (np.abs(time - self._first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
+            gap = steps > GAP_STEPS * self.step
             for finding, which in (
-                (self.restart, anew),
-                (self.backward, (steps < 0.0) & ~anew),
+                (self.restart, (steps < 0.0) & begins),
+                (self.backward, (steps < 0.0) & ~begins),
                 (self.repeat, steps == 0.0),
-                (self.gap, steps > GAP_STEPS * self.step),
+                (self.gap, gap),
             ):
                 finding.add(lines, rows, np.flatnonzero(which), before, time)
-            usual = steps[(steps > 0.0) & (steps <= GAP_STEPS * self.step)]
+            usual = steps[(steps > 0.0) & ~gap]
         if len(usual):
             self.narrowest = min(self.narrowest, float(usual.min()))
             self.widest = max(self.widest, float(usual.max()))
