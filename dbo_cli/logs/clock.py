@@ -12,8 +12,8 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.sample_block import FloatArray, Places, SampleBlock, joined
 
 _LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
-GAP_STEPS = 1.5
-JITTER = 0.05
+GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
+JITTER = 0.05  # of a step; what the clocks of operating systems jitter by, and no model notices
 
 
 @dataclass

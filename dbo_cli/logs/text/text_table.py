@@ -6,7 +6,7 @@ import itertools
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
@@ -213,20 +213,13 @@ def _has_data(text: bytes, options: ReadingOptions) -> bool:
     return False
 
 
-class _Written(NamedTuple):
-    """How a number is written: digits before and after the decimal sign (-1: no sign) and in the exponent."""
-
-    whole: int
-    decimals: int
-    exponent: int
-
-
-def _written(cell: str) -> _Written | None:
+def _digits(cell: str) -> tuple[int, int, int] | None:
+    """Count a number's digits before and after the decimal sign (-1: no sign) and in the exponent."""
     found = _NUMBER.fullmatch(cell)
     if found is None:
         return None
     decimals = len(found["rest"]) - 1 if found["rest"] is not None else -1
-    return _Written(len(found["whole"]), decimals, len(found["exponent"] or ""))
+    return len(found["whole"]), decimals, len(found["exponent"] or "")
 
 
 def last_cells(text: bytes, dialect: Dialect) -> list[str]:
@@ -248,19 +241,17 @@ def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
     whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
     decimal sign alone mean nothing (99 follows 100), unless the value leaps as well.
     """
-    own = _written(cell)
-    others = [one for one in map(_written, above) if one is not None]
+    own = _digits(cell)
+    others = [one for one in map(_digits, above) if one is not None]
     if own is None or not others:
         return False
-    least = _Written(
-        *(min(getattr(one, name) for one in others) for name in ("whole", "decimals", "exponent"))
-    )
-    if own.exponent < least.exponent:
+    whole, decimals, exponent = (min(counts) for counts in zip(*others, strict=True))
+    if own[2] < exponent:
         return True
-    if own.decimals < least.decimals:
-        varying = len({one.decimals for one in others}) > 1
+    if own[1] < decimals:
+        varying = len({one[1] for one in others}) > 1
         return not (varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal))
-    shorter = len(cell) < min(map(len, above)) or own.whole < least.whole
+    shorter = len(cell) < min(map(len, above)) or own[0] < whole
     return shorter and _leaps(cell, above, decimal)
 
 
