@@ -45,7 +45,7 @@ def median_step(steps: FloatArray) -> float:
 
 @dataclass
 class TimeCheck:
-    """Watches time stamps go by and says what is odd about them, in constant memory.
+    """Watches time stamps block by block and notes what is odd about them, in constant memory.
 
     The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
     the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``.
@@ -84,10 +84,10 @@ class TimeCheck:
             self._judge(time, rows, lines)
 
     def notes(self) -> list[str]:
-        """Say what was found, one line a finding, with the first place of each."""
+        """Return what was found, one line a finding, with the first place of each."""
         self._learn()
         where = "line" if self.has_lines else "row"
-        told = []
+        notes = []
         for finding, text in (
             (self.restart, "the clock starts again at {place} ({jump})"),
             (self.backward, "time goes backwards at {place} ({jump})"),
@@ -99,13 +99,13 @@ class TimeCheck:
                 jump = f"from {_stamp(finding.before)} s to {after} s"
                 again = f", and {finding.count - 1} more" if finding.count > 1 else ""
                 text = text.format(place=place, jump=jump, after=after, step=self.step)
-                told.append(f"{self.place}: {text}{again}")
+                notes.append(f"{self.place}: {text}{again}")
         if not self.is_even and self.step > 0.0 and self.widest > 0.0:
-            told.append(
+            notes.append(
                 f"{self.place}: time steps vary from {self.narrowest:.4g} s to {self.widest:.4g} s "
                 f"(usual step {self.step:.4g} s)"
             )
-        return told
+        return notes
 
     def _learn(self) -> None:
         if not self._kept:
@@ -144,12 +144,12 @@ class TimeCheck:
 
 
 def _stamp(time: float) -> str:
-    """Write a time stamp (s); those that count from 1970 need more digits to be told apart."""
+    """Write a time stamp (s); those that count from 1970 need more digits to differ."""
     return f"{time:.3f}" if 1e6 <= abs(time) < 1e15 else f"{time:.6g}"
 
 
 def even_step(time: FloatArray) -> float | None:
-    """Give the common step (s) of evenly sampled time stamps, or None where they are not even.
+    """Return the common step (s) of evenly sampled time stamps, or None where they are not even.
 
     Stamps count as even when none is further than 5 % of a step from the straight line through the first and
     the last, or, where the log has too few digits for that, when rounding to those digits explains the
@@ -170,7 +170,7 @@ def even_step(time: FloatArray) -> float | None:
 
 
 def require_even(place: str, time: FloatArray, why: str) -> float:
-    """Give the common step (s), or refuse with the remedy.
+    """Return the common step (s), or refuse with the remedy.
 
     Raises
     ------

@@ -96,7 +96,7 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def is_torn(text: str) -> bool:
-    """Tell whether brackets do not fit together: what they state cannot be told."""
+    """Return whether brackets do not fit together: what they state is not clear."""
     return any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}"))
 
 
@@ -236,14 +236,14 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
 
 
 def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether a column was found by a whole name, or by a word and a unit of the right kind."""
+    """Return whether a column was found by a whole name, or by a word and a unit of the right kind."""
     kind = kind_of_unit(column.unit)
     whole = len(column.quantity) > 1 and column.quantity.lower() in wish.guesses
     return kind in wish.channel_kinds or (whole and kind is None)
 
 
 def _resembles(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether one of a column's words is a long name but for one letter."""
+    """Return whether one of a column's words is a long name but for one letter."""
     return any(
         _one_letter_off(word, name)
         for word in [*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())]
@@ -257,7 +257,7 @@ def _suspects(
 ) -> list[ColumnInfo]:
     """Find what may be meant beside a column that has no whole name: names run together, letters in words.
 
-    Where no unit speaks for what was found by a lesser name, whatever nobody knows may be meant.
+    Where no unit supports what was found by a lesser name, any column of an unknown name may be meant.
     """
     sure = found or all(kind_of_unit(column.unit) in wish.channel_kinds for column in others)
     long_names = [name for name in wish.guesses if len(name) >= 4]
@@ -277,20 +277,20 @@ def _letters(column: ColumnInfo) -> str:
 
 
 def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether a name and a unit of the right kind stand without anything between them: Wegµm."""
+    """Return whether a name and a unit of the right kind stand without anything between them: Wegµm."""
     word = _letters(column)
     ends = [word[len(name) :] for name in (*wish.guesses, *wish.letters) if word.startswith(name)]
     return any(kind_of_unit(normalise_unit(end)) in wish.channel_kinds for end in ends if end)
 
 
 def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether nothing is known of a column's name: no other role's, and no mere number or flag."""
+    """Return whether nothing is known of a column's name: no other role's, and no mere number or flag."""
     words = set(_words(column.quantity))
     return bool(words) and not words & (wish.foreign | _BESIDES)
 
 
 def _one_letter_off(one: str, other: str) -> bool:
-    """Tell whether two words differ by one letter: put in, left out, changed, or swapped with the next."""
+    """Return whether two words differ by one letter: put in, left out, changed, or swapped with the next."""
     short, long = sorted((one, other), key=len)
     same = next((k for k, letter in enumerate(short) if letter != long[k]), len(short))
     if len(short) < len(long):
@@ -310,7 +310,7 @@ def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
 
 
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether nothing in a column's unit and words speaks against a wish."""
+    """Return whether nothing in a column's unit and words speaks against a wish."""
     kind = kind_of_unit(column.unit)
     if column.written != "numbers":
         return False
@@ -381,7 +381,7 @@ def _not_unique(
     used: Collection[int],
     timed: bool,
 ) -> str:
-    """Say of every role at once which columns may be meant, or that none is, and how to choose."""
+    """Ask for every role at once which columns may be meant, or that none is, and how to choose."""
     calls = {role: f"{role} signal" if role in ("desired", "measured") else role for role in missing}
     free = [column.number for column in columns if column.number not in used]
     if not any(column.quantity for column in columns) and len(free) >= len(missing):
@@ -390,12 +390,12 @@ def _not_unique(
         example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
         which = ", which the ".join(calls.values())
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
-    told, absent = [], []
+    questions, absent = [], []
     for role, found in missing.items():
         called = calls[role]
         if found:
             names = any_of([f"'{column.name}'" for column in found])
-            told.append(f"which column is the {called}, {names}?")
+            questions.append(f"which column is the {called}, {names}?")
             continue
         wanted = [one for one in columns if is_order(one, want[role])]
         absent.append(called)
@@ -405,12 +405,14 @@ def _not_unique(
                 "the sensor beside it)"
             )
     if absent:
-        told.append(f"no column is recognised as the {' nor as the '.join(absent)}: {list_columns(columns)}")
+        questions.append(
+            f"no column is recognised as the {' nor as the '.join(absent)}: {list_columns(columns)}"
+        )
     options = [f"`{want[role].option}`" for role in missing]
-    return f"{place}: {' '.join(told)} (choose with {' and '.join(options)} NAME or NUMBER)"
+    return f"{place}: {' '.join(questions)} (choose with {' and '.join(options)} NAME or NUMBER)"
 
 
 def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether a column says what was wanted, where what was measured is looked for."""
+    """Return whether a column says what was wanted, where what was measured is looked for."""
     unit_fits = wish.kinds is None or column.unit is None or kind_of_unit(column.unit) in wish.kinds
     return "desired" in wish.contrary and unit_fits and bool(wish.contrary & set(_words(column.name)))

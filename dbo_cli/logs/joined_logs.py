@@ -129,7 +129,7 @@ def _find_clocks(
 
 
 def _refuse_missing(table: Table, wish: ColumnWish) -> None:
-    """Say that a file is missing where ``FILE::COLUMN`` was meant."""
+    """State that a file is missing where ``FILE::COLUMN`` was meant."""
     if wish.selector is None or "::" not in wish.selector:
         return
     if all(wish.selector not in (column.name, column.quantity) for column in table.columns):
@@ -153,11 +153,11 @@ class _JoinedTable:
         self._step = 0.0
 
     def describe(self) -> str:
-        """Tell in one line how each file is written."""
+        """Describe in one line how each file is written."""
         return "; ".join(file.table.describe() for file in self._files)
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Give the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
+        """Return the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
 
         Raises
         ------
@@ -276,10 +276,10 @@ def _in_step(
     for number, block in enumerate(pending):
         for rest in [block, *streams[number]] if block is not None else []:  # how far are they apart?
             last[number] = int(rest.rows[-1])
-    told = ", ".join(f"{name} {count}" for (name, _), count in zip(files, last, strict=True))
+    counts = ", ".join(f"{name} {count}" for (name, _), count in zip(files, last, strict=True))
     if not skip_bad:
-        raise InputError(f"the files are not equally long: {told} rows (`rows` A:B cuts all of them)")
-    notes.append(f"the files do not end at the same row: {told}: the rows beyond the shortest are left out")
+        raise InputError(f"the files are not equally long: {counts} rows (`rows` A:B cuts all of them)")
+    notes.append(f"the files do not end at the same row: {counts}: the rows beyond the shortest are left out")
 
 
 def _merged(parts: list[SampleBlock]) -> SampleBlock:

@@ -22,7 +22,7 @@ _FORMULA_SIGNS = ("=", "+", "-", "@")
 
 @dataclass(frozen=True)
 class OutColumn:
-    """A column to be written: name, unit, and what it measures (told by HDF5 alone; the name by default)."""
+    """A column to be written: name, unit, and what it measures (for HDF5 alone; the name by default)."""
 
     name: str
     unit: str | None = None

@@ -1,4 +1,4 @@
-"""How logs are to be read, as far as somebody had to say it; checked once, when the value is made."""
+"""How logs are to be read, as far as the user gave it; checked once, when the value is made."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ReadingOptions:
     time : str, optional
         The time column: a header name, a dataset path, or a number counted from 1.
     time_unit : str, optional
-        What the figures of the time column count (``ms``, ``10us``); goes before what the header says.
+        What the figures of the time column count (``ms``, ``10us``); goes before what the header states.
     scale : tuple of str
         Factors by role, ``voltage=20`` or ``displacement=10um/V``.
     sample_rate : float, optional
@@ -49,7 +49,7 @@ class ReadingOptions:
     resample : float, optional
         Interpolate linearly to this rate (Hz).
     format : str, optional
-        ``csv``, ``tsv`` or ``hdf5``, where no file name tells.
+        ``csv``, ``tsv`` or ``hdf5``, where no file name shows it.
     delimiter, decimal, comment : str, optional
         Of text: a name of ``DELIMITERS`` or a single character; ``point`` or ``comma``; the characters that
         start a comment line.
@@ -137,16 +137,16 @@ class ReadingOptions:
         return tuple(parse_scale(text) for text in self.scale)
 
     def chosen(self) -> dict[str, object]:
-        """Return what was said, under its parameter's name; how many rows are held changes nothing."""
-        said: dict[str, object] = {}
+        """Return what the user gave, under its parameter's name; how many rows are held changes nothing."""
+        given: dict[str, object] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value != field.default and field.name != "block_rows":
-                said[field.name] = value
-        if "rows" in said:
+                given[field.name] = value
+        if "rows" in given:
             first, last = self.rows
-            said["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
-        return said
+            given["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
+        return given
 
     @cached_property
     def delimiter_character(self) -> str | None:

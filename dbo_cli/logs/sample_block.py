@@ -38,7 +38,7 @@ _OVERFLOW_FROM, _OVERFLOW_TO = 9.899e37, 9.911e37
 
 
 def is_overflow(value: float) -> bool:
-    """Tell whether a number is an instrument's way to say that it has none."""
+    """Return whether a number is an instrument's way to say that it has none."""
     return _OVERFLOW_FROM < abs(value) < _OVERFLOW_TO
 
 
@@ -57,7 +57,7 @@ class SampleBlock:
 
     ``rows`` are data row numbers from 1 (a gap where bad rows were dropped), ``lines`` the line numbers in
     the file (None for formats that have none); ``time`` is in seconds, None where it is not known or not yet
-    told from the other columns; ``values`` holds one float64 array of the same length a role.
+    separated from the other columns; ``values`` holds one float64 array of the same length a role.
     """
 
     rows: Places
@@ -122,10 +122,10 @@ class Table(Protocol):
     notes: list[str]
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Tell the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
+        """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
 
     def describe(self) -> str:
-        """Tell in one line how the log is written."""
+        """Describe in one line how the log is written."""
 
     def blocks(
         self, picks: Mapping[str, ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int

@@ -107,18 +107,18 @@ class SignalLog:
         return self.time is not None or self.sample_rate is not None
 
     def describe(self) -> str:
-        """Tell in one line how the log is written and what was chosen, for ``verbose``."""
+        """Describe in one line how the log is written and what was chosen, for ``verbose``."""
         chosen = [f"{role} is column {column.number}" for role, column in self.columns.items()]
         if self.time is not None:
             chosen.insert(0, f"time is column {self.time.number}")
         return f"{self._table.describe()}; {', '.join(chosen)}"
 
     def opening_line(self) -> str:
-        """Say what is being read, as far as it is known before the first block (for streams)."""
+        """Describe what is being read, as far as it is known before the first block (for streams)."""
         return self._line([] if self.has_time else ["no time"], self.sample_rate)
 
     def reading_line(self) -> str:
-        """Say what was read, once the blocks have been: rows, duration, rate, and the column of each role."""
+        """Describe what was read, once all blocks were: rows, duration, rate, and the column of each role."""
         rate, seconds = self._rate_and_seconds()
         known = [f"{self.rows_read:,} row{'s' if self.rows_read != 1 else ''}"]
         return self._line(known if self.has_time else [*known, "no time"], rate, seconds)
@@ -134,7 +134,7 @@ class SignalLog:
             known = [*known, text if seconds is None else f"{_plain(seconds, 3)} s at {text}"]
         read = [self._read(role, column, column.unit) for role, column in self._picks.items()]
         if self._clock is not None:
-            read.insert(0, self._read("time", self._clock.column, self._clock.described()))
+            read.insert(0, self._read("time", self._clock.column, self._clock.reading()))
         return f"{self.name}: {'; '.join(filter(None, [', '.join(known), ', '.join(read)]))}"
 
     def _read(self, role: str, column: ColumnInfo, unit: str | None) -> str:
@@ -144,14 +144,14 @@ class SignalLog:
         return f"{role} {called} ({unit or 'no unit'}{scale})"
 
     def reading_record(self) -> dict[str, Any]:
-        """Give what ``reading_line`` says as plain values, for a model's provenance."""
+        """Return what ``reading_line`` states as plain values, for a model's provenance."""
         rate, seconds = self._rate_and_seconds()
         columns = {
             role: self._column_record(role, column, column.unit) for role, column in self._picks.items()
         }
         record: dict[str, Any] = {"rows": self.rows_read, "seconds": seconds, "sample_rate": rate}
         if self._clock is not None:
-            record["time"] = self._column_record("time", self._clock.column, self._clock.described())
+            record["time"] = self._column_record("time", self._clock.column, self._clock.reading())
         record["columns"] = columns
         return {key: value for key, value in record.items() if value is not None}
 
@@ -174,7 +174,7 @@ class SignalLog:
         return None if scale is None else f"times {str(scale).partition('=')[2]}"
 
     def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit from now on, and say so (see ``convert_column``).
+        """Hand a role's samples out in another unit from now on, with a note (see ``convert_column``).
 
         Raises
         ------
@@ -273,7 +273,7 @@ def _plain(value: float, digits: int = 4) -> str:
 
 
 def _doubtful_unit(place: str, column: ColumnInfo) -> str:
-    """Say what is odd about the unit of a column, if anything is."""
+    """Return what is odd about the unit of a column, if anything is."""
     own = contradicted_unit(column)
     if own is not None:
         return (

@@ -2,7 +2,7 @@
 
 A rate is used only where its meaning is plain.  An attribute called ``sample_rate`` of ``10 kHz`` is 10,000
 samples a second; one without a unit is taken in the unit that its name implies (hertz for a rate, seconds
-for a step), and that is said; a unit that is none of a rate or a step, or two statements that disagree, are
+for a step), with a note; a unit that is none of a rate or a step, or two statements that disagree, are
 refused as soon as the rate is needed.
 """
 
@@ -53,7 +53,7 @@ _COUNTED = frozenset(
     ("tick", "ticks", "sample", "samples", "frame", "frames", "count", "counts", "cycle", "cycles", "index",
      "idx", "step", "steps", "point", "points", "pulses", "clocks", "jiffies", "row", "rows", "number", "no")
 )  # fmt: skip
-"""Words that, behind the name of a time column, say that it counts something other than time."""
+"""Words that, behind the name of a time column, show that it counts something other than time."""
 
 _NO_UNIT = frozenset(
     ("relative", "rel", "absolute", "abs", "raw", "local", "utc", "gmt", "cet", "elapsed", "iso", "iso8601",
@@ -72,7 +72,7 @@ _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", 
 _STEPS = {"wfincrement", "sampleperiod", "samplingperiod", "sampleinterval", "samplinginterval", "sampletime",
           "timestep", "timeincrement", "dt", "deltat", "ts", "tinterval", "xincrement", "xinc", "tinc",
           "abtastintervall", "abtastzeit", "abtastperiode"}  # fmt: skip
-_BARE = {"rate"}  # of what? only a unit of a rate tells
+_BARE = {"rate"}  # of what? only a unit of a rate shows it
 _PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", "Sps", "samples/s",
                "Samples/s", "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s",
                "1/s", "s^-1", "s-1", "/s")  # fmt: skip
@@ -107,7 +107,7 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
 
 
 class StatedTime(NamedTuple):
-    """What a time column's header says of its figures; ``unit`` is None where it says nothing."""
+    """What a time column's header states of its figures; ``unit`` is None where it states nothing."""
 
     unit: str | None
     factor: UnitFactor = ONE
@@ -183,26 +183,26 @@ def _behind(quantity: str) -> list[str]:
 
 
 def is_other_kind(unit: str | None) -> bool:
-    """Tell whether a unit measures something that is plainly no time (a temperature called T)."""
+    """Return whether a unit measures something that is plainly no time (a temperature called T)."""
     kind = kind_of_unit(unit)
     return kind not in (None, "time", "count", "number of samples") and time_unit(unit or "") is None
 
 
 @dataclass(frozen=True)
 class Statement:
-    """What one place of a file says of the clock: samples a second, or why it cannot be used.
+    """What one place of a file states of the clock: samples a second, or why it cannot be used.
 
     ``assumed`` is the unit that was taken where none was given.
     """
 
-    said: str
+    text: str
     rate: float | None
     problem: str = ""
     assumed: str = ""
 
 
 def is_clock_name(name: str) -> bool:
-    """Tell whether an attribute, variable or header line of this name states a rate or a step."""
+    """Return whether an attribute, variable or header line of this name states a rate or a step."""
     return len(name) <= _LONGEST and bool(_kind_of(name)[0])
 
 
@@ -237,48 +237,48 @@ def read_statement(name: str, value: object, unit: object = None, *, sure: bool 
     stated = stated or written or own or ""
     if key in _BARE and stated.replace(" ", "") not in _HERTZ:
         return None
-    said = f"'{name}' {_plain(value)}" + (f" {stated}" if stated and stated not in _plain(value) else "")
+    text = f"'{name}' {_plain(value)}" + (f" {stated}" if stated and stated not in _plain(value) else "")
     if amount is None:
         # Text and lists under the name of a step are time stamps (``ts``) more often than steps.
         several = kind == "rate" and not isinstance(value, str | bytes) and np.asarray(value).size > 1
-        return Statement(said, None, f"{said} is no single number") if several else None
+        return Statement(text, None, f"{text} is no single number") if several else None
     if not amount > 0.0 or not math.isfinite(amount):
         return None  # an instrument's way to say that it does not know
     factor = _factor(kind, stated)
     if factor is None:
         proper = "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
-        return Statement(said, None, f"{said} is not in a unit of {proper}")
+        return Statement(text, None, f"{text} is not in a unit of {proper}")
     rate = amount * factor if kind == "rate" else factor / amount
-    return Statement(said, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")
+    return Statement(text, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")
 
 
 def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -> float | None:
-    """Give the one sample rate (Hz) that all statements tell; None without any.
+    """Return the one sample rate (Hz) that all statements give; None without any.
 
     Raises
     ------
     InputError
         A statement cannot be read, or two disagree; ``sample_rate`` is the remedy.
     """
-    told = list(dict.fromkeys(statements))
-    for one in told:
+    found = list(dict.fromkeys(statements))
+    for one in found:
         if one.rate is None:
             raise InputError(f"{place}: {one.problem} (`sample_rate` HZ gives the rate instead)")
-    if not told:
+    if not found:
         return None
-    first = told[0]
+    first = found[0]
     assert first.rate is not None
-    for one in told[1:]:
+    for one in found[1:]:
         assert one.rate is not None
         if abs(one.rate - first.rate) > _SAME * first.rate:
             raise InputError(
-                f"{place}: two sample rates are stated, {first.said} and {one.said}: which one holds? "
+                f"{place}: two sample rates are stated, {first.text} and {one.text}: which one holds? "
                 "(`sample_rate` HZ decides)"
             )
-    certain = [one for one in told if not one.assumed]
+    certain = [one for one in found if not one.assumed]
     chosen = certain[0] if certain else first
     if chosen.assumed:
-        notes.append(f"{place}: {chosen.said} has no unit: {chosen.assumed} is assumed")
+        notes.append(f"{place}: {chosen.text} has no unit: {chosen.assumed} is assumed")
     return chosen.rate
 
 

@@ -1,7 +1,7 @@
 """The time column of a log as seconds, and what is doubtful about it.
 
 Figures whose unit is not stated are read as seconds, unless they can only be a calendar's (milliseconds since
-1970, a spreadsheet's days).  Whatever is read without being stated is said, with the remedy.
+1970, a spreadsheet's days).  What is read without being stated is warned of, with the remedy.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _PERIODS = {"clock": (86_400.0, "midnight"), "minutes": (3_600.0, "the full hour
 _PLAIN_NAMES = frozenset(TIME_NAMES) - {"t"}  # T is a temperature as often as a time
 _DATE_WORDS = ("date", "datum", "timestamp", "datetime", "serial", "datenum", "excel", "zeitstempel")
 
-# A loop takes seconds and holds hundreds of samples: whoever logs one each second or slower says so.
+# A loop takes seconds and holds hundreds of samples: whoever logs one each second or slower states it.
 LONG_STEP = 1.0
 # No loop is recorded at less than a sample an hour, whatever the header states.
 LONGEST_STEP = 3600.0
@@ -83,9 +83,9 @@ class TimeColumn:
     date
         The column of dates beside a column of clock times, or None.
     stated
-        What the header says.
-    said
-        How the figures are read, for the line that says what was read: ``ms``, ``clock times``.
+        What the header states.
+    described
+        How the figures are read, for the line on what was read: ``ms``, ``clock times``.
     """
 
     place: str
@@ -93,7 +93,7 @@ class TimeColumn:
     date: ColumnInfo | None
     stated: StatedTime
     given: bool  # by the user, so that nothing is doubted
-    said: str = ""
+    described: str = ""
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
     _decided: bool = False
@@ -115,16 +115,16 @@ class TimeColumn:
         """Whether figures stand without a unit."""
         return self.column.written == "numbers" and self.stated.unit is None
 
-    def described(self) -> str:
+    def reading(self) -> str:
         """Return how the column is read: its unit, or that there is none."""
-        if self.said:
-            return self.said
+        if self.described:
+            return self.described
         if self.stated.unit is None:
             return "no unit, read as s"
         return f"{self.stated.unit} since {self.stated.origin}" if self.stated.origin else self.stated.unit
 
     def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
-        """Keep blocks until it can be told what the figures count: at most until the second time stamp."""
+        """Keep blocks until it is known what the figures count: at most until the second time stamp."""
         waiting: list[SampleBlock] = []
         for block in blocks if self.bare else ():
             waiting.append(block)
@@ -165,7 +165,7 @@ class TimeColumn:
         return self.stated.factor.apply(raw)
 
     def _decide(self, figures: FloatArray, last: bool) -> bool:
-        """Look for a calendar in the first stamps; False where a second one is needed to tell."""
+        """Look for a calendar in the first stamps; False where a second one is needed."""
         first = float(figures[0]) if len(figures) else 0.0
         found = next((one for one in (*_CALENDARS, *_DAY_CALENDARS) if one.low <= first < one.high), None)
         if found in _DAY_CALENDARS:
@@ -177,7 +177,7 @@ class TimeColumn:
                 self._doubt = found.name if found and step < 10.0 * _DAY_STEP else ""
                 return True
         if found is not None:
-            self._calendar, self.said = found, f"no unit, read as {found.name}"
+            self._calendar, self.described = found, f"no unit, read as {found.name}"
         return True
 
     def _unrolled(self, raw: FloatArray, period: float, what: str) -> FloatArray:
@@ -196,40 +196,40 @@ class TimeColumn:
         return raw + carried
 
     def warnings(self, check: TimeCheck) -> list[str]:
-        """Say what is doubtful about the figures, with the remedy, once all of them have gone by."""
+        """Return what is doubtful about the figures, with the remedy, once all of them have gone by."""
         called = f"{self.place}: the time column '{self.column.name}'"
-        told, rows = [], check.rows
+        doubts, rows = [], check.rows
         if self.bare and not self.given and self._count > 1:
-            told.append(self._of_figures(check.step))
+            doubts.append(self._of_figures(check.step))
         if check.backward.count > BACKWARD_SHARE * rows:
-            told.append(
+            doubts.append(
                 f"goes backwards in {check.backward.count:,} of {rows:,} rows: is it a clock? "
                 "(`time` COLUMN or `sample_rate` HZ)"
             )
         elif check.repeat.count > rows / 2:
-            told.append(
+            doubts.append(
                 f"repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
                 "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
             )
         if self.column.written == "numbers" and not self.bare and not self.given:
-            told.append(self._of_stated(check.step))
-        return [f"{called} {text}" for text in told if text]
+            doubts.append(self._of_stated(check.step))
+        return [f"{called} {text}" for text in doubts if text]
 
     def _of_stated(self, step: float) -> str:
-        """Say why figures can hardly be in the unit that is stated."""
+        """Return why figures can hardly be in the unit that is stated."""
         first, last = (float(self.stated.factor) * value for value in (self._first or 0.0, self._final))
         if abs(last) > _CALENDARS[0].high:
-            told = f"its stamps would be {last:.3g} s"
+            odd = f"its stamps would be {last:.3g} s"
         elif self._count > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
-            told = f"the whole log would last {abs(last - first):.3g} s"
+            odd = f"the whole log would last {abs(last - first):.3g} s"
         elif LONGEST_STEP < step < np.inf:
-            told = f"its usual step would be {step:.3g} s"
+            odd = f"its usual step would be {step:.3g} s"
         else:
             return ""
-        return f"is stated in {self.stated.unit}, but {told} (`time_unit` says what it counts)"
+        return f"is stated in {self.stated.unit}, but {odd} (`time_unit` says what it counts)"
 
     def _of_figures(self, step: float) -> str:
-        """Say why figures without a unit can hardly be seconds."""
+        """Return why figures without a unit can hardly be seconds."""
         first, last = self._first or 0.0, self._final
         remedy = "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
         if self._doubt:
@@ -239,9 +239,9 @@ class TimeColumn:
             )
         if self._calendar is not None:
             if LONG_STEP < step < np.inf:
-                return f"has {self.said}, and a usual step of {step:.4g} s {remedy}"
+                return f"has {self.described}, and a usual step of {step:.4g} s {remedy}"
             days = self._calendar in _DAY_CALENDARS
-            return f"has {self.said} (`time_unit` s if they are seconds of a day)" if days else ""
+            return f"has {self.described} (`time_unit` s if they are seconds of a day)" if days else ""
         if self._whole and step == 1.0:
             return (
                 "has no unit and counts whole numbers one by one: read as seconds, though it may count rows "
@@ -293,14 +293,14 @@ def time_column(
         )
     dates = [one for one in columns if one.written == "date"] if column.written == "clock" else []
     date = dates[0] if len(dates) == 1 else None
-    said = {"stamp": "dates and clock times", "clock": "clock times", "minutes": "minutes and seconds"}
-    text = said[column.written] if date is None else f"clock times, dates in '{date.name}'"
+    kinds = {"stamp": "dates and clock times", "clock": "clock times", "minutes": "minutes and seconds"}
+    text = kinds[column.written] if date is None else f"clock times, dates in '{date.name}'"
     bare = replace(column, unit=None)
-    return TimeColumn(place, bare, date, StatedTime("s"), True, said=text)
+    return TimeColumn(place, bare, date, StatedTime("s"), True, described=text)
 
 
 class FoundTime(NamedTuple):
-    """The time column of a log, the columns that no other role may take, and what is to be said."""
+    """The time column of a log, the columns that no other role may take, and notes for the user."""
 
     clock: TimeColumn | None
     taken: list[ColumnInfo]

@@ -1,7 +1,7 @@
 """Units: how they are spelled, what they measure, and how one becomes another.
 
 A unit is carried, never guessed.  SI prefixes of one unit are converted, unlike units are not:
-``unit_factor`` gives the number, and whoever uses it says so (``match_units``).
+``unit_factor`` gives the number, and ``match_units`` the note for the user.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def normalise_unit(text: str) -> str | None:
 
 
 def is_known_unit(text: str) -> bool:
-    """Tell whether a header suffix is a unit and not a part of the name."""
+    """Return whether a header suffix is a unit and not a part of the name."""
     return normalise_unit(text) in KNOWN_UNITS
 
 
@@ -140,7 +140,7 @@ def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
 
 
 class UnitMatch(NamedTuple):
-    """How a column is brought into the unit that is wanted, and what is to be said of it."""
+    """How a column is brought into the unit that is wanted, and the messages for the user."""
 
     factor: UnitFactor = ONE
     note: str | None = None
@@ -199,7 +199,7 @@ def convert_column(
 ) -> UnitFactor:
     """Describe a role's column in the unit that its user works in, and return the factor of its samples.
 
-    What is to be said is added to ``notes`` and ``warnings``; the rest is as in ``match_units``.
+    Messages are added to ``notes`` and ``warnings``; the rest is as in ``match_units``.
     """
     match = match_units(place, columns[role], wanted, taker)
     notes.extend([match.note] if match.note else [])

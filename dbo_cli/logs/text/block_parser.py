@@ -191,7 +191,7 @@ class BlockParser:
         return READERS[pick.written](cell)
 
     def _text_among_numbers(self, cells: list[str]) -> str:
-        """Say where text stands in a column of numbers that nobody asked for: such a row is no sample."""
+        """Describe where text stands in a column of numbers that nobody asked for: no sample has it."""
         for column in self._unpicked:
             numeric = column in self.dialect.numeric
             if column < len(cells) and _is_text_in(cells[column], numeric, self.dialect):
@@ -223,7 +223,7 @@ class BlockParser:
 
 
 def _wrong_width(cells: list[str], width: int) -> str:
-    """Say what is wrong with a row's length; an empty cell more at the end is a trailing delimiter."""
+    """Describe what is wrong with a row's length; an empty cell more at the end is a trailing delimiter."""
     if len(cells) == width or (len(cells) == width + 1 and not cells[-1]):
         return ""
     plural = "s" if len(cells) != 1 else ""
@@ -297,7 +297,7 @@ def _letters(block: bytes, delimiter: str) -> NDArray[np.int64]:
 
 
 def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool:
-    """Tell whether one of the columns (from 0) holds text somewhere in a rectangular block."""
+    """Return whether one of the columns (from 0) holds text somewhere in a rectangular block."""
     letters = _letters(block, dialect.delimiter) if columns else ()
     if not len(letters):
         return False
@@ -315,7 +315,7 @@ def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool
 
 
 def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:
-    """Tell whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
+    """Return whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
     return (numeric or not _DIGIT.search(cell)) and is_text(cell, dialect.decimal)
 
 

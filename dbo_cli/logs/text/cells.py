@@ -58,7 +58,7 @@ def to_number(cell: str, decimal: str) -> float | None:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Tell whether a cell is written as a number (NaN and inf count: they are numbers that went wrong)."""
+    """Return whether a cell is written as a number (NaN and inf count: they are numbers that went wrong)."""
     pattern = _POINT if decimal == "." else _COMMA
     if pattern.fullmatch(cell) is not None:
         return cell.isascii()
@@ -70,14 +70,14 @@ MISSING = frozenset({"na", "n/a", "nan", "null", "none", "nil", "missing"})
 
 
 def is_text(cell: str, decimal: str) -> bool:
-    """Tell whether a cell holds words where others of its column hold numbers (an e alone is none)."""
+    """Return whether a cell holds words where others of its column hold numbers (an e alone is none)."""
     if not any(character >= "@" and character not in "eE" for character in cell):
         return False
     return not is_number(cell, decimal) and cell.lower() not in MISSING
 
 
 def complain(cell: str, decimal: str, written: str = "numbers") -> str:
-    """Say what is wrong with a cell that holds no finite number, or none of its column's time stamps."""
+    """Describe what is wrong with a cell that holds no finite number, or none of its column's time stamps."""
     if not cell:
         return "is empty"
     shown = repr(cell if len(cell) <= 40 else cell[:37] + "...")

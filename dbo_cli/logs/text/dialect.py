@@ -31,7 +31,7 @@ class Dialect:
 
     ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
     where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
-    in most rows; ``writings`` says how each column is written (``ColumnInfo.written``), where any holds time
+    in most rows; ``writings`` is how each column is written (``ColumnInfo.written``), where any holds time
     stamps; ``header_block`` is what stands again before each segment of the data.
     """
 
@@ -47,7 +47,7 @@ class Dialect:
     header_block: HeaderBlock | None = None
 
     def describe(self) -> str:
-        """Tell in one line what was detected, for ``verbose``."""
+        """Describe in one line what was detected, for ``verbose``."""
         head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
         sign = "decimal comma" if self.decimal == "," else "decimal point"
         plural = "s" if self.width != 1 else ""
@@ -59,7 +59,7 @@ class Dialect:
 
 
 def is_comment(line: str, comments: str) -> bool:
-    """Tell whether a line is empty or a comment."""
+    """Return whether a line is empty or a comment."""
     stripped = line.strip()
     return not stripped or stripped[0] in comments
 
@@ -247,7 +247,7 @@ def _header_like(cells: list[str], shape: _Shape) -> bool:
 def _names_and_units(
     rows: dict[int, list[str]], above: list[int], header: list[int]
 ) -> tuple[list[str], list[str]]:
-    """Tell the line of names from a line of units below it (and one of remarks below that)."""
+    """Find the line of names from a line of units below it (and one of remarks below that)."""
     last = header[-1]
     joined = [n for n in (last, last - 1, last - 2) if all(k in header for k in range(n, last + 1))]
     for number in joined:

@@ -1,7 +1,7 @@
 """Text headers that carry the answer: names, units, rate and start as an instrument or controller wrote them.
 
 Written after the makers' manuals and files published with them.  A maker is recognised by words that only its
-files have; everything else is left to ``text.dialect``.  What a header says of the sample rate is read
+files have; everything else is left to ``text.dialect``.  What a header states of the sample rate is read
 whoever wrote it (``Sampling rate: 10 kHz``), and used where the log has no time column.
 """
 
@@ -28,18 +28,18 @@ _MARK = re.compile(r"[=:;,\t]")
 
 @dataclass(frozen=True)
 class InstrumentHeader:
-    """What a header says.
+    """What a header states.
 
     Attributes
     ----------
     dialect
         How the log is written, where the maker is known; None leaves it to be detected.
     clock
-        What is said of the sample rate.
+        What is stated of the sample rate.
     start
         The time (s) of the first row.
     remarks
-        What has to be said.
+        Notes for the user.
     end_mark
         What the program writes behind the last row.
     """
@@ -61,7 +61,7 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
     head
         The first lines.
     options
-        Where the user says how the text is written, no maker's layout is assumed.
+        Where the user gives the way the text is written, no maker's layout is assumed.
 
     Raises
     ------
@@ -93,8 +93,12 @@ def _stated(lines: Sequence[str]) -> Iterator[Statement]:
         value = _first_value(line[mark.end() :].strip(" ,;\t"), mark[0])
         thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)
         if thousands is not None:
-            said = f"'{key}' {value}"
-            yield Statement(said, None, f"{said} may be {thousands[1]} or {thousands[1]}{thousands[2]}")
+            statement_text = f"'{key}' {value}"
+            yield Statement(
+                statement_text,
+                None,
+                f"{statement_text} may be {thousands[1]} or {thousands[1]}{thousands[2]}",
+            )
         elif (statement := read_statement(key, value)) is not None:
             yield statement
 
@@ -211,7 +215,7 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     Raises
     ------
     InputError
-        Every channel has its own X column, and they cannot be told to be the same.
+        Every channel has its own X column, and whether they are the same is not known.
     """
     ends = [number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
     if len(ends) < 2 or ends[1] + 2 >= len(lines):
@@ -308,7 +312,7 @@ def _has_decimal_commas(lines: Sequence[str], delimiter: str) -> bool:
 
 
 def _scale_remarks(rows: dict[str, list[str]], channels: list[int]) -> tuple[str, ...]:
-    """Say which channels have a scale that the export may or may not have applied."""
+    """Note which channels have a scale that the export may or may not have applied."""
     found = []
     for key, plain in (("ScaleFactor", 1.0), ("Offset", 0.0)):
         for n in (n for n in channels if n < len(rows.get(key, []))):

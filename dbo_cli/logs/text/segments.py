@@ -41,8 +41,11 @@ def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     from dbo_cli.logs.text.time_stamps import clock_seconds, date_seconds
 
     rows = [split_cells(line, delimiter) for line in lines]
-    told = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
-    date, clock = date_seconds(told.get("Date", "")), clock_seconds(told.get("Time", "").replace(",", "."))
+    stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
+    date, clock = (
+        date_seconds(stated.get("Date", "")),
+        clock_seconds(stated.get("Time", "").replace(",", ".")),
+    )
     return None if date is None or clock is None else (date, clock)
 
 
@@ -66,7 +69,7 @@ class RepeatedHeader:
         self._step = 0.0
 
     def takes(self, line: str, number: int) -> bool:
-        """Tell whether a line belongs to a header block and not to the data.
+        """Return whether a line belongs to a header block and not to the data.
 
         Raises
         ------
@@ -118,7 +121,7 @@ class RepeatedHeader:
         return self._last + self._step - first
 
     def note(self, timed: bool) -> str:
-        """Say what was found; without a time column (``timed``) rows alone give the time."""
+        """Describe what was found; without a time column (``timed``) rows alone give the time."""
         plural = "s" if self.count > 1 else ""
         how = "their time goes on by the dates and times stated there"
         if not timed:

@@ -84,7 +84,7 @@ class TextTable:
     def _detected(
         self, head: bytes | None, options: ReadingOptions, live: bool
     ) -> tuple[Dialect, InstrumentHeader | None]:
-        """Detect the dialect and what the instrument says above it, further down below pages of remarks."""
+        """Detect the dialect and what the instrument states above it, perhaps below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
             options = replace(options, skip_lines=max(0, options.skip_lines - above))
@@ -96,16 +96,16 @@ class TextTable:
                 made = header.dialect if header is not None else None
                 return made or detect(self.place, complete, options), header
             except InputError as problem:
-                told = problem
+                refusal = problem
             head = None if live else self._lines.longer_head()
-        raise told
+        raise refusal
 
     def describe(self) -> str:
-        """Tell in one line how the log is written, for ``verbose``."""
+        """Describe in one line how the log is written, for ``verbose``."""
         return f"{self.place}: {self.dialect.describe()}"
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Give the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
+        """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
         if self._header is None:
             return None, 0.0
         from dbo_cli.logs.stated_clock import agreed_rate
@@ -185,12 +185,12 @@ class TextTable:
         names = self.dialect.headers or ("",) * self.dialect.width
         units = self.dialect.units or ("",) * self.dialect.width
         written = self.dialect.writings or ("numbers",) * self.dialect.width
-        told = enumerate(zip(names, units, written, strict=True), start=1)
-        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in told]
+        parts = enumerate(zip(names, units, written, strict=True), start=1)
+        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in parts]
 
 
 def _instrument_header(place: str, head: bytes, options: ReadingOptions) -> InstrumentHeader | None:
-    """Read what an instrument says above its data; None for a plain log."""
+    """Read what an instrument states above its data; None for a plain log."""
     if _PLAIN.fullmatch(head):
         return None
     from dbo_cli.logs.text.instruments import read_instrument_header
@@ -199,7 +199,7 @@ def _instrument_header(place: str, head: bytes, options: ReadingOptions) -> Inst
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:
-    """Tell whether a line of numbers has arrived, so that a live log can begin."""
+    """Return whether a line of numbers has arrived, so that a live log can begin."""
     forced = options.delimiter_character
     comments = COMMENTS if options.comment is None else options.comment
     for raw in text.split(b"\n")[-2::-1]:
@@ -235,7 +235,7 @@ def last_cells(text: bytes, dialect: Dialect) -> list[str]:
 
 
 def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
-    """Tell whether a number has visibly fewer digits than all the numbers above it.
+    """Return whether a number has visibly fewer digits than all the numbers above it.
 
     Fewer decimals, or fewer digits in the exponent, than any number above: cut, unless it ends in ``.0`` as
     whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
@@ -256,7 +256,7 @@ def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
 
 
 def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
-    """Tell whether the last number is further from the one above than numbers above are from each other."""
+    """Return whether the last number is further from the one above than numbers above are from each other."""
     value = to_number(cell, decimal)
     numbers = [number for number in (to_number(one, decimal) for one in above) if number is not None]
     if value is None or len(numbers) < 2:
