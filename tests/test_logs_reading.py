@@ -290,9 +290,9 @@ def test_the_page_on_instruments_lists_what_the_program_knows() -> None:
         lines = [line for line in page.splitlines() if line.startswith(f"| {start} |")]
         return set(re.findall(r"`([^`]+)`", lines[number].split("|")[2]))
 
-    assert row("voltage") == set(column_names.VOLTAGE.names)
-    assert row("displacement, measured") == set(column_names.DISPLACEMENT.names)
-    assert row("desired") == set(column_names.DESIRED.names)
+    assert row("voltage") == set(column_names.VOLTAGE.guesses)
+    assert row("displacement, measured") == set(column_names.DISPLACEMENT.guesses)
+    assert row("desired") == set(column_names.DESIRED.guesses)
     assert row("time") == set(column_names.TIME_NAMES)
     assert row("time, where none of these is there") == set(column_names.MORE_TIME_NAMES)
     assert row("displacement, measured", 1) == set(column_names.DISPLACEMENT.letters)
