@@ -20,7 +20,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import contradicted_unit, is_torn, split_header
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.sample_block import ColumnInfo
-from dbo_cli.logs.units import ONE, UnitFactor, kind_of_unit, parse_factor, shortened
+from dbo_cli.logs.units import ONE, TIME_WORDS, UnitFactor, kind_of_unit, parse_factor, shortened
 
 _FACTORS = {
     "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),
@@ -28,21 +28,19 @@ _FACTORS = {
 }  # fmt: skip
 """Every unit of time, in seconds."""
 
-SPELLINGS = {
-    "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "seconde", "secondes",
-          "segundo", "segundos", "secondo", "secondi", "с", "сек", "秒"),
-    "ms": ("ms", "msec", "msecs", "milli", "millis", "millisec", "millisecs", "millisecond", "milliseconds",
-           "millisekunde", "millisekunden", "millisecondes", "milisegundos", "millisecondi", "мс",
-           "毫秒", "ミリ秒"),
-    "us": ("us", "usec", "usecs", "micros", "microsec", "microsecs", "microsecond", "microseconds",
-           "mikrosekunde", "mikrosekunden", "microsecondes", "mus", "mcs", "мкс", "微秒"),
-    "ns": ("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds",
-           "nanosekunden", "нс"),
-    "ps": ("ps", "psec", "psecs", "picosecond", "picoseconds"),
-    "min": ("min", "mins", "minute", "minutes", "minuten", "minutos", "minuti", "мин"),
-    "h": ("h", "hr", "hrs", "hour", "hours", "stunde", "stunden", "std", "heure", "heures", "horas", "ore"),
+_MORE_WORDS = {
+    "s": ("s", "sek", "sekunde", "sekunden", "seconde", "secondes", "segundo", "segundos", "secondo",
+          "secondi", "с", "сек", "秒"),
+    "ms": ("ms", "milli", "millis", "millisekunde", "millisekunden", "millisecondes", "milisegundos",
+           "millisecondi", "мс", "毫秒", "ミリ秒"),
+    "us": ("us", "micros", "mikrosekunde", "mikrosekunden", "microsecondes", "mus", "mcs", "мкс", "微秒"),
+    "ns": ("ns", "nanos", "nanosekunden", "нс"),
+    "ps": ("ps", "psec", "psecs", "picosecond"),
+    "min": ("min", "mins", "minute", "minuten", "minutos", "minuti", "мин"),
+    "h": ("h", "hr", "hrs", "hour", "stunde", "stunden", "std", "heure", "heures", "horas", "ore"),
     "d": ("d", "day", "days", "tag", "tage", "jour", "jours", "dias", "giorni"),
 }  # fmt: skip
+SPELLINGS = {unit: (*TIME_WORDS.get(unit, ()), *words) for unit, words in _MORE_WORDS.items()}
 """Every known spelling of a unit of time; capitals do not matter (mS in a time column is no conductance)."""
 
 _UNIT_OF = {spelling: unit for unit, spellings in SPELLINGS.items() for spelling in spellings}

@@ -24,21 +24,28 @@ KNOWN_UNITS = frozenset(prefix + unit for prefix in _PREFIXES for unit in _BASES
     "min", "h", "deg", "arcsec", "K", "%", "degC", "counts", "cts", "LSB", "bit", "a.u.", "au", "cm", "dB",
     "samples", "sample",
 }  # fmt: skip
+TIME_WORDS = {
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "msecs", "millisec", "millisecs", "millisecond", "milliseconds"),
+    "us": ("usec", "usecs", "microsec", "microsecs", "microsecond", "microseconds"),
+    "ns": ("nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
+    "ps": ("picoseconds",),
+    "min": ("minutes",),
+    "h": ("hours",),
+}
+"""Spellings of units of time that count in any header; ``stated_clock`` knows more of them."""
+
 _SPELLED = {
-    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "sec": "s", "secs": "s", "second": "s",
-    "seconds": "s", "msec": "ms", "milliseconds": "ms", "microseconds": "us", "usec": "us", "micron": "um",
-    "microns": "um", "micrometer": "um", "micrometers": "um", "micrometre": "um", "micrometres": "um",
-    "nanometer": "nm", "nanometers": "nm", "meter": "m", "meters": "m", "minutes": "min", "hours": "h",
-    "microvolt": "uV", "microvolts": "uV", "kilovolt": "kV", "kilovolts": "kV", "nanometre": "nm",
-    "nanometres": "nm", "millimeter": "mm", "millimeters": "mm", "millimetre": "mm", "millimetres": "mm",
-    "metre": "m", "metres": "m", "mikrometer": "um", "msecs": "ms", "millisec": "ms", "millisecs": "ms",
-    "millisecond": "ms", "usecs": "us", "microsec": "us", "microsecs": "us", "microsecond": "us",
-    "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanosecond": "ns", "nanoseconds": "ns",
-    "picoseconds": "ps", "ångström": "angstrom", "å": "angstrom", "ampere": "A", "amperes": "A", "amp": "A",
-    "amps": "A", "milliampere": "mA", "newton": "N", "pascal": "Pa", "hertz": "Hz", "radian": "rad",
-    "radians": "rad", "degrees": "deg", "degree": "deg", "percent": "%", "в": "V", "мв": "mV", "кв": "kV",
-    "мкм": "um", "нм": "nm", "мм": "mm", "微米": "um", "纳米": "nm", "毫米": "mm", "伏": "V",
-}  # fmt: skip
+    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "micron": "um", "microns": "um",
+    "micrometer": "um", "micrometers": "um", "micrometre": "um", "micrometres": "um", "nanometer": "nm",
+    "nanometers": "nm", "meter": "m", "meters": "m", "microvolt": "uV", "microvolts": "uV", "kilovolt": "kV",
+    "kilovolts": "kV", "nanometre": "nm", "nanometres": "nm", "millimeter": "mm", "millimeters": "mm",
+    "millimetre": "mm", "millimetres": "mm", "metre": "m", "metres": "m", "mikrometer": "um",
+    "ångström": "angstrom", "å": "angstrom", "ampere": "A", "amperes": "A", "amp": "A", "amps": "A",
+    "milliampere": "mA", "newton": "N", "pascal": "Pa", "hertz": "Hz", "radian": "rad", "radians": "rad",
+    "degrees": "deg", "degree": "deg", "percent": "%", "в": "V", "мв": "mV", "кв": "kV", "мкм": "um",
+    "нм": "nm", "мм": "mm", "微米": "um", "纳米": "nm", "毫米": "mm", "伏": "V",
+} | {word: unit for unit, words in TIME_WORDS.items() for word in words}  # fmt: skip
 
 _SIZES: dict[str, tuple[str, int, int]] = {  # what it measures, and its size as a fraction in base units
     prefix + unit: (kind, 10 ** max(power, 0), 10 ** max(-power, 0))
