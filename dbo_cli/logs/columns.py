@@ -217,18 +217,18 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
         return found
     if found and all(column.quantity.lower() in wish.guesses and _is_sure(column, wish) for column in found):
         return found
-    slips = [column for column in fitting if _resembles(column, wish)]
     measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
     letters = [column for column in fitting if column.quantity.lower() in wish.letters]
     if found and all(_is_sure(column, wish) for column in found):
         measured_letters = [one for one in measuring if one.quantity.lower() in wish.letters]
-        numbers = {column.number for column in [*found, *slips, *measured_letters]}
+        numbers = {column.number for column in [*found, *_misspelled(fitting, wish), *measured_letters]}
         return [column for column in fitting if column.number in numbers]
     if not found and guess_columns(columns, wish.guesses):
         return []
     lesser = [column for column in measuring if _has_lesser_name(column, wish)]
     if not (found or letters or lesser):
         return []
+    slips = _misspelled(fitting, wish)
     if not any(column.quantity.lower() in wish.guesses for column in found):
         slips += _suspects(fitting, wish, bool(found), [*letters, *lesser])
     numbers = {column.number for column in [*found, *letters, *measuring, *slips]}
@@ -242,14 +242,15 @@ def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
     return kind in wish.channel_kinds or (whole and kind is None)
 
 
-def _resembles(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Return whether one of a column's words is a long name but for one letter."""
-    return any(
-        _one_letter_off(word, name)
-        for word in [*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())]
-        for name in wish.guesses
-        if len(name) >= 4 and abs(len(word) - len(name)) <= 1 and word not in wish.foreign
-    )
+def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+    """Find the columns of which a word is a long name but for one letter."""
+    names = [name for name in wish.guesses if len(name) >= 4]
+    return [
+        column
+        for column in columns
+        for words in [{*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())}]
+        if any(_one_letter_off(word, name) for word in words - wish.foreign for name in names)
+    ]
 
 
 def _suspects(
@@ -290,7 +291,9 @@ def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
 
 
 def _one_letter_off(one: str, other: str) -> bool:
-    """Return whether two words differ by one letter: put in, left out, changed, or swapped with the next."""
+    """Return whether two words of three letters or more differ by one: put in, left out, changed, swapped."""
+    if abs(len(one) - len(other)) > 1 or (one[0] != other[0] and one[-1] != other[-1]):
+        return False  # the usual case; one slip leaves the first or the last letter
     short, long = sorted((one, other), key=len)
     same = next((k for k, letter in enumerate(short) if letter != long[k]), len(short))
     if len(short) < len(long):
