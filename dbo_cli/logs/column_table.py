@@ -15,7 +15,7 @@ import numpy as np
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.reading_options import SKIP_REMEDY, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured, dropped_note
 from dbo_cli.logs.stated_clock import Statement, agreed_rate
 
 Fetch = Callable[[int, int], Any]
@@ -129,7 +129,7 @@ class ColumnTable:
         self.columns = [describe_column(source, number) for number, source in enumerate(sources, start=1)]
 
     def describe(self) -> str:
-        """Tell in one line how the log is written, for ``verbose``."""
+        """Describe in one line how the log is written, for ``verbose``."""
         plural = "s" if len(self._sources) != 1 else ""
         stated = [one for one in self._clock if one.rate]
         rate = f", {stated[0].rate:g} samples a second" if stated else ""
@@ -186,8 +186,7 @@ class ColumnTable:
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
             yield block
         if dropped:
-            more = f" and {dropped - 1} more: {dropped} rows dropped" if dropped > 1 else ": 1 row dropped"
-            self.notes.append(first + more)
+            self.notes.append(dropped_note(first, dropped))
 
     def close(self) -> None:
         """Close the file."""

@@ -114,6 +114,12 @@ def join_places(parts: Sequence[Places]) -> Places:
     return range(first, following)
 
 
+def dropped_note(first: str, count: int) -> str:
+    """Return the note on rows that ``skip_bad`` dropped; ``first`` is the first one's message."""
+    more = f" and {count - 1} more" if count > 1 else ""
+    return f"{first}{more}: {count} row{'s' if count > 1 else ''} dropped"
+
+
 class Table(Protocol):
     """A log in some format: its columns at once, its rows in blocks."""
 

@@ -231,7 +231,7 @@ class SignalLog:
         found = self._table.blocks(picks, self._options.rows, self._options.skip_bad, most)
         for raw in found if clock is None else clock.held_back(found):
             for start in range(0, len(raw.rows), most):
-                block = self._with_time(raw if len(raw.rows) <= most else raw.part(start, start + most))
+                block = self._with_time(raw.part(start, start + most))
                 if block.time is not None and len(block.rows):
                     self._first_time = float(block.time[0]) if self._first_time is None else self._first_time
                     self._last_time = float(block.time[-1])

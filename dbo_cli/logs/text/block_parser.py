@@ -303,15 +303,19 @@ def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool
         return False
     text = np.frombuffer(block, dtype=np.uint8)
     ends = np.flatnonzero((text == ord(dialect.delimiter)) | (text == 10))
-    asked = np.zeros(dialect.width, dtype=bool)
-    asked[columns] = True
+    asked, numeric = np.zeros((2, dialect.width), dtype=bool)
+    asked[columns], numeric[list(dialect.numeric)] = True, True
     cells = np.searchsorted(ends, letters)
     cells = cells[(np.diff(cells, prepend=-1) > 0) & asked[cells % dialect.width]]  # each cell once
     starts = np.where(cells > 0, ends[cells - 1] + 1, 0)
+    digit = (text[starts] >= 48) & (text[starts] <= 57)
+    doubtful = numeric[cells % dialect.width] | ~digit  # time stamps with a T are many, and no text
     stops = np.append(ends, len(block))[cells]
-    found = zip(starts.tolist(), stops.tolist(), (cells % dialect.width).tolist(), strict=True)
-    words = {(block[start:stop], column in dialect.numeric) for start, stop, column in found}
-    return any(_is_text_in(decoded(word).strip(), numeric, dialect) for word, numeric in words)
+    words = {
+        (block[start:stop], column in dialect.numeric)
+        for start, stop, column in np.stack([starts, stops, cells % dialect.width])[:, doubtful].T.tolist()
+    }
+    return any(_is_text_in(decoded(word).strip(), numbers, dialect) for word, numbers in words)
 
 
 def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:

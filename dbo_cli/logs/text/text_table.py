@@ -15,7 +15,7 @@ from dbo_cli.logs.byte_source import ByteSource, LineBlocks
 from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock, dropped_note
 from dbo_cli.logs.text.block_parser import PLAIN_BYTES, BlockParser
 from dbo_cli.logs.text.cells import is_number, split_cells, to_number
 from dbo_cli.logs.text.dialect import COMMENTS, Dialect, detect, is_comment
@@ -129,9 +129,7 @@ class TextTable:
         if parser.repeated is not None and parser.repeated.count:
             self.notes.append(parser.repeated.note(TIME in picks))
         if parser.dropped:
-            rest = f" and {parser.dropped - 1} more" if parser.dropped > 1 else ""
-            plural = "s" if parser.dropped > 1 else ""
-            self.notes.append(f"{parser.first_dropped}{rest}: {parser.dropped} row{plural} dropped")
+            self.notes.append(dropped_note(parser.first_dropped, parser.dropped))
 
     def close(self) -> None:
         """Close the file."""
