@@ -89,9 +89,9 @@ def whole_processes(folder: Path, rows: int) -> bool:
 
 def parsers(rows: int) -> None:
     """Show what each way of reading and writing costs inside a process."""
-    from dbo_cli.logs import number_text as numbers
-    from dbo_cli.logs import text_parsing as parsing
-    from dbo_cli.logs.text_dialect import Dialect
+    from dbo_cli.logs import out_column as numbers
+    from dbo_cli.logs.text import block_parser as parsing
+    from dbo_cli.logs.text.dialect import Dialect
 
     values = np.random.default_rng(1).normal(size=(2, rows))
     text = bytes(numbers._fast_rows(list(values), ","))

@@ -14,7 +14,13 @@ from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.time_cells import clock_seconds, date_seconds, minute_seconds, stamp_seconds, writing_of
+from dbo_cli.logs.text.time_stamps import (
+    clock_seconds,
+    date_seconds,
+    minute_seconds,
+    stamp_seconds,
+    writing_of,
+)
 
 ROWS = 40
 STEP = 0.002
@@ -236,13 +242,13 @@ def test_cells_of_stamps() -> None:
 
 
 def test_stamps_read_the_same_by_every_parser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dbo_cli.logs import text_parsing
+    from dbo_cli.logs.text import block_parser
 
     def cell(k: int) -> str:
         return (LATE + datetime.timedelta(microseconds=1237 * k)).isoformat()
 
     first = read(tmp_path, "time", cell)[1].time
-    monkeypatch.setattr(text_parsing, "_parse_plain", lambda *_: None)
+    monkeypatch.setattr(block_parser, "_parse_plain", lambda *_: None)
     second = read(tmp_path, "time", cell)[1].time
     assert first is not None and second is not None
     assert first.tolist() == second.tolist()

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from pathlib import Path
 
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import (
     ColumnWish,
     choose_columns,
     column_info,
     column_label,
     list_columns,
+    matching_columns,
     split_header,
 )
 from dbo_cli.logs.provenance import input_record, program_version_string
@@ -123,3 +126,46 @@ def test_provenance(tmp_path: Path) -> None:
     assert input_record(f"{path}", 2) == record
     with pytest.raises(InputError, match="cannot be read: No such file"):
         input_record(str(tmp_path / "none.csv"), 1)
+
+
+def calls_to_match(columns: int) -> int:
+    """How many functions are called to find the displacement among columns called x."""
+    given = [
+        column_info("stage displacement", 1, "um"),
+        *(column_info("x (um)", n + 2) for n in range(columns)),
+    ]
+    calls = 0
+
+    def count(frame: object, event: str, argument: object) -> None:
+        nonlocal calls
+        calls += event == "call"
+
+    sys.setprofile(count)
+    try:
+        found = matching_columns(given, wish("displacement"))
+    finally:
+        sys.setprofile(None)
+    assert found == given
+    return calls
+
+
+def test_the_work_grows_with_the_number_of_columns_not_with_its_square() -> None:
+    assert calls_to_match(800) < 4.1 * calls_to_match(200)
+
+
+def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
+    columns = [column_info("position (um)", n + 1) for n in range(30)]
+    with pytest.raises(InputError) as raised:
+        choose_columns("log.csv", columns, {"displacement": wish("displacement", option="displacement")})
+    assert str(raised.value) == (
+        "log.csv: which column is the displacement, "
+        + "'position (um)' or " * 20
+        + "… (30 in all)? (choose with `displacement` NAME or NUMBER)"
+    )
+    with pytest.raises(InputError) as raised:
+        choose_columns("log.csv", columns, {"displacement": wish("displacement", "position")})
+    assert str(raised.value) == (
+        "log.csv: column 'position' occurs more than once: give its number (`column` "
+        + " or ".join(str(n + 1) for n in range(20))
+        + " or … (30 in all))"
+    )

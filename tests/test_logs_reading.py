@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import column_names, time_column, time_units
+from dbo_cli.logs import column_names, stated_clock, time_column
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -208,6 +208,30 @@ def test_header_blocks_among_the_data(
     assert log.notes[0].startswith(f"{path}: 2 more headers among the data: ")
 
 
+def test_a_segment_that_begins_after_midnight_goes_on_by_its_date(tmp_path: Path) -> None:
+    first, second = lvm(dated=True, restarts=True, segments=2).split("Channels", 2)[1:]
+    first = first.replace("10:15:00.000000", "23:59:59.900000")
+    second = second.replace("10:15:00.100000", "00:00:00.100000").replace("2024/03/09", "2024/03/10")
+    path = tmp_path / "log.lvm"
+    path.write_text(lvm(dated=True, restarts=True).split("Channels")[0] + f"Channels{first}Channels{second}")
+    with open_log(str(path), {role: wish(role, option=role) for role in IDENTIFY}) as log:
+        time = log.read().time
+    assert time is not None
+    assert time[40:42].tolist() == pytest.approx([0.2, 0.202], abs=1e-9)
+    assert log.notes[0] == (
+        f"{path}: 1 more header among the data: their time goes on by the dates and times stated there"
+    )
+
+
+@pytest.mark.parametrize("lines", ["fs: 1000.0004\ndt: 1 ms\n", "dt: 1 ms\nfs: 1000.0004\n"])
+def test_a_stated_unit_of_a_rate_goes_before_an_assumed_one(lines: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text(f"{lines}\nvoltage_V,displacement_um\n0,1\n1,2\n2,4\n")
+    with open_log(str(path), {role: wish(role, option=role) for role in IDENTIFY}) as log:
+        assert log.sample_rate == 1000.0
+    assert log.notes == []
+
+
 def test_a_header_block_with_other_columns_is_refused(tmp_path: Path) -> None:
     text = lvm(dated=True, restarts=True)
     begin, names, end = text.rpartition("X_Value\tVoltage\tDisplacement")
@@ -266,9 +290,9 @@ def test_the_page_on_instruments_lists_what_the_program_knows() -> None:
         lines = [line for line in page.splitlines() if line.startswith(f"| {start} |")]
         return set(re.findall(r"`([^`]+)`", lines[number].split("|")[2]))
 
-    assert row("voltage") == set(column_names.VOLTAGE.names)
-    assert row("displacement, measured") == set(column_names.DISPLACEMENT.names)
-    assert row("desired") == set(column_names.DESIRED.names)
+    assert row("voltage") == set(column_names.VOLTAGE.guesses)
+    assert row("displacement, measured") == set(column_names.DISPLACEMENT.guesses)
+    assert row("desired") == set(column_names.DESIRED.guesses)
     assert row("time") == set(column_names.TIME_NAMES)
     assert row("time, where none of these is there") == set(column_names.MORE_TIME_NAMES)
     assert row("displacement, measured", 1) == set(column_names.DISPLACEMENT.letters)
@@ -278,7 +302,7 @@ def test_the_page_on_instruments_lists_what_the_program_knows() -> None:
     assert row("desired", 1) == set(column_names.DESIRED.by_unit)
     assert row("displacement, measured", 3) == column_names.DISPLACEMENT.contrary
     assert row("voltage", 2) == column_names.VOLTAGE.contrary
-    for unit, spellings in time_units.SPELLINGS.items():
+    for unit, spellings in stated_clock.SPELLINGS.items():
         assert row(unit) == set(spellings)
     for calendar in (*time_column._CALENDARS, *time_column._DAY_CALENDARS):
         assert f"| {calendar.name}" in page

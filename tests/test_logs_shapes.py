@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbo_cli.logs import text_logs
-from dbo_cli.logs import text_parsing as parsing
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.instrument_headers import InstrumentHeader, read_instrument_header
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.text import block_parser as parsing
+from dbo_cli.logs.text import text_table
+from dbo_cli.logs.text.instruments import InstrumentHeader, read_instrument_header
 from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.readable import READABLE, Shape
 
@@ -117,7 +117,7 @@ def test_what_is_taken_for_a_plain_log_has_no_instruments_header(tmp_path: Path)
     for number, one in enumerate(INSTRUMENT_FILES):
         one.write(path := tmp_path / f"{number}{one.ending}")
         contents.append(path.read_bytes())
-    plain = [content for content in contents if text_logs._PLAIN.fullmatch(content)]
+    plain = [content for content in contents if text_table._PLAIN.fullmatch(content)]
     assert len(plain) > 10
     for content in plain:
         assert read_instrument_header("log", content, ReadingOptions()) == InstrumentHeader()

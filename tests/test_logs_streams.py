@@ -16,14 +16,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import text_parsing as parsing
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.number_text import rows_as_text, shortest
+from dbo_cli.logs.out_column import rows_as_text, shortest
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.text_dialect import Dialect
+from dbo_cli.logs.text import block_parser as parsing
+from dbo_cli.logs.text.dialect import Dialect
 
 WANT = {"voltage": ColumnWish(None, ("voltage",))}
 ECHO = """
@@ -96,6 +96,32 @@ def test_the_place_of_a_bad_cell_deep_in_a_large_log(tmp_path: Path) -> None:
         assert str(raised.value) == (
             f"{path}:250003: column 'voltage_V' is not a number: 'OVLD' (`skip_bad` drops such rows)"
         )
+
+
+def calls_for_a_table_with_words(columns: int) -> int:
+    """How many functions are called to read one of many columns, of which the last holds words."""
+    text = (",".join(["1.5"] * (columns - 1) + ["ok"]) + "\n").encode() * 50
+    dialect = Dialect(",", ".", "#%", columns, 1, (), (), frozenset(range(columns - 1)))
+    parser = parsing.BlockParser("log", dialect, {"one": ColumnInfo("1", None, "", 1)})
+    calls = 0
+
+    def count(frame: object, event: str, argument: object) -> None:
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    sys.setprofile(count)
+    try:
+        blocks = list(parser.parse(iter([text]), small=False))
+    finally:
+        sys.setprofile(None)
+    assert [block.values["one"].tolist() for block in blocks] == [[1.5] * 50]
+    return calls
+
+
+def test_columns_that_nobody_asked_for_cost_next_to_nothing() -> None:
+    calls_for_a_table_with_words(1000)  # the first one imports
+    more = calls_for_a_table_with_words(2000) - calls_for_a_table_with_words(1000)
+    assert more < 100
 
 
 CELLS = st.one_of(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import TimeCheck, even_step, require_even, resampled
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
@@ -104,9 +104,20 @@ def test_rows_of_a_log_keep_their_time(tmp_path: Path) -> None:
 
 def test_rows() -> None:
     assert parse_rows("3:5") == (3, 5)
+    assert parse_rows((3, 5)) == (3, 5)
+    assert parse_rows((3, None)) == (3, None)
     assert parse_rows(":5") == (1, 5)
     assert parse_rows("3:") == (3, None)
     assert parse_rows(":") == (1, None)
+
+
+@pytest.mark.parametrize("rows", [5, (1,), (1, 2, 3), (1.5, 2), ("1", 2), (True, 2), None, b"1:2"])
+def test_rows_that_are_none_are_refused(rows: object) -> None:
+    with pytest.raises(UsageError) as raised:
+        parse_rows(rows)
+    assert str(raised.value) == f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+    with pytest.raises(UsageError):
+        ReadingOptions(rows=rows)  # type: ignore[arg-type]
 
 
 def test_even_step() -> None:

@@ -106,6 +106,39 @@ def test_what_is_no_scale_is_refused(text: str) -> None:
         ReadingOptions(scale=("voltage=1e999",))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("voltage=" + "7" * 5000, "voltage=" + "7" * 29 + "...: the factor is too large or too small"),
+        ("voltage=1e" + "7" * 5000, "voltage=1e" + "7" * 27 + "...: the factor is too large or too small"),
+        ("voltage=1e-260", "voltage=1e-260: the factor is too large or too small"),
+        ("voltage=1e260nm/V", "voltage=1e260nm/V: the factor is too large or too small"),
+        (
+            "voltage=0." + "0" * 5000,
+            "voltage=0." + "0" * 27 + "...: a factor of 0 leaves nothing of the signal",
+        ),
+    ],
+)
+def test_a_factor_beyond_the_arithmetic_is_refused(text: str, message: str) -> None:
+    with pytest.raises(UsageError) as raised:
+        parse_scale(text)
+    assert str(raised.value) == f"`scale` {message}"
+
+
+def test_a_factor_may_have_many_digits() -> None:
+    assert float(parse_scale("voltage=1." + "0" * 700).factor) == 1.0
+    assert float(parse_scale("voltage=" + "0" * 700 + "2").factor) == 2.0
+
+
+@pytest.mark.parametrize("text", ["9" * 5000 + "s", "1" + "0" * 300 + "h", "0." + "0" * 5000 + "1s"])
+def test_a_time_unit_beyond_the_arithmetic_is_refused(text: str) -> None:
+    with pytest.raises(UsageError) as raised:
+        ReadingOptions(time_unit=text)
+    assert str(raised.value) == (
+        f"`time_unit` {text[:37]}...: give s, ms, us, ns, ps, min, h or d, or a number of them such as 10us"
+    )
+
+
 def read(folder: Path, header: str, *scale: str) -> tuple[list[float], list[float], str]:
     path = folder / "log.csv"
     path.write_text(f"time_s,{header}\n0,1,3\n0.001,2,5\n")

@@ -264,6 +264,14 @@ def test_an_unknown_parameter_is_named() -> None:
         dbo_api.read_log(LOG, delimeter=",")
 
 
+def test_rows_may_be_a_pair() -> None:
+    pair, text = dbo_api.read_log(LOG, rows=(2, 5)), dbo_api.read_log(LOG, rows="2:5")  # type: ignore[arg-type]
+    assert len(pair) == 4
+    assert pair.equals(text)
+    with pytest.raises(dbo_api.UsageError, match=r"^`rows` \(1, 2, 3\): give A:B, data rows counted from 1"):
+        dbo_api.read_log(LOG, rows=(1, 2, 3))  # type: ignore[arg-type]
+
+
 def test_importing_the_package_loads_nothing() -> None:
     script = "import sys; before = set(sys.modules); import dbo_cli; print(sorted(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

@@ -12,8 +12,8 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.sample_block import FloatArray, Places, SampleBlock, joined
 
 _LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
-GAP_STEPS = 1.5
-JITTER = 0.05
+GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
+JITTER = 0.05  # of a step; what the clocks of operating systems jitter by, and no model notices
 
 
 @dataclass
@@ -45,7 +45,7 @@ def median_step(steps: FloatArray) -> float:
 
 @dataclass
 class TimeCheck:
-    """Watches time stamps go by and says what is odd about them, in constant memory.
+    """Watches time stamps block by block and notes what is odd about them, in constant memory.
 
     The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
     the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``.
@@ -65,6 +65,11 @@ class TimeCheck:
     _last: float | None = None
     _first: float = 0.0
 
+    @property
+    def is_even(self) -> bool:
+        """Whether no step is far from the usual one, gaps aside."""
+        return self.widest - self.narrowest <= JITTER * self.step
+
     def feed(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
         """Look at one block of time stamps (s)."""
         if not len(time):
@@ -79,35 +84,28 @@ class TimeCheck:
             self._judge(time, rows, lines)
 
     def notes(self) -> list[str]:
-        """Say what was found, one line a finding, with the first place of each."""
+        """Return what was found, one line a finding, with the first place of each."""
         self._learn()
         where = "line" if self.has_lines else "row"
-        told = []
+        notes = []
         for finding, text in (
-            (self.restart, "the clock starts again at {where} {line} (from {before} s to {after} s)"),
-            (self.backward, "time goes backwards at {where} {line} (from {before} s to {after} s)"),
-            (self.repeat, "the time stamp {after} s repeats at {where} {line}"),
-            (
-                self.gap,
-                "a gap at {where} {line} (from {before} s to {after} s, usual step {step:.4g} s)",
-            ),
+            (self.restart, "the clock starts again at {place} ({jump})"),
+            (self.backward, "time goes backwards at {place} ({jump})"),
+            (self.repeat, "the time stamp {after} s repeats at {place}"),
+            (self.gap, "a gap at {place} ({jump}, usual step {step:.4g} s)"),
         ):
             if finding.count:
-                text = text.format(
-                    where=where,
-                    line=finding.line,
-                    before=_stamp(finding.before),
-                    after=_stamp(finding.after),
-                    step=self.step,
-                )
+                after, place = _stamp(finding.after), f"{where} {finding.line}"
+                jump = f"from {_stamp(finding.before)} s to {after} s"
                 again = f", and {finding.count - 1} more" if finding.count > 1 else ""
-                told.append(f"{self.place}: {text}{again}")
-        if self.widest - self.narrowest > JITTER * self.step > 0.0 and self.widest > 0.0:
-            told.append(
+                text = text.format(place=place, jump=jump, after=after, step=self.step)
+                notes.append(f"{self.place}: {text}{again}")
+        if not self.is_even and self.step > 0.0 and self.widest > 0.0:
+            notes.append(
                 f"{self.place}: time steps vary from {self.narrowest:.4g} s to {self.widest:.4g} s "
                 f"(usual step {self.step:.4g} s)"
             )
-        return told
+        return notes
 
     def _learn(self) -> None:
         if not self._kept:
@@ -128,32 +126,30 @@ class TimeCheck:
         before = np.concatenate([[self._last], time[:-1]])
         self._last = float(time[-1])
         steps = time - before
-        if steps.min() > 0.0 and steps.max() <= GAP_STEPS * self.step:
-            usual = steps
-        else:
-            anew = (
-                (steps < 0.0) & (np.abs(time - self._first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
-            )
+        usual = steps
+        if steps.min() <= 0.0 or steps.max() > GAP_STEPS * self.step:
+            begins = (np.abs(time - self._first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
+            gap = steps > GAP_STEPS * self.step
             for finding, which in (
-                (self.restart, anew),
-                (self.backward, (steps < 0.0) & ~anew),
+                (self.restart, (steps < 0.0) & begins),
+                (self.backward, (steps < 0.0) & ~begins),
                 (self.repeat, steps == 0.0),
-                (self.gap, steps > GAP_STEPS * self.step),
+                (self.gap, gap),
             ):
                 finding.add(lines, rows, np.flatnonzero(which), before, time)
-            usual = steps[(steps > 0.0) & (steps <= GAP_STEPS * self.step)]
+            usual = steps[(steps > 0.0) & ~gap]
         if len(usual):
             self.narrowest = min(self.narrowest, float(usual.min()))
             self.widest = max(self.widest, float(usual.max()))
 
 
 def _stamp(time: float) -> str:
-    """Write a time stamp (s); those that count from 1970 need more digits to be told apart."""
+    """Write a time stamp (s); those that count from 1970 need more digits to differ."""
     return f"{time:.3f}" if 1e6 <= abs(time) < 1e15 else f"{time:.6g}"
 
 
 def even_step(time: FloatArray) -> float | None:
-    """Give the common step (s) of evenly sampled time stamps, or None where they are not even.
+    """Return the common step (s) of evenly sampled time stamps, or None where they are not even.
 
     Stamps count as even when none is further than 5 % of a step from the straight line through the first and
     the last, or, where the log has too few digits for that, when rounding to those digits explains the
@@ -174,7 +170,7 @@ def even_step(time: FloatArray) -> float | None:
 
 
 def require_even(place: str, time: FloatArray, why: str) -> float:
-    """Give the common step (s), or refuse with the remedy.
+    """Return the common step (s), or refuse with the remedy.
 
     Raises
     ------

@@ -7,7 +7,7 @@ as ``target`` gives another role.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import replace
 
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.units import kind_of_unit
@@ -21,74 +21,50 @@ MORE_TIME_NAMES = (
 )  # fmt: skip
 
 
-class RoleNames(NamedTuple):
-    """How the columns of one role are called.
-
-    Attributes
-    ----------
-    names, letters
-        What is looked for; letters only where nothing has a name, and never by themselves as a word.
-    kinds
-        What the column's unit may measure, where it has one.
-    contrary
-        Words that give a column another role.
-    by_unit
-        Names that say too little by themselves: they count with a unit that measures one of
-        ``channel_kinds``; ``ch`` stands for all names of channels (``CH1 (V)``).
-    """
-
-    names: tuple[str, ...]
-    letters: tuple[str, ...]
-    kinds: frozenset[str]
-    contrary: frozenset[str]
-    by_unit: tuple[str, ...]
-    channel_kinds: frozenset[str]
-
-
 _ORDERS = frozenset(
     ("desired", "target", "setpoint", "commanded", "wanted", "demand", "demanded", "reference", "soll",
      "sollwert", "sollposition", "consigne", "command", "nominal", "trajectory")
 )  # fmt: skip
 _PLACES = frozenset(("length", "angle", "voltage", "share", "count"))  # a sensor may well give volts
 
-VOLTAGE = RoleNames(
+VOLTAGE = ColumnWish(
+    None,
     ("voltage", "drive", "command", "u", "v", "volt", "volts", "spannung", "steuerspannung", "piezospannung",
      "stellspannung", "voltaje", "tensione", "tensão", "tensao", "spanning", "spänning",
      "napięcie", "napiecie", "napětí", "напряжение", "电压", "電圧", "vpiezo", "upiezo", "vdrive", "vpzt"),
-    (),
-    frozenset(("voltage", "share", "count")),
-    frozenset(("sensor", "position", "displacement", "feedback", "photodiode", "interferometer", "supply")),
-    ("tension", "piezo", "pzt", "control", "vin", "uin", "ch"),
-    frozenset(("voltage",)),
+    kinds=frozenset(("voltage", "share", "count")),
+    contrary=frozenset(("sensor", "position", "displacement", "feedback", "photodiode", "interferometer",
+                        "supply")),
+    by_unit=("tension", "piezo", "pzt", "control", "vin", "uin", "ch"),
+    channel_kinds=frozenset(("voltage",)),
 )  # fmt: skip
-DISPLACEMENT = RoleNames(
+DISPLACEMENT = ColumnWish(
+    None,
     ("displacement", "position", "measured", "sensor", "y", "disp", "pos", "weg", "auslenkung",
      "verschiebung", "hub", "istposition", "deplacement", "déplacement", "desplazamiento", "spostamento",
      "posición", "posizione", "verplaatsing", "przemieszczenie", "перемещение", "位移", "変位", "deflection",
      "stroke", "elongation", "interferometer", "encoder", "capacitive", "lvdt"),
-    ("x", "z"),
-    _PLACES,
-    _ORDERS,
-    ("actual", "current", "ist", "istwert", "feedback", "readback", "laser", "ldv", "vibrometer", "meas",
-     "travel", "ch"),
-    frozenset(("length", "angle")),
+    letters=("x", "z"),
+    kinds=_PLACES,
+    contrary=_ORDERS,
+    by_unit=("actual", "current", "ist", "istwert", "feedback", "readback", "laser", "ldv", "vibrometer",
+             "meas", "travel", "ch"),
+    channel_kinds=frozenset(("length", "angle")),
 )  # fmt: skip
-DESIRED = RoleNames(
+DESIRED = ColumnWish(
+    None,
     ("desired", "reference", "setpoint", "target", "trajectory", "wanted", "ref", "soll", "sollwert",
      "sollposition", "sollweg", "consigne", "demand", "commanded"),
-    (),
-    _PLACES,
-    frozenset(),
-    ("command",),
-    frozenset(("length", "angle")),
+    kinds=_PLACES,
+    by_unit=("command",),
+    channel_kinds=frozenset(("length", "angle")),
 )  # fmt: skip
-TRAJECTORY = RoleNames(
-    (*DISPLACEMENT.names, *DESIRED.names),
-    DISPLACEMENT.letters,
-    _PLACES,
-    frozenset(),
-    (*DESIRED.by_unit, *DISPLACEMENT.by_unit),
-    DISPLACEMENT.channel_kinds,
+TRAJECTORY = replace(
+    DISPLACEMENT,
+    guesses=(*DISPLACEMENT.guesses, *DESIRED.guesses),
+    contrary=frozenset(),
+    by_unit=(*DESIRED.by_unit, *DISPLACEMENT.by_unit),
+    preferred=DESIRED.guesses,
 )
 ROLES = {
     "voltage": VOLTAGE, "displacement": DISPLACEMENT, "measured": DISPLACEMENT, "desired": DESIRED,
@@ -121,22 +97,18 @@ def wish(
     required
         Whether its absence is an error.
     """
+    own, kind = (quantity or role).lower(), kind_of_unit(unit)
     known = ROLES.get(role)
-    own = (quantity or role).lower()
-    kind = kind_of_unit(unit)
     if known is None:
         kinds = None if kind is None else frozenset((kind,))
         return ColumnWish(selector, (own,), required, option, kinds=kinds)
-    return ColumnWish(
-        selector,
-        (own, *(name for name in known.names if name != own)) if quantity else known.names,
-        required,
-        option,
-        letters=known.letters,
-        kinds=known.kinds | ({kind} if kind else set()),
-        contrary=known.contrary,
-        by_unit=known.by_unit,
-        channel_kinds=known.channel_kinds,
-        preferred=DESIRED.names if role == "trajectory" else (),
-        foreign=frozenset(name for other in ROLES.values() for name in other.names) - frozenset(known.names),
+    others = frozenset(name for other in ROLES.values() for name in other.guesses)
+    return replace(
+        known,
+        selector=selector,
+        guesses=(own, *(name for name in known.guesses if name != own)) if quantity else known.guesses,
+        required=required,
+        option=option,
+        kinds=(known.kinds or frozenset()) | ({kind} if kind else set()),
+        foreign=others - frozenset(known.guesses),
     )

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.cell_grammar import SKIP_REMEDY
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.number_text import are_measured
-from dbo_cli.logs.reading_options import Rows
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.reading_options import SKIP_REMEDY, Rows
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured, dropped_note
 from dbo_cli.logs.stated_clock import Statement, agreed_rate
 
 Fetch = Callable[[int, int], Any]
@@ -45,11 +43,11 @@ class ColumnSource:
     missing
         Stored values that stand for "no value" (netCDF's ``_FillValue``).
     clock
-        What the file says of this column's own sample rate.
+        What the file states of this column's own sample rate.
     start
-        The time (s) of the first row, as far as the file tells.
+        The time (s) of the first row, as far as the file states it.
     remarks
-        What has to be said when this column is used.
+        Notes for the user where this column is used.
     problem
         Why this column cannot be used, or an empty text.
     """
@@ -92,11 +90,11 @@ class ColumnTable:
     place
         How messages call the log.
     kind
-        What kind of file it is, as messages say it (``HDF5``).
+        What kind of file it is, as messages call it (``HDF5``).
     sources
         The columns.
     clock
-        What the file says of its sample rate as a whole.
+        What the file states of its sample rate as a whole.
     start
         The time (s) of the first row.
     where
@@ -131,14 +129,14 @@ class ColumnTable:
         self.columns = [describe_column(source, number) for number, source in enumerate(sources, start=1)]
 
     def describe(self) -> str:
-        """Tell in one line how the log is written, for ``verbose``."""
+        """Describe in one line how the log is written, for ``verbose``."""
         plural = "s" if len(self._sources) != 1 else ""
         stated = [one for one in self._clock if one.rate]
         rate = f", {stated[0].rate:g} samples a second" if stated else ""
         return f"{self.place}: {self._kind}, {len(self._sources)} column{plural}{self._where}{rate}"
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Give the sample rate (Hz) that the file states for these columns, and the first row's time (s).
+        """Return the sample rate (Hz) that the file states for these columns, and the first row's time (s).
 
         Raises
         ------
@@ -147,13 +145,13 @@ class ColumnTable:
         """
         picked = [self._sources[column.number - 1] for column in columns]
         own = [one for source in picked for one in source.clock]
-        # What a column says of itself goes before what is said of the file as a whole.
+        # What a column states of itself goes before what the file states as a whole.
         rate = agreed_rate(self.place, own or self._clock, self.notes)
         starts = {source.start for source in picked}
         if len(starts) > 1:
-            told = ", ".join(f"'{source.label}' at {source.start:g} s" for source in picked)
+            listed = ", ".join(f"'{source.label}' at {source.start:g} s" for source in picked)
             raise InputError(
-                f"{self.place}: the columns do not start at the same time: {told} "
+                f"{self.place}: the columns do not start at the same time: {listed} "
                 "(`sample_rate` HZ takes them row by row)"
             )
         return rate, starts.pop() or self._start if starts else self._start
@@ -188,8 +186,7 @@ class ColumnTable:
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
             yield block
         if dropped:
-            more = f" and {dropped - 1} more: {dropped} rows dropped" if dropped > 1 else ": 1 row dropped"
-            self.notes.append(first + more)
+            self.notes.append(dropped_note(first, dropped))
 
     def close(self) -> None:
         """Close the file."""
@@ -213,8 +210,8 @@ class ColumnTable:
     def _common_length(self, sources: Sequence[ColumnSource]) -> int:
         lengths = [source.length for source in sources]
         if len(set(lengths)) > 1:
-            told = ", ".join(f"'{s.label}' {n}" for s, n in zip(sources, lengths, strict=True))
-            raise InputError(f"{self.place}: the columns are of unequal length: {told}")
+            listed = ", ".join(f"'{s.label}' {n}" for s, n in zip(sources, lengths, strict=True))
+            raise InputError(f"{self.place}: the columns are of unequal length: {listed}")
         return lengths[0]
 
     def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int) -> str:
@@ -233,7 +230,7 @@ def describe_column(source: ColumnSource, number: int) -> ColumnInfo:
 
 def brief(problem: BaseException) -> str:
     """Keep the reason in brackets of a library's message, or its first line."""
-    if type(problem).__name__ == "PanicException":  # tells of the library's own lines
+    if type(problem).__name__ == "PanicException":  # describes the library's own lines
         return GAVE_UP
     text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
     return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text

@@ -41,6 +41,7 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
+_LISTED = 20  # names of columns that a message holds at most
 _NAMING = ("length", "angle")  # a column called "um" is in um; "m" and "Volts" may be anything
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
 
@@ -95,7 +96,7 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def is_torn(text: str) -> bool:
-    """Tell whether brackets do not fit together: what they state cannot be told."""
+    """Return whether brackets do not fit together: what they state is not clear."""
     return any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}"))
 
 
@@ -129,11 +130,15 @@ def list_columns(columns: Sequence[ColumnInfo]) -> str:
     """List the columns of a log for an error message, shortened when there are many."""
     if not any(column.quantity for column in columns):
         return f"it has {len(columns)} column{'s' if len(columns) != 1 else ''} without names"
-    shown = [
-        f"{column.number} {column.name}" if column.quantity else str(column.number) for column in columns[:20]
-    ]
-    more = f", … ({len(columns)} in all)" if len(columns) > 20 else ""
+    shown = [f"{one.number} {one.name}" if one.quantity else str(one.number) for one in columns[:_LISTED]]
+    more = f", … ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
+
+
+def any_of(names: Sequence[str]) -> str:
+    """List what may be meant for an error message, shortened when there is much."""
+    more = f" or … ({len(names)} in all)" if len(names) > _LISTED else ""
+    return " or ".join(names[:_LISTED]) + more
 
 
 def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> ColumnInfo:
@@ -160,12 +165,16 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
             raise InputError(f"{place}: there is no column {number}: it has {len(columns)} column{plural}")
         return columns[number - 1]
     wanted = cleaned(selector)
-    for same in (_same_name, _same_name_but_case, _same_quantity):
-        found = [column for column in columns if same(column, wanted)]
+    named = [(one, " ".join(one.name.split()), one.quantity) for one in columns if one.quantity]
+    for found in (
+        [column for column, name, _ in named if name == wanted],
+        [column for column, name, _ in named if name.lower() == wanted.lower()],
+        [column for column, _, quantity in named if quantity.lower() == wanted.lower()],
+    ):
         if len(found) == 1:
             return found[0]
         if found:
-            numbers = " or ".join(str(column.number) for column in found)
+            numbers = any_of([str(column.number) for column in found])
             raise InputError(
                 f"{place}: column '{selector}' occurs more than once: give its number (`{option}` {numbers})"
             )
@@ -182,18 +191,6 @@ def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, 
             f"{named[0].number}, which is named '{selector}'? "
             f"(`{option}` number={selector} or name={selector})"
         )
-
-
-def _same_name(column: ColumnInfo, wanted: str) -> bool:
-    return bool(column.quantity) and " ".join(column.name.split()) == wanted
-
-
-def _same_name_but_case(column: ColumnInfo, wanted: str) -> bool:
-    return bool(column.quantity) and " ".join(column.name.split()).lower() == wanted.lower()
-
-
-def _same_quantity(column: ColumnInfo, wanted: str) -> bool:
-    return bool(column.quantity) and column.quantity.lower() == wanted.lower()
 
 
 def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list[ColumnInfo]:
@@ -220,17 +217,18 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
         return found
     if found and all(column.quantity.lower() in wish.guesses and _is_sure(column, wish) for column in found):
         return found
-    slips = [column for column in fitting if _resembles(column, wish)]
     measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
     letters = [column for column in fitting if column.quantity.lower() in wish.letters]
     if found and all(_is_sure(column, wish) for column in found):
-        others = [*slips, *[column for column in letters if column in measuring]]
-        return sorted({one.number: one for one in [*found, *others]}.values(), key=lambda one: one.number)
+        measured_letters = [one for one in measuring if one.quantity.lower() in wish.letters]
+        numbers = {column.number for column in [*found, *_misspelled(fitting, wish), *measured_letters]}
+        return [column for column in fitting if column.number in numbers]
     if not found and guess_columns(columns, wish.guesses):
         return []
     lesser = [column for column in measuring if _has_lesser_name(column, wish)]
     if not (found or letters or lesser):
         return []
+    slips = _misspelled(fitting, wish)
     if not any(column.quantity.lower() in wish.guesses for column in found):
         slips += _suspects(fitting, wish, bool(found), [*letters, *lesser])
     numbers = {column.number for column in [*found, *letters, *measuring, *slips]}
@@ -238,20 +236,21 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
 
 
 def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether a column was found by a whole name, or by a word and a unit of the right kind."""
+    """Return whether a column was found by a whole name, or by a word and a unit of the right kind."""
     kind = kind_of_unit(column.unit)
     whole = len(column.quantity) > 1 and column.quantity.lower() in wish.guesses
     return kind in wish.channel_kinds or (whole and kind is None)
 
 
-def _resembles(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether one of a column's words is a long name but for one letter."""
-    return any(
-        _one_letter_off(word, name)
-        for word in [*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())]
-        for name in wish.guesses
-        if len(name) >= 4 and abs(len(word) - len(name)) <= 1 and word not in wish.foreign
-    )
+def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
+    """Find the columns of which a word is a long name but for one letter."""
+    names = [name for name in wish.guesses if len(name) >= 4]
+    return [
+        column
+        for column in columns
+        for words in [{*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())}]
+        if any(_one_letter_off(word, name) for word in words - wish.foreign for name in names)
+    ]
 
 
 def _suspects(
@@ -259,7 +258,7 @@ def _suspects(
 ) -> list[ColumnInfo]:
     """Find what may be meant beside a column that has no whole name: names run together, letters in words.
 
-    Where no unit speaks for what was found by a lesser name, whatever nobody knows may be meant.
+    Where no unit supports what was found by a lesser name, any column of an unknown name may be meant.
     """
     sure = found or all(kind_of_unit(column.unit) in wish.channel_kinds for column in others)
     long_names = [name for name in wish.guesses if len(name) >= 4]
@@ -279,20 +278,22 @@ def _letters(column: ColumnInfo) -> str:
 
 
 def _runs_into_unit(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether a name and a unit of the right kind stand without anything between them: Wegµm."""
+    """Return whether a name and a unit of the right kind stand without anything between them: Wegµm."""
     word = _letters(column)
     ends = [word[len(name) :] for name in (*wish.guesses, *wish.letters) if word.startswith(name)]
     return any(kind_of_unit(normalise_unit(end)) in wish.channel_kinds for end in ends if end)
 
 
 def _is_unknown(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether nothing is known of a column's name: no other role's, and no mere number or flag."""
+    """Return whether nothing is known of a column's name: no other role's, and no mere number or flag."""
     words = set(_words(column.quantity))
     return bool(words) and not words & (wish.foreign | _BESIDES)
 
 
 def _one_letter_off(one: str, other: str) -> bool:
-    """Tell whether two words differ by one letter: put in, left out, changed, or swapped with the next."""
+    """Return whether two words of three letters or more differ by one: put in, left out, changed, swapped."""
+    if abs(len(one) - len(other)) > 1 or (one[0] != other[0] and one[-1] != other[-1]):
+        return False  # the usual case; one slip leaves the first or the last letter
     short, long = sorted((one, other), key=len)
     same = next((k for k, letter in enumerate(short) if letter != long[k]), len(short))
     if len(short) < len(long):
@@ -312,7 +313,7 @@ def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
 
 
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether nothing in a column's unit and words speaks against a wish."""
+    """Return whether nothing in a column's unit and words speaks against a wish."""
     kind = kind_of_unit(column.unit)
     if column.written != "numbers":
         return False
@@ -383,7 +384,7 @@ def _not_unique(
     used: Collection[int],
     timed: bool,
 ) -> str:
-    """Say of every role at once which columns may be meant, or that none is, and how to choose."""
+    """Ask for every role at once which columns may be meant, or that none is, and how to choose."""
     calls = {role: f"{role} signal" if role in ("desired", "measured") else role for role in missing}
     free = [column.number for column in columns if column.number not in used]
     if not any(column.quantity for column in columns) and len(free) >= len(missing):
@@ -392,12 +393,12 @@ def _not_unique(
         example = " ".join(f"`{option}` {number}" for option, number in zip(options, free, strict=False))
         which = ", which the ".join(calls.values())
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
-    told, absent = [], []
+    questions, absent = [], []
     for role, found in missing.items():
         called = calls[role]
         if found:
-            names = " or ".join(f"'{column.name}'" for column in found)
-            told.append(f"which column is the {called}, {names}?")
+            names = any_of([f"'{column.name}'" for column in found])
+            questions.append(f"which column is the {called}, {names}?")
             continue
         wanted = [one for one in columns if is_order(one, want[role])]
         absent.append(called)
@@ -407,12 +408,14 @@ def _not_unique(
                 "the sensor beside it)"
             )
     if absent:
-        told.append(f"no column is recognised as the {' nor as the '.join(absent)}: {list_columns(columns)}")
+        questions.append(
+            f"no column is recognised as the {' nor as the '.join(absent)}: {list_columns(columns)}"
+        )
     options = [f"`{want[role].option}`" for role in missing]
-    return f"{place}: {' '.join(told)} (choose with {' and '.join(options)} NAME or NUMBER)"
+    return f"{place}: {' '.join(questions)} (choose with {' and '.join(options)} NAME or NUMBER)"
 
 
 def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
-    """Tell whether a column says what was wanted, where what was measured is looked for."""
+    """Return whether a column says what was wanted, where what was measured is looked for."""
     unit_fits = wish.kinds is None or column.unit is None or kind_of_unit(column.unit) in wish.kinds
     return "desired" in wish.contrary and unit_fits and bool(wish.contrary & set(_words(column.name)))

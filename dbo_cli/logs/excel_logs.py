@@ -12,13 +12,13 @@ from typing import Any
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.cell_grammar import is_number
 from dbo_cli.logs.column_table import brief
 from dbo_cli.logs.extras import import_extra
 from dbo_cli.logs.interrupts import keep_interrupts
 from dbo_cli.logs.library_noise import contained
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.text_logs import TextTable
+from dbo_cli.logs.text.cells import is_number
+from dbo_cli.logs.text.text_table import TextTable
 
 _LOOKED_AT = 200  # rows that tell whether a sheet holds a table; instruments' headers are shorter
 _DATE = r"^\d{4}-\d\d-\d\d"

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.text_logs import TextTable
+from dbo_cli.logs.text.text_table import TextTable
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.log_table import Table
+    from dbo_cli.logs.sample_block import Table
 
 # First bytes, and the module and function that read such a file; a library is imported only then.
 _SIGNATURES = {

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.logs.column_table import ColumnSource, Fetch
-from dbo_cli.logs.foreign_text import clean_text
+from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
 
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.logs.column_table import ColumnSource
-from dbo_cli.logs.foreign_text import clean_text
 from dbo_cli.logs.hdf5_columns import (
     attribute,
     attribute_text,
@@ -19,6 +18,7 @@ from dbo_cli.logs.hdf5_columns import (
     with_unit_fields,
 )
 from dbo_cli.logs.hdf5_pandas import pandas_columns
+from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import is_clock_name
 
 _DEEPEST = 8  # levels looked through for a table; LabOne's is the deepest known (/000/dev/demods/0/sample)

@@ -15,9 +15,9 @@ from typing import Any
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_table import ColumnSource, ColumnTable, brief
-from dbo_cli.logs.foreign_text import clean_text
 from dbo_cli.logs.hdf5_columns import columns_of, is_dataset, matlab_class, scalar_statements, statements_of
 from dbo_cli.logs.hdf5_layouts import columns_in, tables_below
+from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.stated_clock import Statement
 

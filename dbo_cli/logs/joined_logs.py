@@ -22,14 +22,14 @@ from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.time_column import TimeColumn, find_time_column, time_column
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.log_table import Table
+    from dbo_cli.logs.sample_block import Table
 
 _CLOCK = "the clock of file "  # the role of a file's seconds while clocks are compared
 
 
 @dataclass
-class _Other:
-    """Another file: the columns wanted of it, and its clock if it has one."""
+class _File:
+    """One of the files: the columns wanted of it, and its clock if it has one to compare."""
 
     table: Table
     columns: dict[int, ColumnInfo]  # number in the joined log to column in the file
@@ -72,7 +72,7 @@ def join_files(table: Table, want: Mapping[str, ColumnWish], options: ReadingOpt
     InputError
         A file or a column is absent.
     """
-    others: dict[str, _Other] = {}
+    others: dict[str, _File] = {}
     columns = list(table.columns)
     wishes = dict(want)
     there = replace(options, format=None, time=None)
@@ -85,7 +85,7 @@ def join_files(table: Table, want: Mapping[str, ColumnWish], options: ReadingOpt
         address, selector = named
         if address not in others:
             opened = open_table(parse_address(address), there, False, False, [selector])
-            others[address] = _Other(opened, {})
+            others[address] = _File(opened, {})
         found = find_column(others[address].table.place, others[address].table.columns, selector, wish.option)
         _append(columns, others[address], found)
         return f"number={len(columns)}"
@@ -105,13 +105,13 @@ def join_files(table: Table, want: Mapping[str, ColumnWish], options: ReadingOpt
     return Joined(table, wishes, options, list(others))
 
 
-def _append(columns: list[ColumnInfo], other: _Other, found: ColumnInfo) -> None:
+def _append(columns: list[ColumnInfo], other: _File, found: ColumnInfo) -> None:
     columns.append(replace(found, name=f"{other.table.place}::{found.name}", number=len(columns) + 1))
     other.columns[len(columns)] = found
 
 
 def _find_clocks(
-    table: Table, columns: list[ColumnInfo], others: Sequence[_Other], options: ReadingOptions
+    table: Table, columns: list[ColumnInfo], others: Sequence[_File], options: ReadingOptions
 ) -> None:
     """Find the other files' clocks; where the first file has none, another's becomes that of the log."""
     if options.sample_rate is not None:
@@ -129,7 +129,7 @@ def _find_clocks(
 
 
 def _refuse_missing(table: Table, wish: ColumnWish) -> None:
-    """Say that a file is missing where ``FILE::COLUMN`` was meant."""
+    """State that a file is missing where ``FILE::COLUMN`` was meant."""
     if wish.selector is None or "::" not in wish.selector:
         return
     if all(wish.selector not in (column.name, column.quantity) for column in table.columns):
@@ -140,33 +140,33 @@ def _refuse_missing(table: Table, wish: ColumnWish) -> None:
 
 
 class _JoinedTable:
-    """Several files as one table; fulfils the protocol of ``signal_log.Table``."""
+    """Several files as one; fulfils the protocol ``Table``."""
 
     def __init__(
-        self, first: Table, others: list[_Other], columns: list[ColumnInfo], options: ReadingOptions
+        self, first: Table, others: list[_File], columns: list[ColumnInfo], options: ReadingOptions
     ) -> None:
         self.place = first.place
         self.columns = columns
         self.notes = first.notes
-        self._first = first
-        self._others = others
-        self._options = options
+        self._files = [_File(first, {column.number: column for column in first.columns}), *others]
+        self._time_unit = options.time_unit
+        self._step = 0.0
 
     def describe(self) -> str:
-        """Tell in one line how each file is written."""
-        return "; ".join([self._first.describe(), *(other.table.describe() for other in self._others)])
+        """Describe in one line how each file is written."""
+        return "; ".join(file.table.describe() for file in self._files)
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Give the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
+        """Return the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
 
         Raises
         ------
         InputError
             They do not agree.
         """
-        own = [column for column in columns if column.number <= len(self._first.columns)]
-        rate, start = self._first.even_clock(own)
-        for other in self._others:
+        first, *others = self._files
+        rate, start = first.table.even_clock([one for one in columns if one.number in first.columns])
+        for other in others:
             rate_there, start_there = other.table.even_clock(list(other.columns.values()))
             if rate is None:
                 rate, start = rate_there, start_there
@@ -187,43 +187,57 @@ class _JoinedTable:
         InputError
             The files are not equally long, or their clocks do not agree.
         """
-        own = {role: pick for role, pick in picks.items() if pick.number <= len(self._first.columns)}
-        streams, names = [], []
-        if own:
-            blocks = self._first.blocks(own, rows, skip_bad, block_rows)
-            if TIME in own:
-                unit = self._options.time_unit
-                clock = time_column(self.place, own[TIME], list(self._first.columns), unit)
-                blocks = _with_seconds(clock, blocks, _CLOCK, {})
-            streams.append(blocks)
-            names.append(self.place)
-        for other in self._others:
-            there = {
-                role: other.columns[n] for role, pick in picks.items() if (n := pick.number) in other.columns
+        first, *others = self._files
+        timed = TIME in picks and picks[TIME].number in first.columns  # else there is nothing to compare
+        if timed:
+            column = first.columns[picks[TIME].number]
+            first.clock = time_column(self.place, column, list(first.table.columns), self._time_unit)
+        streams = []
+        for file in self._files:
+            own = {
+                role: file.columns[pick.number] for role, pick in picks.items() if pick.number in file.columns
             }
-            own_clock = TIME in there  # the log's clock is this file's: nothing to compare it with
-            extra = {} if other.clock is None or own_clock or TIME not in own else dict(other.clock.picks)
-            blocks = other.table.blocks(there | extra, rows, skip_bad, block_rows)
-            if extra and other.clock is not None:
-                blocks = _with_seconds(other.clock, blocks, _CLOCK + other.table.place, extra)
-            streams.append(blocks)
-            names.append(other.table.place)
-        check = _ClockCheck(self.place)
-        for block in _in_step(names, streams, skip_bad, self.notes):
-            yield check.checked(block)
-        for other in self._others:
+            clock = file.clock if timed else None
+            extra = {} if clock is None or file is first else dict(clock.picks)
+            if own or extra:
+                found = file.table.blocks(own | extra, rows, skip_bad, block_rows)
+                role = _CLOCK if file is first else _CLOCK + file.table.place
+                seconds = found if clock is None else _with_seconds(clock, found, role, extra)
+                streams.append((file.table.place, seconds))
+        for block in _in_step(streams, skip_bad, self.notes):
+            yield self._checked(block)
+        for other in others:
             self.notes.extend(other.table.notes)
+
+    def _checked(self, block: SampleBlock) -> SampleBlock:
+        """Refuse a block whose clocks disagree (InputError); give it back without the compared clocks."""
+        clocks = {role: array for role, array in block.values.items() if role.startswith(_CLOCK)}
+        here = clocks.pop(_CLOCK, None)
+        if here is None:
+            return block
+        if self._step == 0.0 and len(here) > 1:
+            self._step = median_step(np.abs(np.diff(here)))
+        for role, there in clocks.items():
+            apart = np.flatnonzero(~(np.abs(here - there) <= JITTER * self._step))
+            if len(apart):
+                index = int(apart[0])
+                raise InputError(
+                    f"{self.place}: row {block.rows[index]}: its time {here[index]:.6g} s is "
+                    f"{there[index]:.6g} s in {role.removeprefix(_CLOCK)} (bring both to one clock; "
+                    "`sample_rate` HZ takes them row by row)"
+                )
+        values = {role: array for role, array in block.values.items() if not role.startswith(_CLOCK)}
+        return replace(block, values=values)
 
     def close(self) -> None:
         """Close all files."""
-        self._first.close()
-        for other in self._others:
-            other.table.close()
+        for file in self._files:
+            file.table.close()
 
     @property
     def sha256(self) -> str | None:
         """The digest of the first file, where it was asked for."""
-        return self._first.sha256
+        return self._files[0].table.sha256
 
 
 def _with_seconds(
@@ -233,101 +247,53 @@ def _with_seconds(
     for block in clock.held_back(blocks):
         seconds = clock.seconds(dict(block.values))
         values = {name: array for name, array in block.values.items() if name not in extra}
-        yield SampleBlock(block.rows, block.lines, block.time, values | {role: seconds})
-
-
-@dataclass
-class _ClockCheck:
-    """Compares the clocks of all files with the first one's, row by row."""
-
-    place: str
-    step: float = 0.0
-
-    def checked(self, block: SampleBlock) -> SampleBlock:
-        """Refuse a block whose clocks disagree (InputError); give it back without the compared clocks."""
-        clocks = {role: array for role, array in block.values.items() if role.startswith(_CLOCK)}
-        if not clocks:
-            return block
-        values = {role: array for role, array in block.values.items() if role not in clocks}
-        here = clocks.pop(_CLOCK, None)
-        if here is not None:
-            for role, there in clocks.items():
-                self._compare(block, here, there, role.removeprefix(_CLOCK))
-        return SampleBlock(block.rows, block.lines, block.time, values)
-
-    def _compare(self, block: SampleBlock, here: FloatArray, there: FloatArray, name: str) -> None:
-        if self.step == 0.0 and len(here) > 1:
-            self.step = median_step(np.abs(np.diff(here)))
-        apart = np.flatnonzero(~(np.abs(here - there) <= JITTER * self.step))
-        if len(apart):
-            index = int(apart[0])
-            raise InputError(
-                f"{self.place}: row {block.rows[index]}: its time {here[index]:.6g} s is {there[index]:.6g} "
-                f"s in {name} (bring both to one clock; `sample_rate` HZ takes them row by row)"
-            )
+        yield replace(block, values=values | {role: seconds})
 
 
 def _in_step(
-    names: list[str], streams: list[Iterator[SampleBlock]], skip_bad: bool, notes: list[str]
+    files: Sequence[tuple[str, Iterator[SampleBlock]]], skip_bad: bool, notes: list[str]
 ) -> Iterator[SampleBlock]:
-    """Merge blocks of several files by row number."""
-    pending: list[SampleBlock | None] = [None] * len(streams)
+    """Merge blocks of several files by row number.
+
+    Raises
+    ------
+    InputError
+        The files are not equally long (with ``skip_bad`` that is a note).
+    """
+    streams = [filter(len, blocks) for _, blocks in files]  # a block may be empty
+    pending = [next(stream, None) for stream in streams]
     last = [0] * len(streams)
-    while True:
-        for number, stream in enumerate(streams):
-            while pending[number] is None or not len(pending[number] or ()):
-                block = next(stream, None)
-                pending[number] = block
-                if block is None:
-                    break
-                if len(block):
-                    last[number] = int(block.rows[-1])
-        here = [block for block in pending if block is not None]
-        if len(here) < len(streams):
-            if here:
-                _unequal(names, streams, pending, last, skip_bad, notes)
-            return
-        upto = min(int(block.rows[-1]) for block in here)
-        cuts = [int(np.searchsorted(np.asarray(block.rows), upto, side="right")) for block in here]
-        yield _merged(
-            [block.part(0, cut) if cut else block.part(0, 0) for block, cut in zip(here, cuts, strict=True)]
-        )
-        pending = [
-            block.part(cut, len(block)) if cut else block for block, cut in zip(here, cuts, strict=True)
-        ]
-
-
-def _unequal(
-    names: list[str],
-    streams: list[Iterator[SampleBlock]],
-    pending: list[SampleBlock | None],
-    last: list[int],
-    skip_bad: bool,
-    notes: list[str],
-) -> None:
-    for number, stream in enumerate(
-        streams
-    ):  # count to the end, so that the message says how far they are apart
-        for block in stream if pending[number] is not None else ():
-            last[number] = int(block.rows[-1]) if len(block) else last[number]
-    told = ", ".join(f"{name} {count}" for name, count in zip(names, last, strict=True))
+    while all(pending):
+        blocks = [block for block in pending if block is not None]
+        upto = min(int(block.rows[-1]) for block in blocks)
+        cuts = [int(np.searchsorted(np.asarray(block.rows), upto, side="right")) for block in blocks]
+        yield _merged([block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)])
+        last = [int(block.rows[-1]) for block in blocks]
+        rests = [block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)]
+        pending = [rest if len(rest) else next(one, None) for rest, one in zip(rests, streams, strict=True)]
+    if not any(pending):
+        return
+    for number, block in enumerate(pending):
+        for rest in [block, *streams[number]] if block is not None else []:  # how far are they apart?
+            last[number] = int(rest.rows[-1])
+    counts = ", ".join(f"{name} {count}" for (name, _), count in zip(files, last, strict=True))
     if not skip_bad:
-        raise InputError(f"the files are not equally long: {told} rows (`rows` A:B cuts all of them)")
-    notes.append(f"the files do not end at the same row: {told}: the rows beyond the shortest are left out")
+        raise InputError(f"the files are not equally long: {counts} rows (`rows` A:B cuts all of them)")
+    notes.append(f"the files do not end at the same row: {counts}: the rows beyond the shortest are left out")
 
 
 def _merged(parts: list[SampleBlock]) -> SampleBlock:
-    first = parts[0]
-    values = {role: array for part in parts for role, array in part.values.items()}
-    if all(len(part) == len(first) and np.array_equal(part.rows, first.rows) for part in parts[1:]):
-        return SampleBlock(first.rows, first.lines, first.time, values)
+    """Put parts of several files beside each other; rows that one of them lacks are left out."""
+    first, *others = parts
     common = np.asarray(first.rows)
-    for part in parts[1:]:
-        common = np.intersect1d(common, np.asarray(part.rows), assume_unique=True)
-    kept = {
-        role: array[np.isin(np.asarray(part.rows), common)]
-        for part in parts
-        for role, array in part.values.items()
-    }
+    for part in others:
+        if len(part) != len(common) or not np.array_equal(part.rows, common):
+            common = np.intersect1d(common, np.asarray(part.rows), assume_unique=True)
+    values: dict[str, FloatArray] = {}
+    for part in parts:
+        kept = slice(None) if len(part) == len(common) else np.isin(np.asarray(part.rows), common)
+        values |= {role: array[kept] for role, array in part.values.items()}
+    if len(common) == len(first):
+        return replace(first, values=values)
     lines = None if first.lines is None else np.asarray(first.lines)[np.isin(np.asarray(first.rows), common)]
-    return SampleBlock(common, lines, None, kept)
+    return SampleBlock(common, lines, None, values)

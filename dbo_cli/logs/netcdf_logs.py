@@ -12,7 +12,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_table import ColumnSource, ColumnTable, brief
-from dbo_cli.logs.foreign_text import clean_text
+from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
 

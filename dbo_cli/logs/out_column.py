@@ -1,24 +1,28 @@
-"""A column as it is written: its name, its unit, and how the two make a header."""
+"""A column as it is written: its header, and its numbers as the shortest text that reads back exactly."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError
 from dbo_cli.logs.columns import split_header
+from dbo_cli.logs.interrupts import keep_interrupts
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.units import is_known_unit
 
+PLAIN_CELLS = 1 << 16  # with fewer cells importing polars costs more than it saves (benchmarks/text_speed.py)
 _FORMULA_SIGNS = ("=", "+", "-", "@")
 
 
 @dataclass(frozen=True)
 class OutColumn:
-    """A column to be written: name, unit, and what it measures (told by HDF5 alone; the name by default)."""
+    """A column to be written: name, unit, and what it measures (for HDF5 alone; the name by default)."""
 
     name: str
     unit: str | None = None
@@ -71,3 +75,44 @@ def header_cell(text: str, delimiter: str) -> str:
     if delimiter in text or '"' in text or text[:1] in ("#", "%"):
         return '"' + text.replace('"', '""') + '"'
     return text
+
+
+def shortest(value: float) -> str:
+    """Write one number with the fewest digits that read back exactly, spelled as polars spells it."""
+    text = repr(value)
+    if "e" not in text:
+        return text if text != "nan" else "NaN"
+    digits, exponent = text.split("e")
+    if exponent == "-05":  # polars writes exponents only below 1e-5
+        sign = "-" if digits[0] == "-" else ""
+        return f"{sign}0.0000{digits.lstrip('-').replace('.', '')}"
+    return f"{digits}e{'+' if exponent[0] == '+' else '-'}{exponent[1:].lstrip('0')}"
+
+
+def rows_as_text(arrays: Sequence[ArrayLike], delimiter: str) -> bytes | memoryview:
+    """Write columns as lines of delimited text; the bytes do not depend on which way is taken."""
+    if "polars" in sys.modules or len(arrays) * np.size(arrays[0]) >= PLAIN_CELLS:
+        return _fast_rows(arrays, delimiter)
+    return _plain_rows(arrays, delimiter)
+
+
+def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
+    numbers = [np.asarray(array, dtype=np.float64).tolist() for array in arrays]
+    columns = [[shortest(value) for value in column] for column in numbers]
+    lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
+    return ("\n".join(lines) + "\n").encode() if lines else b""
+
+
+def _fast_rows(arrays: Sequence[ArrayLike], delimiter: str) -> memoryview:
+    import io
+
+    import polars
+
+    keep_interrupts()
+
+    buffer = io.BytesIO()
+    names = map(str, range(len(arrays)))
+    columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
+    table = polars.DataFrame(dict(zip(names, columns, strict=False)))
+    table.write_csv(buffer, include_header=False, separator=delimiter)
+    return buffer.getbuffer()

@@ -17,6 +17,14 @@ def decoded(data: bytes) -> str:
         return data.decode("cp1252", errors="replace")
 
 
+def _unescaped(text: str) -> str:
+    """Decode the bytes that Python or h5py could not, and handed on as lone surrogates."""
+    try:
+        return decoded(text.encode("utf-8", "surrogateescape"))
+    except UnicodeEncodeError:  # surrogates that stand for no bytes
+        return text
+
+
 def cleaned(text: str) -> str:
     """Return text that any output takes and no terminal obeys, on one line.
 
@@ -25,15 +33,10 @@ def cleaned(text: str) -> str:
     """
     if text.isascii() and text.isprintable() and "  " not in text:
         return text.strip()
-    if any("\udc80" <= letter <= "\udcff" for letter in text):
-        text = decoded(text.encode("utf-8", "surrogateescape")) if _is_escaped(text) else text
-    return " ".join(_UNSAFE.sub(" ", text).split())
+    return " ".join(_UNSAFE.sub(" ", _unescaped(text)).split())
 
 
-def _is_escaped(text: str) -> bool:
-    """Tell whether the odd characters stand for bytes, as Python writes what it could not decode."""
-    try:
-        text.encode("utf-8", "surrogateescape")
-    except UnicodeEncodeError:
-        return False
-    return True
+def clean_text(value: object) -> str:
+    """Turn what another program stored (a name, a unit, a remark) into text, in whatever encoding it is."""
+    text = decoded(value) if isinstance(value, bytes) else str(value)
+    return (text if text.isascii() else _unescaped(text)).rstrip("\0")

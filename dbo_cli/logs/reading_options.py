@@ -1,4 +1,4 @@
-"""How logs are to be read, as far as somebody had to say it; checked once, when the value is made."""
+"""How logs are to be read, as far as the user gave it; checked once, when the value is made."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import codecs
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import FORMATS
-from dbo_cli.logs.cell_grammar import BLANKS
 
 if TYPE_CHECKING:
     from dbo_cli.logs.units import Scale
@@ -22,6 +22,8 @@ ALL_ROWS: Rows = (1, None)
 BLOCK_ROWS = 1 << 16
 _LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost in rounding, or the rows are
 
+SKIP_REMEDY = "(`skip_bad` drops such rows)"
+BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 
@@ -35,7 +37,7 @@ class ReadingOptions:
     time : str, optional
         The time column: a header name, a dataset path, or a number counted from 1.
     time_unit : str, optional
-        What the figures of the time column count (``ms``, ``10us``); goes before what the header says.
+        What the figures of the time column count (``ms``, ``10us``); goes before what the header states.
     scale : tuple of str
         Factors by role, ``voltage=20`` or ``displacement=10um/V``.
     sample_rate : float, optional
@@ -47,7 +49,7 @@ class ReadingOptions:
     resample : float, optional
         Interpolate linearly to this rate (Hz).
     format : str, optional
-        ``csv``, ``tsv`` or ``hdf5``, where no file name tells.
+        ``csv``, ``tsv`` or ``hdf5``, where no file name shows it.
     delimiter, decimal, comment : str, optional
         Of text: a name of ``DELIMITERS`` or a single character; ``point`` or ``comma``; the characters that
         start a comment line.
@@ -83,6 +85,27 @@ class ReadingOptions:
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
         object.__setattr__(self, "scale", (self.scale,) if isinstance(self.scale, str) else tuple(self.scale))
+        object.__setattr__(self, "rows", parse_rows(self.rows))
+        self._check_time()
+        self.scales  # noqa: B018 - parsed once; refuses what is none
+        if self.format is not None and self.format not in FORMATS:
+            raise UsageError(f"`format` {self.format}: the formats are {', '.join(FORMATS)}")
+        if self.header_lines is not None and self.header_lines not in (0, 1, 2):
+            raise UsageError(f"`header_lines`: '{self.header_lines}' is none of 0, 1, 2")
+        for name, least in (("skip_lines", 0), ("block_rows", 1)):
+            count = getattr(self, name)
+            if count is not None and count < least:
+                raise UsageError(f"`{name}`: must be at least {least}, not {count}")
+        for name in ("delimiter", "comment"):
+            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
+                raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
+        self.delimiter_character  # noqa: B018
+        self.decimal_sign  # noqa: B018
+        if self.encoding is not None:
+            check_encoding(self.encoding)
+
+    def _check_time(self) -> None:
+        """Refuse rates and units of time that are none, or that exclude each other."""
         for name in ("sample_rate", "resample"):
             rate = getattr(self, name)
             if rate is not None and not (math.isfinite(rate) and rate > 0.0):
@@ -95,41 +118,16 @@ class ReadingOptions:
             raise UsageError(
                 "`time` and `sample_rate` exclude each other: the log has the one or needs the other"
             )
-        self._check_units()
-        if self.format is not None and self.format not in FORMATS:
-            raise UsageError(f"`format` {self.format}: the formats are {', '.join(FORMATS)}")
-        if self.header_lines is not None and self.header_lines not in (0, 1, 2):
-            raise UsageError(f"`header_lines`: '{self.header_lines}' is none of 0, 1, 2")
-        for name, least in (("skip_lines", 0), ("block_rows", 1)):
-            count = getattr(self, name)
-            if count is not None and count < least:
-                raise UsageError(f"`{name}`: must be at least {least}, not {count}")
-        check_rows(self.rows)
-        self._check_marks()
-        if self.encoding is not None:
-            check_encoding(self.encoding)
-
-    def _check_marks(self) -> None:
-        """Refuse marks that no text can hold."""
-        for name in ("delimiter", "comment"):
-            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
-                raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
-        self.delimiter_character  # noqa: B018 - refuses what is none
-        self.decimal_sign  # noqa: B018
-
-    def _check_units(self) -> None:
-        """Refuse a unit of time or a scale that is none."""
         if self.time_unit is not None:
-            from dbo_cli.logs.time_units import parse_time_unit
+            from dbo_cli.logs.stated_clock import parse_time_unit
 
             parse_time_unit(self.time_unit)
             if self.sample_rate is not None:
                 raise UsageError(
                     "`time_unit` and `sample_rate` exclude each other: the time column is read or replaced"
                 )
-        self.scales  # noqa: B018 - refuses what is none
 
-    @property
+    @cached_property
     def scales(self) -> tuple[Scale, ...]:
         """The factors by role (UsageError where one is none)."""
         if not self.scale:
@@ -139,18 +137,18 @@ class ReadingOptions:
         return tuple(parse_scale(text) for text in self.scale)
 
     def chosen(self) -> dict[str, object]:
-        """Return what was said, under its parameter's name; how many rows are held changes nothing."""
-        said: dict[str, object] = {}
+        """Return what the user gave, under its parameter's name; how many rows are held changes nothing."""
+        given: dict[str, object] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value != field.default and field.name != "block_rows":
-                said[field.name] = value
-        if "rows" in said:
+                given[field.name] = value
+        if "rows" in given:
             first, last = self.rows
-            said["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
-        return said
+            given["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
+        return given
 
-    @property
+    @cached_property
     def delimiter_character(self) -> str | None:
         """The delimiter asked for, or None where it is to be detected.
 
@@ -167,7 +165,7 @@ class ReadingOptions:
             raise UsageError(f"`delimiter` {self.delimiter}: give a single character or one of {names}")
         return found
 
-    @property
+    @cached_property
     def decimal_sign(self) -> str | None:
         """The decimal sign asked for, or None where it is to be detected.
 
@@ -184,30 +182,31 @@ class ReadingOptions:
         return found
 
 
-def parse_rows(text: str) -> Rows:
-    """Read ``A:B``: data rows counted from 1, both ends included, either may be left out.
+def parse_rows(given: object) -> Rows:
+    """Read ``A:B``, or a pair of numbers: data rows counted from 1, both ends included.
 
     Raises
     ------
     UsageError
         It is not of that form, or B is before A.
     """
-    first, separator, last = text.strip().partition(":")
-    numbers = [part for part in (first, last) if part]
-    if not separator or not all(part.isdecimal() and part.isascii() and len(part) < 19 for part in numbers):
-        raise UsageError(f"`rows` {text}: give A:B, data rows counted from 1, both ends included")
-    rows = int(first or 1), int(last) if last else None
+    if isinstance(given, str):
+        first, separator, last = given.strip().partition(":")
+        numbers = [part for part in (first, last) if part]
+        written = all(part.isdecimal() and part.isascii() and len(part) < 19 for part in numbers)
+        rows: object = (int(first or 1), int(last) if last else None) if separator and written else None
+    else:
+        rows = given
+    if (
+        not isinstance(rows, tuple | list)
+        or len(rows) != 2
+        or not all(type(number) is int for number in (rows[0], rows[1] or 1))
+    ):
+        raise UsageError(f"`rows` {given}: give A:B, data rows counted from 1, both ends included")
     if rows[0] < 1 or (rows[1] is not None and rows[1] < rows[0]):
+        text = given if isinstance(given, str) else f"{rows[0]}:{'' if rows[1] is None else rows[1]}"
         raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
-    return rows
-
-
-def check_rows(rows: Rows) -> None:
-    """Refuse rows that are none (UsageError)."""
-    first, last = rows
-    if first < 1 or (last is not None and last < first):
-        text = f"{first}:{'' if last is None else last}"
-        raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
+    return rows[0], rows[1]
 
 
 def check_encoding(name: str) -> None:

@@ -1,9 +1,10 @@
-"""What a log gives: blocks of samples, each row with its place in the file."""
+"""What every format gives: a table of columns, and blocks of samples that know their place in the file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ class ColumnInfo:
     ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
     unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
     ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
-    ``date`` (logs.time_cells); such columns are read as seconds.
+    ``date`` (logs.text.time_stamps); such columns are read as seconds.
     """
 
     name: str
@@ -31,13 +32,32 @@ class ColumnInfo:
     written: str = "numbers"
 
 
+# What instruments send in place of a value that is beyond their range (9.9E37) or none (9.91E37): SCPI-99,
+# volume 1, 7.2.1. Their 32-bit numbers are a little off.
+_OVERFLOW_FROM, _OVERFLOW_TO = 9.899e37, 9.911e37
+
+
+def is_overflow(value: float) -> bool:
+    """Return whether a number is an instrument's way to say that it has none."""
+    return _OVERFLOW_FROM < abs(value) < _OVERFLOW_TO
+
+
+def are_measured(values: FloatArray) -> NDArray[np.bool_]:
+    """Tell which numbers are finite and no instrument's overflow."""
+    size = np.abs(values)
+    usual: NDArray[np.bool_] = size < _OVERFLOW_FROM  # False for NaN and infinity as well
+    if not usual.all():
+        usual = usual | ((size >= _OVERFLOW_TO) & np.isfinite(values))
+    return usual
+
+
 @dataclass(frozen=True)
 class SampleBlock:
     """Consecutive samples of a log.
 
     ``rows`` are data row numbers from 1 (a gap where bad rows were dropped), ``lines`` the line numbers in
     the file (None for formats that have none); ``time`` is in seconds, None where it is not known or not yet
-    told from the other columns; ``values`` holds one float64 array of the same length a role.
+    separated from the other columns; ``values`` holds one float64 array of the same length a role.
     """
 
     rows: Places
@@ -92,3 +112,35 @@ def join_places(parts: Sequence[Places]) -> Places:
             return np.concatenate([np.asarray(part, dtype=np.int64) for part in parts])
         following += len(part)
     return range(first, following)
+
+
+def dropped_note(first: str, count: int) -> str:
+    """Return the note on rows that ``skip_bad`` dropped; ``first`` is the first one's message."""
+    more = f" and {count - 1} more" if count > 1 else ""
+    return f"{first}{more}: {count} row{'s' if count > 1 else ''} dropped"
+
+
+class Table(Protocol):
+    """A log in some format: its columns at once, its rows in blocks."""
+
+    place: str
+    columns: list[ColumnInfo]
+    notes: list[str]
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
+
+    def describe(self) -> str:
+        """Describe in one line how the log is written."""
+
+    def blocks(
+        self, picks: Mapping[str, ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int
+    ) -> Iterator[SampleBlock]:
+        """Read the wanted columns in blocks; ``rows`` are the first and the last one, counted from 1."""
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read, where it was asked for."""
+
+    def close(self) -> None:
+        """Close the file."""

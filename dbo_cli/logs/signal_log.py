@@ -8,7 +8,6 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
@@ -16,16 +15,14 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import other_file, parse_address, selected_files, without_folder
-from dbo_cli.logs.clock import JITTER, TimeCheck, resampled
+from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
-from dbo_cli.logs.log_table import Table
 from dbo_cli.logs.provenance import InputRecord, input_record
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
-from dbo_cli.logs.reading_summary import ReadColumn, ReadingSummary
-from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, joined
+from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.time_column import TimeColumn, find_time_column
-from dbo_cli.logs.units import ONE, Scale, kind_of_unit, match_units
+from dbo_cli.logs.units import ONE, Scale, convert_column, kind_of_unit
 
 
 class SignalLog:
@@ -110,75 +107,82 @@ class SignalLog:
         return self.time is not None or self.sample_rate is not None
 
     def describe(self) -> str:
-        """Tell in one line how the log is written and what was chosen, for ``verbose``."""
+        """Describe in one line how the log is written and what was chosen, for ``verbose``."""
         chosen = [f"{role} is column {column.number}" for role, column in self.columns.items()]
         if self.time is not None:
             chosen.insert(0, f"time is column {self.time.number}")
         return f"{self._table.describe()}; {', '.join(chosen)}"
 
     def opening_line(self) -> str:
-        """Say what is being read, as far as it is known before the first block (for streams)."""
-        return self._summary(None).line()
+        """Describe what is being read, as far as it is known before the first block (for streams)."""
+        return self._line([] if self.has_time else ["no time"], self.sample_rate)
 
     def reading_line(self) -> str:
-        """Say what was read, once the blocks have been: rows, duration, rate, and the column of each role."""
-        return self._summary(self.rows_read).line()
+        """Describe what was read, once all blocks were: rows, duration, rate, and the column of each role."""
+        rate, seconds = self._rate_and_seconds()
+        known = [f"{self.rows_read:,} row{'s' if self.rows_read != 1 else ''}"]
+        return self._line(known if self.has_time else [*known, "no time"], rate, seconds)
+
+    def _line(self, known: list[str], rate: float | None, seconds: float | None = None) -> str:
+        if rate is not None:
+            source = ""
+            if self.sample_rate is not None:
+                source = " (given)" if self._options.sample_rate is not None else " (from the file)"
+            about = "about " if self._check is not None and not self._check.is_even else ""
+            plural = "" if _plain(rate) == "1" else "s"
+            text = f"{about}{_plain(rate)} sample{plural}/s{source}"
+            known = [*known, text if seconds is None else f"{_plain(seconds, 3)} s at {text}"]
+        read = [self._read(role, column, column.unit) for role, column in self._picks.items()]
+        if self._clock is not None:
+            read.insert(0, self._read("time", self._clock.column, self._clock.reading()))
+        return f"{self.name}: {'; '.join(filter(None, [', '.join(known), ', '.join(read)]))}"
+
+    def _read(self, role: str, column: ColumnInfo, unit: str | None) -> str:
+        """Name a column as it was used: ``voltage 'CH1' (V)``."""
+        called = f"'{column.name}'" if column.quantity else f"column {column.number}"
+        scale = f", {self._scale_text(role)}" if role in self._scales else ""
+        return f"{role} {called} ({unit or 'no unit'}{scale})"
 
     def reading_record(self) -> dict[str, Any]:
-        """Give what ``reading_line`` says as plain values, for a model's provenance."""
-        record = self._summary(self.rows_read).record()
-        if self._others:
-            for column in [record.get("time", {}), *record["columns"].values()]:
-                column.update({"column": without_folder(column["column"])} if column else {})
-        return record
-
-    def _summary(self, rows: int | None) -> ReadingSummary:
-        rate, even, seconds = self.sample_rate, True, None
-        if rows and self._first_time is not None and self._last_time is not None:
-            seconds = self._last_time - self._first_time
-        if rows and self._check is not None and 0.0 < self._check.step < np.inf:
-            check = self._check
-            rate, even = 1.0 / check.step, check.widest - check.narrowest <= JITTER * check.step
-        source = None
-        if self.sample_rate is not None:
-            source = "given" if self._options.sample_rate is not None else "from the file"
-        clock = None
+        """Return what ``reading_line`` states as plain values, for a model's provenance."""
+        rate, seconds = self._rate_and_seconds()
+        columns = {
+            role: self._column_record(role, column, column.unit) for role, column in self._picks.items()
+        }
+        record: dict[str, Any] = {"rows": self.rows_read, "seconds": seconds, "sample_rate": rate}
         if self._clock is not None:
-            clock = ReadColumn("time", self._clock.column, self._clock.described())
-        return ReadingSummary(
-            self.name,
-            [
-                ReadColumn(role, column, column.unit, self._scale_text(role))
-                for role, column in self._picks.items()
-            ],
-            clock,
-            rows,
-            seconds,
-            rate,
-            even,
-            source,
-        )
+            record["time"] = self._column_record("time", self._clock.column, self._clock.reading())
+        record["columns"] = columns
+        return {key: value for key, value in record.items() if value is not None}
+
+    def _column_record(self, role: str, column: ColumnInfo, unit: str | None) -> dict[str, str]:
+        name = without_folder(column.name) if self._others else column.name
+        found = {"column": name, "unit": unit, "scale": self._scale_text(role)}
+        return {key: value for key, value in found.items() if value is not None}
+
+    def _rate_and_seconds(self) -> tuple[float | None, float | None]:
+        """Return samples a second and the time (s) from the first sample to the last, as far as known."""
+        rate, seconds = self.sample_rate, None
+        if self.rows_read and self._first_time is not None and self._last_time is not None:
+            seconds = self._last_time - self._first_time
+        if self.rows_read and self._check is not None and 0.0 < self._check.step < np.inf:
+            rate = 1.0 / self._check.step
+        return rate, seconds
 
     def _scale_text(self, role: str) -> str | None:
         scale = self._scales.get(role)
         return None if scale is None else f"times {str(scale).partition('=')[2]}"
 
     def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit from now on, and say so (see ``match_units``).
+        """Hand a role's samples out in another unit from now on, with a note (see ``convert_column``).
 
         Raises
         ------
         InputError
             The units measure unlike things.
         """
-        column = self.columns[role]
-        match = match_units(self.name, column, wanted, taker)
-        self.notes.extend([match.note] if match.note else [])
-        self.warnings.extend([match.warning] if match.warning else [])
-        if not match.factor.is_one:
-            known = self._factors.get(role, ONE)
-            self._factors[role] = known.times(match.factor.numerator, match.factor.denominator)
-            self.columns = self.columns | {role: replace(column, unit=wanted)}
+        factor = convert_column(self.name, self.columns, role, wanted, taker, self.notes, self.warnings)
+        self._factors[role] = self._factors.get(role, ONE).times(*factor)
 
     def require_time(self, why: str) -> None:
         """Refuse a log without time, naming the remedy.
@@ -227,7 +231,7 @@ class SignalLog:
         found = self._table.blocks(picks, self._options.rows, self._options.skip_bad, most)
         for raw in found if clock is None else clock.held_back(found):
             for start in range(0, len(raw.rows), most):
-                block = self._with_time(raw if len(raw.rows) <= most else raw.part(start, start + most))
+                block = self._with_time(raw.part(start, start + most))
                 if block.time is not None and len(block.rows):
                     self._first_time = float(block.time[0]) if self._first_time is None else self._first_time
                     self._last_time = float(block.time[-1])
@@ -263,8 +267,13 @@ class SignalLog:
         return SampleBlock(raw.rows, raw.lines, time, values)
 
 
+def _plain(value: float, digits: int = 4) -> str:
+    """Write a number without an exponent where people would: 48,000 and not 4.8e+04."""
+    return f"{value:,.0f}" if 999.5 <= abs(value) < 1e9 else f"{value:.{digits}g}"
+
+
 def _doubtful_unit(place: str, column: ColumnInfo) -> str:
-    """Say what is odd about the unit of a column, if anything is."""
+    """Return what is odd about the unit of a column, if anything is."""
     own = contradicted_unit(column)
     if own is not None:
         return (

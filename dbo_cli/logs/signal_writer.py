@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import Address, parse_output
 from dbo_cli.logs.background_io import OneBehind
-from dbo_cli.logs.number_text import rows_as_text
-from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, unique_headers
+from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
 from dbo_cli.logs.output_files import descriptor_of
 from dbo_cli.logs.whole_output import check_output, opened, replacing
 

@@ -1,8 +1,8 @@
-"""Sample rates and steps that a file states: which names count, in which units, and what to do in doubt.
+"""What a file states of its clock: what the time column counts, and the sample rate or step.
 
 A rate is used only where its meaning is plain.  An attribute called ``sample_rate`` of ``10 kHz`` is 10,000
 samples a second; one without a unit is taken in the unit that its name implies (hertz for a rate, seconds
-for a step), and that is said; a unit that is none of a rate or a step, or two statements that disagree, are
+for a step), with a note; a unit that is none of a rate or a step, or two statements that disagree, are
 refused as soon as the rate is needed.
 """
 
@@ -12,13 +12,57 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import split_header
-from dbo_cli.logs.foreign_text import clean_text
-from dbo_cli.logs.time_units import time_unit
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.columns import contradicted_unit, is_torn, split_header
+from dbo_cli.logs.plain_text import clean_text
+from dbo_cli.logs.sample_block import ColumnInfo
+from dbo_cli.logs.units import ONE, TIME_WORDS, UnitFactor, kind_of_unit, parse_factor, shortened
+
+_FACTORS = {
+    "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),
+    "ps": UnitFactor(1, 10**12), "min": UnitFactor(60), "h": UnitFactor(3600), "d": UnitFactor(86400),
+}  # fmt: skip
+"""Every unit of time, in seconds."""
+
+_MORE_WORDS = {
+    "s": ("s", "sek", "sekunde", "sekunden", "seconde", "secondes", "segundo", "segundos", "secondo",
+          "secondi", "с", "сек", "秒"),
+    "ms": ("ms", "milli", "millis", "millisekunde", "millisekunden", "millisecondes", "milisegundos",
+           "millisecondi", "мс", "毫秒", "ミリ秒"),
+    "us": ("us", "micros", "mikrosekunde", "mikrosekunden", "microsecondes", "mus", "mcs", "мкс", "微秒"),
+    "ns": ("ns", "nanos", "nanosekunden", "нс"),
+    "ps": ("ps", "psec", "psecs", "picosecond"),
+    "min": ("min", "mins", "minute", "minuten", "minutos", "minuti", "мин"),
+    "h": ("h", "hr", "hrs", "hour", "stunde", "stunden", "std", "heure", "heures", "horas", "ore"),
+    "d": ("d", "day", "days", "tag", "tage", "jour", "jours", "dias", "giorni"),
+}  # fmt: skip
+SPELLINGS = {unit: (*TIME_WORDS.get(unit, ()), *words) for unit, words in _MORE_WORDS.items()}
+"""Every known spelling of a unit of time; capitals do not matter (mS in a time column is no conductance)."""
+
+_UNIT_OF = {spelling: unit for unit, spellings in SPELLINGS.items() for spelling in spellings}
+_WORDS = frozenset(word for word in _UNIT_OF if len(word) > 1) - {"min", "mins", "std", "ore", "milli"}
+"""Spellings that count as the unit wherever they stand in a time column's name (min may be a minimum)."""
+
+_COUNTED = frozenset(
+    ("tick", "ticks", "sample", "samples", "frame", "frames", "count", "counts", "cycle", "cycles", "index",
+     "idx", "step", "steps", "point", "points", "pulses", "clocks", "jiffies", "row", "rows", "number", "no")
+)  # fmt: skip
+"""Words that, behind the name of a time column, show that it counts something other than time."""
+
+_NO_UNIT = frozenset(
+    ("relative", "rel", "absolute", "abs", "raw", "local", "utc", "gmt", "cet", "elapsed", "iso", "iso8601",
+     "start", "since start", "float", "double", "-")
+)  # fmt: skip
+"""What is written in the brackets of a time column where other columns have their unit."""
+
+_OTHER_HALVES = frozenset(("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day"))
+_STATED = re.compile(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
+_SINCE = re.compile(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
+_COUNT = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
 
 _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",
           "acquisitionrate", "acquisitionfrequency", "fs", "srate", "sfreq", "scanrate", "abtastrate",
@@ -26,34 +70,137 @@ _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", 
 _STEPS = {"wfincrement", "sampleperiod", "samplingperiod", "sampleinterval", "samplinginterval", "sampletime",
           "timestep", "timeincrement", "dt", "deltat", "ts", "tinterval", "xincrement", "xinc", "tinc",
           "abtastintervall", "abtastzeit", "abtastperiode"}  # fmt: skip
-_BARE = {"rate"}  # of what? only a unit of a rate tells
+_BARE = {"rate"}  # of what? only a unit of a rate shows it
 _PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", "Sps", "samples/s",
                "Samples/s", "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s",
                "1/s", "s^-1", "s-1", "/s")  # fmt: skip
 _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 _HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND} | {"mHz": 1e-3}
-# Steps a second of each unit, so that dividing keeps 0.1 ms at exactly 10,000 samples a second.
-_PER_STEP = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ps": 1e12, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
 _AMOUNT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
 _LONGEST = 80  # characters of a name or of an amount with its unit; the patterns' time grows with the square
 _SAME = 1e-6  # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 
 
+def time_unit(text: str) -> str | None:
+    """Return how a unit of time is spelled here (``s``, ``ms``, …), or None where it is not known."""
+    plain = text.strip().strip("[](){}<>").strip().rstrip(".").replace("µ", "u").replace("μ", "u")
+    return _UNIT_OF.get(plain.lower().replace("milli ", "milli").replace("micro ", "micro"))
+
+
+def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
+    """Read what ``time_unit`` may be: a unit of time, or a number of them (``10us``).
+
+    Raises
+    ------
+    UsageError
+        It is none.
+    """
+    found = _COUNT.fullmatch(text.strip())
+    unit = time_unit(found["unit"] if found else text)
+    count = parse_factor(found["number"]) if found else ONE
+    if unit is None or count is None or not count.numerator:
+        names = ", ".join(_FACTORS).replace(", d", " or d")
+        raise UsageError(f"`time_unit` {shortened(text)}: give {names}, or a number of them such as 10us")
+    return text.strip() if found else unit, count.times(*_FACTORS[unit])
+
+
+class StatedTime(NamedTuple):
+    """What a time column's header states of its figures; ``unit`` is None where it states nothing."""
+
+    unit: str | None
+    factor: UnitFactor = ONE
+    origin: str | None = None
+
+
+def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> StatedTime:
+    """Find the unit of a time column of numbers.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    column
+        The time column.
+    given
+        ``time_unit`` as the user gave it; goes before the header.
+
+    Raises
+    ------
+    InputError
+        The header states a unit that is no known unit of time.
+    """
+    if given is not None:
+        return StatedTime(*parse_time_unit(given))
+    words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
+    behind = _behind(column.quantity)
+    units = _named_units(words) | {unit for word in behind if (unit := time_unit(word))}
+    unknown = ""
+    if column.unit is not None and column.unit.lower() not in _NO_UNIT:
+        since = _SINCE.fullmatch(column.unit)
+        unit = time_unit(since["unit"] if since else column.unit)
+        if unit is not None:
+            own = contradicted_unit(column)
+            units = (units | ({_UNIT_OF[own]} if own in _UNIT_OF else set())) - {unit}
+            if units and not since:
+                raise InputError(
+                    f"{place}: the time column '{column.name}' is in {units.pop()} by its name and in {unit} "
+                    "by its unit (`time_unit` says which is right)"
+                )
+            return StatedTime(unit, _FACTORS[unit], since["origin"].strip() if since else None)
+        unknown = column.unit
+    elif column.unit is None and is_torn(column.quantity):
+        unknown = column.quantity
+    elif len(units) == 1:
+        unit = units.pop()
+        return StatedTime(unit, _FACTORS[unit])
+    else:
+        unknown = next(iter([word for word in words[1:] if word in _COUNTED] or sorted(units) or behind), "")
+    if unknown:
+        raise InputError(
+            f"{place}: the time column '{column.name}' counts '{unknown}', which is no known unit of time "
+            f"(`time_unit` {', '.join(_FACTORS)} or a number of them such as 10us, or `sample_rate` HZ)"
+        )
+    return StatedTime(None)
+
+
+def _named_units(words: list[str]) -> set[str]:
+    """Find the units among the words of a name, ``nano seconds`` in two words, too."""
+    units = set()
+    for before, word in zip(["", *words], words, strict=False):
+        if word in _WORDS:
+            units.add(_UNIT_OF.get(before + word, _UNIT_OF[word]))
+    return units
+
+
+def _behind(quantity: str) -> list[str]:
+    """Find what a name states behind ``in`` or a slash, where units stand (Date/Time states none)."""
+    found = _STATED.fullmatch(quantity.strip())
+    if found is None or found["right"].lower() in _NO_UNIT | _OTHER_HALVES:
+        return []
+    return [found["right"]]
+
+
+def is_other_kind(unit: str | None) -> bool:
+    """Return whether a unit measures something that is plainly no time (a temperature called T)."""
+    kind = kind_of_unit(unit)
+    return kind not in (None, "time", "count", "number of samples") and time_unit(unit or "") is None
+
+
 @dataclass(frozen=True)
 class Statement:
-    """What one place of a file says of the clock: samples a second, or why it cannot be used.
+    """What one place of a file states of the clock: samples a second, or why it cannot be used.
 
     ``assumed`` is the unit that was taken where none was given.
     """
 
-    said: str
+    text: str
     rate: float | None
     problem: str = ""
     assumed: str = ""
 
 
 def is_clock_name(name: str) -> bool:
-    """Tell whether an attribute, variable or header line of this name states a rate or a step."""
+    """Return whether an attribute, variable or header line of this name states a rate or a step."""
     return len(name) <= _LONGEST and bool(_kind_of(name)[0])
 
 
@@ -88,48 +235,48 @@ def read_statement(name: str, value: object, unit: object = None, *, sure: bool 
     stated = stated or written or own or ""
     if key in _BARE and stated.replace(" ", "") not in _HERTZ:
         return None
-    said = f"'{name}' {_plain(value)}" + (f" {stated}" if stated and stated not in _plain(value) else "")
+    text = f"'{name}' {_plain(value)}" + (f" {stated}" if stated and stated not in _plain(value) else "")
     if amount is None:
         # Text and lists under the name of a step are time stamps (``ts``) more often than steps.
         several = kind == "rate" and not isinstance(value, str | bytes) and np.asarray(value).size > 1
-        return Statement(said, None, f"{said} is no single number") if several else None
+        return Statement(text, None, f"{text} is no single number") if several else None
     if not amount > 0.0 or not math.isfinite(amount):
         return None  # an instrument's way to say that it does not know
     factor = _factor(kind, stated)
     if factor is None:
         proper = "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
-        return Statement(said, None, f"{said} is not in a unit of {proper}")
+        return Statement(text, None, f"{text} is not in a unit of {proper}")
     rate = amount * factor if kind == "rate" else factor / amount
-    return Statement(said, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")
+    return Statement(text, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")
 
 
 def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -> float | None:
-    """Give the one sample rate (Hz) that all statements tell; None without any.
+    """Return the one sample rate (Hz) that all statements give; None without any.
 
     Raises
     ------
     InputError
         A statement cannot be read, or two disagree; ``sample_rate`` is the remedy.
     """
-    told = list(dict.fromkeys(statements))
-    for one in told:
+    found = list(dict.fromkeys(statements))
+    for one in found:
         if one.rate is None:
             raise InputError(f"{place}: {one.problem} (`sample_rate` HZ gives the rate instead)")
-    if not told:
+    if not found:
         return None
-    first = told[0]
+    first = found[0]
     assert first.rate is not None
-    for one in told[1:]:
+    for one in found[1:]:
         assert one.rate is not None
         if abs(one.rate - first.rate) > _SAME * first.rate:
             raise InputError(
-                f"{place}: two sample rates are stated, {first.said} and {one.said}: which one holds? "
+                f"{place}: two sample rates are stated, {first.text} and {one.text}: which one holds? "
                 "(`sample_rate` HZ decides)"
             )
-    certain = [one for one in told if not one.assumed]
+    certain = [one for one in found if not one.assumed]
     chosen = certain[0] if certain else first
     if chosen.assumed:
-        notes.append(f"{place}: {chosen.said} has no unit: {chosen.assumed} is assumed")
+        notes.append(f"{place}: {chosen.text} has no unit: {chosen.assumed} is assumed")
     return chosen.rate
 
 
@@ -160,7 +307,8 @@ def _factor(kind: str, unit: str) -> float | None:
     plain = plain.replace(" ", "").replace("µ", "u").replace("μ", "u")
     for suffix in ("/sample", "/S", "/Sa", "persample"):
         plain = plain.removesuffix(suffix)
-    return _PER_STEP.get(time_unit(plain) or "")
+    size = _FACTORS.get(time_unit(plain) or "")  # dividing keeps 0.1 ms at exactly 10,000 samples a second
+    return None if size is None else size.denominator / size.numerator
 
 
 def _plain(value: object) -> str:

@@ -1,7 +1,7 @@
 """The time column of a log as seconds, and what is doubtful about it.
 
 Figures whose unit is not stated are read as seconds, unless they can only be a calendar's (milliseconds since
-1970, a spreadsheet's days).  Whatever is read without being stated is said, with the remedy.
+1970, a spreadsheet's days).  What is read without being stated is warned of, with the remedy.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.columns import find_column, guess_columns
+from dbo_cli.logs.columns import any_of, find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.time_units import StatedTime, is_other_kind, stated_time, time_unit
+from dbo_cli.logs.stated_clock import StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
@@ -55,10 +55,12 @@ _DAY_CALENDARS = (
 # by a clock that has run for half a day; 2e-5 days are 1.7 s, slower than any log of a hysteresis loop.
 # Up to ten times as much, either may be meant.
 _DAY_STEP = 2e-5
+# After how many seconds a clock begins anew, and how that moment is called.
+_PERIODS = {"clock": (86_400.0, "midnight"), "minutes": (3_600.0, "the full hour")}
 _PLAIN_NAMES = frozenset(TIME_NAMES) - {"t"}  # T is a temperature as often as a time
 _DATE_WORDS = ("date", "datum", "timestamp", "datetime", "serial", "datenum", "excel", "zeitstempel")
 
-# A loop takes seconds and holds hundreds of samples: whoever logs one each second or slower says so.
+# A loop takes seconds and holds hundreds of samples: whoever logs one each second or slower states it.
 LONG_STEP = 1.0
 # No loop is recorded at less than a sample an hour, whatever the header states.
 LONGEST_STEP = 3600.0
@@ -81,9 +83,9 @@ class TimeColumn:
     date
         The column of dates beside a column of clock times, or None.
     stated
-        What the header says.
-    said
-        How the figures are read, for the line that says what was read: ``ms``, ``clock times``.
+        What the header states.
+    described
+        How the figures are read, for the line on what was read: ``ms``, ``clock times``.
     """
 
     place: str
@@ -91,7 +93,7 @@ class TimeColumn:
     date: ColumnInfo | None
     stated: StatedTime
     given: bool  # by the user, so that nothing is doubted
-    said: str = ""
+    described: str = ""
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
     _decided: bool = False
@@ -113,16 +115,16 @@ class TimeColumn:
         """Whether figures stand without a unit."""
         return self.column.written == "numbers" and self.stated.unit is None
 
-    def described(self) -> str:
+    def reading(self) -> str:
         """Return how the column is read: its unit, or that there is none."""
-        if self.said:
-            return self.said
+        if self.described:
+            return self.described
         if self.stated.unit is None:
             return "no unit, read as s"
         return f"{self.stated.unit} since {self.stated.origin}" if self.stated.origin else self.stated.unit
 
     def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
-        """Keep blocks until it can be told what the figures count: at most until the second time stamp."""
+        """Keep blocks until it is known what the figures count: at most until the second time stamp."""
         waiting: list[SampleBlock] = []
         for block in blocks if self.bare else ():
             waiting.append(block)
@@ -148,45 +150,37 @@ class TimeColumn:
     def seconds(self, values: dict[str, FloatArray]) -> FloatArray:
         """Take the time out of a block's columns and return it in seconds."""
         raw, dates = values.pop(TIME), values.pop(DATE, None)
-        if self.column.written in ("clock", "minutes") and dates is None:
-            return self._unrolled(raw, 86_400.0 if self.column.written == "clock" else 3_600.0)
         if dates is not None:
             return raw + dates
-        if self.column.written != "numbers":
+        if self.column.written in _PERIODS:
+            return self._unrolled(raw, *_PERIODS[self.column.written])
+        if self.column.written != "numbers" or not len(raw):
             return raw
-        if len(raw):
-            self._first = float(raw[0]) if self._first is None else self._first
-            self._final = float(raw[-1])
-            self._count += len(raw)
-            self._whole = self._whole and bool((raw == np.rint(raw)).all())
+        self._first = float(raw[0]) if self._first is None else self._first
+        self._final = float(raw[-1])
+        self._count += len(raw)
+        self._whole = self._whole and bool((raw == np.rint(raw)).all())
         if self._calendar is not None:
             return self._calendar.factor.apply(raw) + self._calendar.offset
         return self.stated.factor.apply(raw)
 
     def _decide(self, figures: FloatArray, last: bool) -> bool:
-        """Look for a calendar in the first stamps; False where a second one is needed to tell."""
+        """Look for a calendar in the first stamps; False where a second one is needed."""
         first = float(figures[0]) if len(figures) else 0.0
-        for calendar in _CALENDARS:
-            if calendar.low <= first < calendar.high:
-                self._take(calendar)
+        found = next((one for one in (*_CALENDARS, *_DAY_CALENDARS) if one.low <= first < one.high), None)
+        if found in _DAY_CALENDARS:
+            others = figures[figures != first]
+            if not len(others) and not last:
+                return False
+            step = abs(float(others[0]) - first) if len(others) else np.inf
+            if step >= _DAY_STEP and not any(word in self.column.name.lower() for word in _DATE_WORDS):
+                self._doubt = found.name if found and step < 10.0 * _DAY_STEP else ""
                 return True
-        for calendar in _DAY_CALENDARS:
-            if calendar.low <= first < calendar.high:
-                others = figures[figures != first]
-                if not len(others) and not last:
-                    return False
-                step = abs(float(others[0]) - first) if len(others) else np.inf
-                if step < _DAY_STEP or any(word in self.column.name.lower() for word in _DATE_WORDS):
-                    self._take(calendar)
-                elif step < 10.0 * _DAY_STEP:
-                    self._doubt = calendar.name
+        if found is not None:
+            self._calendar, self.described = found, f"no unit, read as {found.name}"
         return True
 
-    def _take(self, calendar: _Calendar) -> None:
-        self._calendar = calendar
-        self.said = f"no unit, read as {calendar.name}"
-
-    def _unrolled(self, raw: FloatArray, period: float) -> FloatArray:
+    def _unrolled(self, raw: FloatArray, period: float, what: str) -> FloatArray:
         """Let a clock go on where it passes midnight (or, of minutes alone, the full hour)."""
         if not len(raw):
             return raw
@@ -195,77 +189,73 @@ class TimeColumn:
         passed = steps < -period / 2.0
         if not passed.any() and not self._carried:
             return raw
-        if passed.any() and not self._carried:
-            what = "midnight" if period > 3_600.0 else "the full hour"
+        if not self._carried:
             self.notes.append(f"{self.place}: the clock passes {what} and goes on")
         carried = self._carried + period * np.cumsum(passed)
         self._carried = float(carried[-1])
         return raw + carried
 
     def warnings(self, check: TimeCheck) -> list[str]:
-        """Say what is doubtful about the figures, with the remedy, once all of them have gone by."""
+        """Return what is doubtful about the figures, with the remedy, once all of them have gone by."""
         called = f"{self.place}: the time column '{self.column.name}'"
-        told = [self._of_figures(called, check)] if self.bare and not self.given else []
-        rows = check.rows
+        doubts, rows = [], check.rows
+        if self.bare and not self.given and self._count > 1:
+            doubts.append(self._of_figures(check.step))
         if check.backward.count > BACKWARD_SHARE * rows:
-            told.append(
-                f"{called} goes backwards in {check.backward.count:,} of {rows:,} rows: is it a clock? "
+            doubts.append(
+                f"goes backwards in {check.backward.count:,} of {rows:,} rows: is it a clock? "
                 "(`time` COLUMN or `sample_rate` HZ)"
             )
         elif check.repeat.count > rows / 2:
-            told.append(
-                f"{called} repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
+            doubts.append(
+                f"repeats its stamps in {check.repeat.count:,} of {rows:,} rows: they have too few "
                 "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
             )
         if self.column.written == "numbers" and not self.bare and not self.given:
-            told.append(self._of_stated(called, check.step))
-        return [text for text in told if text]
+            doubts.append(self._of_stated(check.step))
+        return [f"{called} {text}" for text in doubts if text]
 
-    def _of_stated(self, called: str, step: float) -> str:
-        """Say why figures can hardly be in the unit that is stated."""
-        first, last = (float(self.stated.factor) * (value or 0.0) for value in (self._first, self._final))
+    def _of_stated(self, step: float) -> str:
+        """Return why figures can hardly be in the unit that is stated."""
+        first, last = (float(self.stated.factor) * value for value in (self._first or 0.0, self._final))
         if abs(last) > _CALENDARS[0].high:
-            told = f"its stamps would be {last:.3g} s"
+            odd = f"its stamps would be {last:.3g} s"
         elif self._count > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
-            told = f"the whole log would last {abs(last - first):.3g} s"
+            odd = f"the whole log would last {abs(last - first):.3g} s"
         elif LONGEST_STEP < step < np.inf:
-            told = f"its usual step would be {step:.3g} s"
+            odd = f"its usual step would be {step:.3g} s"
         else:
             return ""
-        return f"{called} is stated in {self.stated.unit}, but {told} (`time_unit` says what it counts)"
+        return f"is stated in {self.stated.unit}, but {odd} (`time_unit` says what it counts)"
 
-    def _of_figures(self, called: str, check: TimeCheck) -> str:
-        """Say why figures without a unit can hardly be seconds."""
+    def _of_figures(self, step: float) -> str:
+        """Return why figures without a unit can hardly be seconds."""
+        first, last = self._first or 0.0, self._final
         remedy = "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
-        if self._first is None or self._count < 2:
-            return ""
-        step = check.step
         if self._doubt:
             return (
-                f"{called} has no unit: stamps from {self._first:.6g} on are read as seconds of a day, but "
-                f"may be {self._doubt} (`time_unit` s or d)"
+                f"has no unit: stamps from {first:.6g} on are read as seconds of a day, but may be "
+                f"{self._doubt} (`time_unit` s or d)"
             )
         if self._calendar is not None:
-            if step > LONG_STEP and np.isfinite(step):
-                return f"{called} has {self.said}, and a usual step of {step:.4g} s {remedy}"
-            if self._calendar in _DAY_CALENDARS:
-                return f"{called} has {self.said} (`time_unit` s if they are seconds of a day)"
-            return ""
+            if LONG_STEP < step < np.inf:
+                return f"has {self.described}, and a usual step of {step:.4g} s {remedy}"
+            days = self._calendar in _DAY_CALENDARS
+            return f"has {self.described} (`time_unit` s if they are seconds of a day)" if days else ""
         if self._whole and step == 1.0:
             return (
-                f"{called} has no unit and counts whole numbers one by one: read as seconds, though it may "
-                f"count rows or milliseconds {remedy}"
+                "has no unit and counts whole numbers one by one: read as seconds, though it may count rows "
+                f"or milliseconds {remedy}"
             )
-        if step >= LONG_STEP and np.isfinite(step):
-            return f"{called} has no unit: read as seconds, its usual step is {step:.6g} s {remedy}"
-        if max(abs(self._first), abs(self._final)) > LATEST_STAMP:
-            return f"{called} has no unit: read as seconds, its stamps reach {self._final:.6g} s {remedy}"
-        if 0.0 < abs(self._final - self._first) < SHORTEST_LOG:
-            return (
-                f"{called} has no unit: read as seconds, the whole log lasts "
-                f"{abs(self._final - self._first):.3g} s {remedy}"
-            )
-        return ""
+        if LONG_STEP <= step < np.inf:
+            odd = f"its usual step is {step:.6g} s"
+        elif max(abs(first), abs(last)) > LATEST_STAMP:
+            odd = f"its stamps reach {last:.6g} s"
+        elif 0.0 < abs(last - first) < SHORTEST_LOG:
+            odd = f"the whole log lasts {abs(last - first):.3g} s"
+        else:
+            return ""
+        return f"has no unit: read as seconds, {odd} {remedy}"
 
 
 def time_column(
@@ -303,14 +293,14 @@ def time_column(
         )
     dates = [one for one in columns if one.written == "date"] if column.written == "clock" else []
     date = dates[0] if len(dates) == 1 else None
-    said = {"stamp": "dates and clock times", "clock": "clock times", "minutes": "minutes and seconds"}
-    text = said[column.written] if date is None else f"clock times, dates in '{date.name}'"
+    kinds = {"stamp": "dates and clock times", "clock": "clock times", "minutes": "minutes and seconds"}
+    text = kinds[column.written] if date is None else f"clock times, dates in '{date.name}'"
     bare = replace(column, unit=None)
-    return TimeColumn(place, bare, date, StatedTime("s"), True, said=text)
+    return TimeColumn(place, bare, date, StatedTime("s"), True, described=text)
 
 
 class FoundTime(NamedTuple):
-    """The time column of a log, the columns that no other role may take, and what is to be said."""
+    """The time column of a log, the columns that no other role may take, and notes for the user."""
 
     clock: TimeColumn | None
     taken: list[ColumnInfo]
@@ -347,7 +337,7 @@ def find_time_column(
         notes = [f"{place}: `sample_rate` replaces the column '{one.name}'" for one in found[:1]]
         return FoundTime(None, found if len(found) == 1 else [], notes)
     if len(found) > 1:
-        names = " or ".join(f"'{column.name}'" for column in found)
+        names = any_of([f"'{column.name}'" for column in found])
         raise InputError(f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
     if not found:
         return FoundTime(None, [], [])

@@ -1,7 +1,7 @@
 """Units: how they are spelled, what they measure, and how one becomes another.
 
 A unit is carried, never guessed.  SI prefixes of one unit are converted, unlike units are not:
-``unit_factor`` gives the number, and whoever uses it says so (``match_units``).
+``unit_factor`` gives the number, and ``match_units`` the note for the user.
 """
 
 from __future__ import annotations
@@ -24,21 +24,28 @@ KNOWN_UNITS = frozenset(prefix + unit for prefix in _PREFIXES for unit in _BASES
     "min", "h", "deg", "arcsec", "K", "%", "degC", "counts", "cts", "LSB", "bit", "a.u.", "au", "cm", "dB",
     "samples", "sample",
 }  # fmt: skip
+TIME_WORDS = {
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "msecs", "millisec", "millisecs", "millisecond", "milliseconds"),
+    "us": ("usec", "usecs", "microsec", "microsecs", "microsecond", "microseconds"),
+    "ns": ("nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
+    "ps": ("picoseconds",),
+    "min": ("minutes",),
+    "h": ("hours",),
+}
+"""Spellings of units of time that count in any header; ``stated_clock`` knows more of them."""
+
 _SPELLED = {
-    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "sec": "s", "secs": "s", "second": "s",
-    "seconds": "s", "msec": "ms", "milliseconds": "ms", "microseconds": "us", "usec": "us", "micron": "um",
-    "microns": "um", "micrometer": "um", "micrometers": "um", "micrometre": "um", "micrometres": "um",
-    "nanometer": "nm", "nanometers": "nm", "meter": "m", "meters": "m", "minutes": "min", "hours": "h",
-    "microvolt": "uV", "microvolts": "uV", "kilovolt": "kV", "kilovolts": "kV", "nanometre": "nm",
-    "nanometres": "nm", "millimeter": "mm", "millimeters": "mm", "millimetre": "mm", "millimetres": "mm",
-    "metre": "m", "metres": "m", "mikrometer": "um", "msecs": "ms", "millisec": "ms", "millisecs": "ms",
-    "millisecond": "ms", "usecs": "us", "microsec": "us", "microsecs": "us", "microsecond": "us",
-    "nsec": "ns", "nsecs": "ns", "nanosec": "ns", "nanosecs": "ns", "nanosecond": "ns", "nanoseconds": "ns",
-    "picoseconds": "ps", "ångström": "angstrom", "å": "angstrom", "ampere": "A", "amperes": "A", "amp": "A",
-    "amps": "A", "milliampere": "mA", "newton": "N", "pascal": "Pa", "hertz": "Hz", "radian": "rad",
-    "radians": "rad", "degrees": "deg", "degree": "deg", "percent": "%", "в": "V", "мв": "mV", "кв": "kV",
-    "мкм": "um", "нм": "nm", "мм": "mm", "微米": "um", "纳米": "nm", "毫米": "mm", "伏": "V",
-}  # fmt: skip
+    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "micron": "um", "microns": "um",
+    "micrometer": "um", "micrometers": "um", "micrometre": "um", "micrometres": "um", "nanometer": "nm",
+    "nanometers": "nm", "meter": "m", "meters": "m", "microvolt": "uV", "microvolts": "uV", "kilovolt": "kV",
+    "kilovolts": "kV", "nanometre": "nm", "nanometres": "nm", "millimeter": "mm", "millimeters": "mm",
+    "millimetre": "mm", "millimetres": "mm", "metre": "m", "metres": "m", "mikrometer": "um",
+    "ångström": "angstrom", "å": "angstrom", "ampere": "A", "amperes": "A", "amp": "A", "amps": "A",
+    "milliampere": "mA", "newton": "N", "pascal": "Pa", "hertz": "Hz", "radian": "rad", "radians": "rad",
+    "degrees": "deg", "degree": "deg", "percent": "%", "в": "V", "мв": "mV", "кв": "kV", "мкм": "um",
+    "нм": "nm", "мм": "mm", "微米": "um", "纳米": "nm", "毫米": "mm", "伏": "V",
+} | {word: unit for unit, words in TIME_WORDS.items() for word in words}  # fmt: skip
 
 _SIZES: dict[str, tuple[str, int, int]] = {  # what it measures, and its size as a fraction in base units
     prefix + unit: (kind, 10 ** max(power, 0), 10 ** max(-power, 0))
@@ -114,7 +121,7 @@ def normalise_unit(text: str) -> str | None:
 
 
 def is_known_unit(text: str) -> bool:
-    """Tell whether a header suffix is a unit and not a part of the name."""
+    """Return whether a header suffix is a unit and not a part of the name."""
     return normalise_unit(text) in KNOWN_UNITS
 
 
@@ -140,7 +147,7 @@ def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
 
 
 class UnitMatch(NamedTuple):
-    """How a column is brought into the unit that is wanted, and what is to be said of it."""
+    """How a column is brought into the unit that is wanted, and the messages for the user."""
 
     factor: UnitFactor = ONE
     note: str | None = None
@@ -188,6 +195,27 @@ def match_units(place: str, column: ColumnInfo, wanted: str | None, taker: str) 
     return UnitMatch(factor, note=f"{called} is converted from {column.unit} to {wanted}")
 
 
+def convert_column(
+    place: str,
+    columns: dict[str, ColumnInfo],
+    role: str,
+    wanted: str | None,
+    taker: str,
+    notes: list[str],
+    warnings: list[str],
+) -> UnitFactor:
+    """Describe a role's column in the unit that its user works in, and return the factor of its samples.
+
+    Messages are added to ``notes`` and ``warnings``; the rest is as in ``match_units``.
+    """
+    match = match_units(place, columns[role], wanted, taker)
+    notes.extend([match.note] if match.note else [])
+    warnings.extend([match.warning] if match.warning else [])
+    if not match.factor.is_one:
+        columns[role] = replace(columns[role], unit=wanted)
+    return match.factor
+
+
 @dataclass(frozen=True)
 class Scale:
     """A factor that the user gives for one role: ``voltage=20``, ``displacement=10um/V``.
@@ -222,10 +250,29 @@ class Scale:
         return self.factor.times(before.numerator, before.denominator), replace(column, unit=self.unit_out)
 
 
+_NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _SCALE = re.compile(
-    r"\s*(?P<role>[^=\s]+)\s*=\s*(?P<sign>[+-]?)(?P<whole>\d*)\.?(?P<part>\d*)(?:[eE](?P<power>[+-]?\d+))?"
+    rf"\s*(?P<role>[^=\s]+)\s*=\s*(?P<factor>{_NUMBER})"
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
+_LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
+_SHOWN = 40  # characters of what a user gave are enough for a message
+
+
+def parse_factor(text: str) -> UnitFactor | None:
+    """Read a decimal number as an exact fraction; None where it is beyond the range of float64."""
+    from decimal import Decimal
+
+    try:
+        number = Decimal(text)
+    except ArithmeticError:  # an exponent that no machine counts
+        return None
+    return UnitFactor(*number.as_integer_ratio()) if abs(number.adjusted()) <= _LARGEST_POWER else None
+
+
+def shortened(text: str) -> str:
+    """Return what a user gave as messages show it."""
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
 def parse_scale(text: str) -> Scale:
@@ -236,19 +283,15 @@ def parse_scale(text: str) -> Scale:
     UsageError
         It is not of that form, or the factor is zero or no float64.
     """
-    found = _SCALE.fullmatch(text)
-    digits = (found["whole"] + found["part"]) if found else ""
-    if found is None or not digits.isascii() or not digits:
+    found, called = _SCALE.fullmatch(text), f"`scale` {shortened(text)}"
+    if found is None:
         raise UsageError(
-            f"`scale` {text}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, "
-            "such as voltage=20 or displacement=10um/V"
+            f"{called}: give ROLE=FACTOR or ROLE=FACTORUNIT/UNIT, such as voltage=20 or displacement=10um/V"
         )
-    power = int(found["power"] or 0) - len(found["part"])
-    if not int(digits):
-        raise UsageError(f"`scale` {text}: a factor of 0 leaves nothing of the signal")
-    if abs(power + len(digits)) > 300:
-        raise UsageError(f"`scale` {text}: the factor is too large or too small")
-    sign = -1 if found["sign"] == "-" else 1
-    factor = ONE.times(sign * int(digits) * 10 ** max(power, 0), 10 ** max(-power, 0))
+    if not re.search("[1-9]", re.split("[eE]", found["factor"])[0]):
+        raise UsageError(f"{called}: a factor of 0 leaves nothing of the signal")
+    factor = parse_factor(found["factor"])
+    if factor is None:
+        raise UsageError(f"{called}: the factor is too large or too small")
     units = normalise_unit(found["out"] or ""), normalise_unit(found["in"] or "")
     return Scale(found["role"].lower(), factor, *units)

@@ -74,15 +74,15 @@ def cleaned(recording: Recording) -> Cleaned:
             f"drive moves (first at row {int(np.argmax(stuck)) + 1}): check the sensor"
         )
     bad = spikes | stuck
-    step = even_step(recording)
+    step = regular_step(recording)
     if step is not None and len(recording.voltage) >= FEWEST_ROWS:
         recording = _without_hum(recording, bad, step, notes)
         recording = _without_read_back_noise(recording, bad, step, notes)
     return Cleaned(recording, bad, notes)
 
 
-def even_step(recording: Recording) -> float | None:
-    """Seconds between samples; None where the clock is uneven or there is none."""
+def regular_step(recording: Recording) -> float | None:
+    """Return the usual step (s) where no single step is far from it; None without such a clock."""
     seconds = recording.seconds()
     if seconds is None:
         return None

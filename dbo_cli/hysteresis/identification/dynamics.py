@@ -29,7 +29,7 @@ from dbo_cli.hysteresis.identification.dynamics_choice import (
 from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
 from dbo_cli.hysteresis.identification.dynamics_told import interval, response, said, trusted
 from dbo_cli.hysteresis.identification.evaluation import validation_of
-from dbo_cli.hysteresis.identification.fast_parts import FastPart, even_step, split
+from dbo_cli.hysteresis.identification.fast_parts import FastPart, grid_step, split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Recording
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation
@@ -207,7 +207,7 @@ def _again(
         return []
     same_range = dataclasses.replace(again, model=dataclasses.replace(again.model, input=base.model.input))
     found: list[tuple[Any, tuple[Lag, ...]]] = [(same_range, ())]
-    steps = [even_step(log) for log in lagged]
+    steps = [grid_step(log) for log in lagged]
     if options.relaxation is None and all(step is not None for step in steps):
         slower = dataclasses.replace(again, model=_without_short(again.model, shortest))
         even = [step for step in steps if step is not None]

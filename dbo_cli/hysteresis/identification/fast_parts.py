@@ -47,7 +47,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     slow: list[Recording] = []
     fast: list[FastPart] = []
     span = max(float(np.ptp(log.voltage)) for log in recordings)
-    steps = [even_step(log) for log in recordings]
+    steps = [grid_step(log) for log in recordings]
     sweeps = [
         None if step is None else _sweep(log, span, step) for log, step in zip(recordings, steps, strict=True)
     ]
@@ -71,8 +71,8 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     return slow, fast
 
 
-def even_step(log: Recording) -> float | None:
-    """Return the time step (s) of an even clock, or None."""
+def grid_step(log: Recording) -> float | None:
+    """Return the step (s) of an even grid of which each sample is nearest to its own place, or None."""
     if log.sample_period is not None and log.time is None:
         return log.sample_period
     if log.time is None or log.time.size < 2:

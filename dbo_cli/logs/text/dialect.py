@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cell_grammar import BLANKS, decode_line, is_number, split_cells
-from dbo_cli.logs.header_blocks import HeaderBlock, find_header_block
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
+from dbo_cli.logs.text.cells import is_number, split_cells
+from dbo_cli.logs.text.segments import HeaderBlock, find_header_block
 from dbo_cli.logs.units import is_known_unit
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
-_SAMPLE_LINES = 40
+SAMPLE_LINES = 40  # enough rows to outvote junk lines
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Dialect:
 
     ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
     where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
-    in most rows; ``writings`` says how each column is written (``ColumnInfo.written``), where any holds time
+    in most rows; ``writings`` is how each column is written (``ColumnInfo.written``), where any holds time
     stamps; ``header_block`` is what stands again before each segment of the data.
     """
 
@@ -46,7 +47,7 @@ class Dialect:
     header_block: HeaderBlock | None = None
 
     def describe(self) -> str:
-        """Tell in one line what was detected, for ``verbose``."""
+        """Describe in one line what was detected, for ``verbose``."""
         head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
         sign = "decimal comma" if self.decimal == "," else "decimal point"
         plural = "s" if self.width != 1 else ""
@@ -58,7 +59,7 @@ class Dialect:
 
 
 def is_comment(line: str, comments: str) -> bool:
-    """Tell whether a line is empty or a comment."""
+    """Return whether a line is empty or a comment."""
     stripped = line.strip()
     return not stripped or stripped[0] in comments
 
@@ -71,11 +72,10 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     InputError
         There is no line of numbers.
     """
-    lines = [decode_line(line.removesuffix(b"\r")) for line in head.split(b"\n")]
-    if lines and not lines[-1]:
+    lines = [decoded(line.removesuffix(b"\r")) for line in head.split(b"\n")]
+    lines[0] = lines[0].removeprefix("\ufeff")
+    if not lines[-1]:
         lines.pop()
-    if lines and lines[0].startswith("\ufeff"):
-        lines[0] = lines[0][1:]
     comments = COMMENTS if options.comment is None else options.comment
     skip = options.skip_lines or 0
     candidates = [number for number in range(skip, len(lines)) if not is_comment(lines[number], comments)]
@@ -90,8 +90,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     tabs = {shape.width for shape in tied if shape.delimiter == "\t"}
     tied = [shape for shape in tied if shape.delimiter != BLANKS or shape.width not in tabs]
     layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
-    chosen = max(range(len(tied)), key=lambda number: (layouts[number].fits, -number))
-    shape, layout = tied[chosen], layouts[chosen]
+    shape, layout = max(zip(tied, layouts, strict=True), key=lambda pair: pair[1].fits)
     decimal = shape.decimal
     if options.decimal is None and shape.delimiter != "," and decimal == "." and shape.whole_numbers:
         decimal = _late_decimal(lines[layout.first :], comments)
@@ -99,10 +98,10 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     rows = [split_cells(lines[number], shape.delimiter) for number in data[:3]]
     headers, units = _aligned(place, layout, shape.width, rows)
     if not headers and options.header_lines is None:
-        _ask_about_numbered_columns(place, [lines[number] for number in data[:_SAMPLE_LINES]], shape)
+        _ask_about_numbered_columns(place, [lines[number] for number in data[:SAMPLE_LINES]], shape)
     return Dialect(
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
-        _writings([lines[number] for number in data[-_SAMPLE_LINES:]], shape),
+        _writings([lines[number] for number in data[-SAMPLE_LINES:]], shape),
         find_header_block(lines, layout.first, shape.delimiter),
     )  # fmt: skip
 
@@ -135,7 +134,7 @@ def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:
     others = sorted(set(range(shape.width)) - shape.numeric)
     if not others:
         return ()
-    from dbo_cli.logs.time_cells import writing_of
+    from dbo_cli.logs.text.time_stamps import writing_of
 
     rows = [split_cells(line, shape.delimiter) for line in sample]
     rows = [row for row in rows if len(row) >= shape.width]
@@ -157,21 +156,17 @@ class _Shape(NamedTuple):
 
 
 def _shapes(lines: list[str], candidates: list[int], options: ReadingOptions) -> list[_Shape]:
-    delimiter, decimal = options.delimiter_character, options.decimal_sign
-    sample = [lines[number] for number in candidates[-_SAMPLE_LINES:]]
-    delimiters = [delimiter] if delimiter else ["\t", ";", ",", BLANKS, "|"]
+    """Read the last lines with every delimiter and decimal sign that may be meant."""
+    given, decimal = options.delimiter_character, options.decimal_sign
+    sample = [lines[number] for number in candidates[-SAMPLE_LINES:]]
     shapes = []
     for sign in [decimal] if decimal else [".", ","]:
-        for mark in delimiters:
-            if mark == sign or (
-                mark not in (BLANKS,) and delimiter is None and not any(mark in x for x in sample)
-            ):
-                if not (mark == "," and sign == "."):  # one column without any delimiter
-                    continue
-            shape = _shape(sample, mark, sign)
-            if shape is not None:
-                shapes.append(shape)
-    return shapes
+        for mark in [given] if given else ["\t", ";", ",", BLANKS, "|"]:
+            absent = given is None and mark != BLANKS and not any(mark in line for line in sample)
+            alone = mark == "," and sign == "."  # one column without any delimiter
+            if alone or not (absent or mark == sign):
+                shapes.append(_shape(sample, mark, sign))
+    return [shape for shape in shapes if shape is not None]
 
 
 def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
@@ -213,37 +208,29 @@ def _layout(
     if options.header_lines is not None or options.skip_lines is not None:
         return _forced_layout(lines, candidates, shape, options)
     rows = {}
-    good = None
-    for number in candidates:
-        cells = split_cells(lines[number], shape.delimiter)
-        rows[number] = cells
-        if len(cells) == shape.width and all(_numeric(cells, column, shape) for column in shape.numeric):
-            good = number
+    for good in candidates:
+        cells = rows[good] = split_cells(lines[good], shape.delimiter)
+        if len(cells) == shape.width and all(is_number(cells[n], shape.decimal) for n in shape.numeric):
             break
-    if good is None:  # rows are there, but every one of them has a bad cell
-        good = next(n for n in candidates if _some_numbers(split_cells(lines[n], shape.delimiter), shape))
+    else:  # rows are there, but every one of them has a bad cell
+        good = next(number for number in candidates if _some_numbers(rows[number], shape))
     above = [number for number in candidates if number < good]
+    numbered = [number for number in above if _some_numbers(rows[number], shape)]
     header = [number for number in above if _header_like(rows[number], shape)]
-    first = good
     if header:
-        data = [number for number in above if number > header[-1] and _some_numbers(rows[number], shape)]
-        first = data[0] if data else good
-        names, units = _names_and_units(rows, above, header, shape)
+        first = next((number for number in numbered if number > header[-1]), good)
+        names, units = _names_and_units(rows, above, header)
         return _Layout(first, names, units, 2 if len(_trimmed(names, shape.width)) == shape.width else 1)
-    data = _unbroken(
-        [n for n in above if len(rows[n]) == shape.width and _some_numbers(rows[n], shape)], lines, good
-    )
-    first = data[0] if data else good
+    # What a blank line separates from the data are key-value lines of an instrument.
+    blank = max((number for number in range(good) if not lines[number].strip()), default=-1)
+    full = (number for number in numbered if len(rows[number]) == shape.width and number > blank)
+    first = next(full, good)
     names, units = _other_header(lines, first, shape, comments)
     return _Layout(first, names, units, 2 if names else 0)
 
 
-def _numeric(cells: list[str], column: int, shape: _Shape) -> bool:
-    return is_number(cells[column], shape.decimal)
-
-
 def _some_numbers(cells: list[str], shape: _Shape) -> bool:
-    return any(column < len(cells) and _numeric(cells, column, shape) for column in shape.numeric)
+    return any(column < len(cells) and is_number(cells[column], shape.decimal) for column in shape.numeric)
 
 
 def _header_like(cells: list[str], shape: _Shape) -> bool:
@@ -257,27 +244,19 @@ def _header_like(cells: list[str], shape: _Shape) -> bool:
     )
 
 
-def _unbroken(data: list[int], lines: list[str], good: int) -> list[int]:
-    """Leave out what a blank line separates from the data: key-value lines of an instrument."""
-    blank = max((number for number in range(good) if not lines[number].strip()), default=-1)
-    return [number for number in data if number > blank]
-
-
 def _names_and_units(
-    rows: dict[int, list[str]], above: list[int], header: list[int], shape: _Shape
+    rows: dict[int, list[str]], above: list[int], header: list[int]
 ) -> tuple[list[str], list[str]]:
-    """Tell the line of names from a line of units below it (and one of remarks below that)."""
-    joined = [header[-1]]
-    for number in reversed(above[: above.index(header[-1])]):
-        if number in header and len(joined) < 3 and number == joined[0] - 1:
-            joined.insert(0, number)
-    for number in reversed(joined):
-        place = above.index(number)
+    """Find the line of names from a line of units below it (and one of remarks below that)."""
+    last = header[-1]
+    joined = [n for n in (last, last - 1, last - 2) if all(k in header for k in range(n, last + 1))]
+    for number in joined:
         if _all_units(rows[number]):
+            place = above.index(number)
             over = rows[above[place - 1]] if place else []
             fits = bool(over) and abs(len(over) - len(rows[number])) <= 1 and not _all_units(over)
             return (over, rows[number]) if fits else (rows[number], [])
-    return rows[header[-1]], []
+    return rows[last], []
 
 
 def _all_units(cells: list[str]) -> bool:

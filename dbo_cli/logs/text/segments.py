@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cell_grammar import split_cells
 from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.text.cells import split_cells
 
 END_OF_HEADER = "***End_of_Header***"
 
@@ -38,11 +38,14 @@ def find_header_block(lines: Sequence[str], first: int, delimiter: str) -> Heade
 
 def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     """Return when a segment began: the date and the time that its header states, each in seconds."""
-    from dbo_cli.logs.time_cells import clock_seconds, date_seconds
+    from dbo_cli.logs.text.time_stamps import clock_seconds, date_seconds
 
     rows = [split_cells(line, delimiter) for line in lines]
-    told = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
-    date, clock = date_seconds(told.get("Date", "")), clock_seconds(told.get("Time", "").replace(",", "."))
+    stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
+    date, clock = (
+        date_seconds(stated.get("Date", "")),
+        clock_seconds(stated.get("Time", "").replace(",", ".")),
+    )
     return None if date is None or clock is None else (date, clock)
 
 
@@ -66,7 +69,7 @@ class RepeatedHeader:
         self._step = 0.0
 
     def takes(self, line: str, number: int) -> bool:
-        """Tell whether a line belongs to a header block and not to the data.
+        """Return whether a line belongs to a header block and not to the data.
 
         Raises
         ------
@@ -118,7 +121,7 @@ class RepeatedHeader:
         return self._last + self._step - first
 
     def note(self, timed: bool) -> str:
-        """Say what was found; without a time column (``timed``) rows alone give the time."""
+        """Describe what was found; without a time column (``timed``) rows alone give the time."""
         plural = "s" if self.count > 1 else ""
         how = "their time goes on by the dates and times stated there"
         if not timed:

@@ -7,8 +7,9 @@ take a block only when every line is a row of the usual width and every wanted c
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,23 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cell_grammar import (
-    BLANKS,
-    SKIP_REMEDY,
+from dbo_cli.logs.columns import column_info, column_label
+from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, SKIP_REMEDY, Rows
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
+from dbo_cli.logs.text.cells import (
     complain,
-    decode_line,
     is_text,
     split_cells,
     to_number,
 )
-from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.header_blocks import RepeatedHeader
-from dbo_cli.logs.interrupts import keep_interrupts
-from dbo_cli.logs.number_text import are_measured
-from dbo_cli.logs.reading_options import ALL_ROWS, Rows
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock
-from dbo_cli.logs.text_dialect import Dialect, is_comment
+from dbo_cli.logs.text.dialect import Dialect, is_comment
+from dbo_cli.logs.text.segments import RepeatedHeader
 
+_DIGIT = re.compile(r"\d")
 _AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
 
@@ -77,9 +76,7 @@ class BlockParser:
                 self.next_line += len(block)  # a compressed megabyte may unpack to a billion empty lines
             elif block:
                 parsed = self._parse_regularly(block, small)
-                if parsed is None:
-                    parsed = self._parse_slowly(block)
-                yield parsed if self.rows == ALL_ROWS else self._in_range(parsed)
+                yield self._in_range(self._parse_slowly(block) if parsed is None else parsed)
 
     def _parse_regularly(self, block: bytes, small: bool) -> SampleBlock | None:
         """Take a block at once where every line of it is a good row or empty; else None."""
@@ -107,9 +104,15 @@ class BlockParser:
         picks = list(self.picks.values())
         plain = small or (len(text) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
         read = _parse_plain if plain or self._stamped else _parse_fast
-        unpicked = self._unpicked
-        guarded = unpicked if unpicked and _has_letters(text, self.dialect.delimiter) else []
-        arrays = read(text, lines, picks, guarded, self.dialect)
+        if self.dialect.decimal == "," and b"." in text:
+            return None
+        # With all columns wanted polars itself refuses long rows, and short ones leave a null.
+        whole = read is _parse_fast and len({pick.number for pick in picks}) == self.dialect.width
+        if not whole and not _is_rectangular(text, lines, self.dialect):
+            return None
+        if _has_text_in(self._unpicked, text, self.dialect):
+            return None
+        arrays = read(text, lines, picks, self.dialect)
         if arrays is not None and self.repeated is not None and TIME in self.picks:
             at = list(self.picks).index(TIME)
             arrays[at] = self.repeated.continued(arrays[at])
@@ -117,52 +120,38 @@ class BlockParser:
 
     def _regular(self, block: bytes) -> bytes | None:
         """Bring a block into the form that the fast readers take; None where only careful reading will do."""
-        mark = self.dialect.delimiter
-        if not mark.isascii():
-            return None  # the fast readers know single bytes only
-        for comment in self.dialect.comments:
-            if comment.encode() in block:
-                return None
+        mark, comments = self.dialect.delimiter, self.dialect.comments
+        if not mark.isascii() or any(comment.encode() in block for comment in comments):
+            return None  # the fast readers know single bytes only, and no comments
         if b"\r" in block:
             block = block.replace(b"\r\n", b"\n")
         if mark == BLANKS:
-            return None if b'"' in block else _single_blanks(block)
-        if b" " in block:
-            if b"  " in block:
-                block = _runs_collapsed(block)
-            delimiter = mark.encode()
-            for edge in (delimiter, b"\n"):  # a blank before it; polars does without those after it
-                block = block.replace(b" " + edge, edge)
-        return block
+            return None if b'"' in block else _without_blanks(block.replace(b"\t", b" "), mark)
+        return _without_blanks(block, mark) if b" " in block else block
 
     def _parse_slowly(self, block: bytes) -> SampleBlock:
+        """Take a block line by line."""
         time = list(self.picks).index(TIME) if TIME in self.picks else None
-        rows: list[int] = []
-        lines: list[int] = []
+        places: list[tuple[int, int]] = []
         values: list[list[float]] = []
-        text = block.split(b"\n")
-        if not text[-1]:
-            text.pop()
-        for raw in text:
-            if not raw:
-                self.next_line += 1
+        for number, raw in enumerate(block.removesuffix(b"\n").split(b"\n"), start=self.next_line):
+            self.next_line = number
+            line = decoded(raw.removesuffix(b"\r"))
+            if raw and self.repeated is not None and self.repeated.takes(line, number):
                 continue
-            line = decode_line(raw.removesuffix(b"\r"))
-            if self.repeated is not None and self.repeated.takes(line, self.next_line):
-                pass
-            elif not is_comment(line, self.dialect.comments):
+            if raw and not is_comment(line, self.dialect.comments):
                 row = self._parse_row(line)
                 if row is not None:
                     if time is not None and self.repeated is not None:
                         row[time] = float(self.repeated.continued(np.array(row[time : time + 1]))[0])
-                    rows.append(self.next_row)
-                    lines.append(self.next_line)
+                    places.append((self.next_row, self.next_line))
                     values.append(row)
                 self.next_row += 1
-            self.next_line += 1
+        self.next_line += 1
+        rows, lines = np.array(places, dtype=np.int64).reshape(-1, 2).T
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
         columns = {role: np.ascontiguousarray(table[:, number]) for number, role in enumerate(self.picks)}
-        return SampleBlock(np.array(rows, dtype=np.int64), np.array(lines, dtype=np.int64), None, columns)
+        return SampleBlock(rows, lines, None, columns)
 
     def _parse_row(self, line: str) -> list[float] | None:
         """Read the wanted cells of one line; None for a row that is out of range or dropped."""
@@ -172,37 +161,40 @@ class BlockParser:
         cells = split_cells(line, self.dialect.delimiter)
         problem = _wrong_width(cells, self.dialect.width)
         row: list[float] = []
-        if not problem:
-            for pick in self.picks.values():
-                cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
-                value = self._value(cell, pick)
-                if value is None:
-                    problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
-                    break
-                row.append(value)
-            else:
-                problem = self._text_among_numbers(cells)
+        for pick in () if problem else self.picks.values():
+            cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
+            value = self._value(cell, pick)
+            if value is None:
+                problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
+                break
+            row.append(value)
+        problem = problem or self._text_among_numbers(cells)
         if not problem:
             return row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
             raise InputError(f"{message} {SKIP_REMEDY}")
+        self.drop(message)
+        return None
+
+    def drop(self, message: str) -> None:
+        """Count a row that is left out, and keep the first one's message."""
         self.dropped += 1
         self.first_dropped = self.first_dropped or message
-        return None
 
     def _value(self, cell: str, pick: ColumnInfo) -> float | None:
         """Read a cell as a number or a time stamp (s); None where it is neither."""
         if pick.written == "numbers":
             return to_number(cell, self.dialect.decimal)
-        from dbo_cli.logs.time_cells import READERS
+        from dbo_cli.logs.text.time_stamps import READERS
 
         return READERS[pick.written](cell)
 
     def _text_among_numbers(self, cells: list[str]) -> str:
-        """Say where text stands in a column of numbers that nobody asked for: such a row is no sample."""
+        """Describe where text stands in a column of numbers that nobody asked for: no sample has it."""
         for column in self._unpicked:
-            if column < len(cells) and _is_guarded_text(cells[column], column, self.dialect):
+            numeric = column in self.dialect.numeric
+            if column < len(cells) and _is_text_in(cells[column], numeric, self.dialect):
                 names = self.dialect.headers
                 info = column_info(names[column] if names else None, column + 1)
                 written = self.dialect.writings[column] if self.dialect.writings else "numbers"
@@ -222,7 +214,7 @@ class BlockParser:
 
     def _in_range(self, block: SampleBlock) -> SampleBlock:
         first, last = self.rows
-        if len(block.rows) == 0 or (block.rows[0] >= first and (last is None or block.rows[-1] <= last)):
+        if self.rows == ALL_ROWS or not len(block):
             return block
         rows = np.asarray(block.rows)
         start = int(np.searchsorted(rows, first))
@@ -231,7 +223,7 @@ class BlockParser:
 
 
 def _wrong_width(cells: list[str], width: int) -> str:
-    """Say what is wrong with a row's length; an empty cell more at the end is a trailing delimiter."""
+    """Describe what is wrong with a row's length; an empty cell more at the end is a trailing delimiter."""
     if len(cells) == width or (len(cells) == width + 1 and not cells[-1]):
         return ""
     plural = "s" if len(cells) != 1 else ""
@@ -251,30 +243,21 @@ def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
     return text[kept].tobytes(), filled.astype(np.int64)
 
 
-def _runs_collapsed(block: bytes) -> bytes:
-    """Make one blank of every run of blanks, in time that does not depend on how long they are."""
-    text = np.frombuffer(block, dtype=np.uint8)
-    blank = text == 32
-    blank[1:] &= blank[:-1]
-    blank[0] = False
-    collapsed: bytes = text[~blank].tobytes()
-    return collapsed
+def _without_blanks(block: bytes, delimiter: str) -> bytes:
+    """Make one blank of every run of them, and take off those before a delimiter or the end of a line.
 
-
-def _single_blanks(block: bytes) -> bytes:
-    """Collapse runs of blanks and tabs to one blank, and take off those at the ends of lines."""
-    if b"\t" in block:
-        block = block.replace(b"\t", b" ")
-    text = np.frombuffer(block, dtype=np.uint8)
-    blank = text == 32
-    end = text == 10
-    superfluous = blank.copy()
-    superfluous[1:] &= blank[:-1] | end[:-1]  # after another blank, or at the start of a line
-    superfluous[:-1] |= blank[:-1] & end[1:]  # at the end of a line
-    if not superfluous.any():
-        return block
-    collapsed: bytes = text[~superfluous].tobytes()
-    return collapsed.replace(b" \n", b"\n")  # the one blank left of a run at the end of a line
+    Polars and float() do without those after a delimiter. The time does not depend on how long the runs are.
+    """
+    if b"  " in block:
+        text = np.frombuffer(block, dtype=np.uint8)
+        blank = text == 32
+        blank[1:] &= blank[:-1]
+        blank[0] = False
+        block = text[~blank].tobytes()
+    block = block.replace(b" \n", b"\n")
+    if delimiter == BLANKS:
+        return block.replace(b"\n ", b"\n").removeprefix(b" ")
+    return block.replace(b" " + delimiter.encode(), delimiter.encode())
 
 
 def _is_rectangular(block: bytes, lines: int, dialect: Dialect) -> bool:
@@ -300,40 +283,57 @@ def _counts(block: bytes, *letters: int) -> list[int]:
     return counts
 
 
-def _has_letters(block: bytes, delimiter: str) -> bool:
-    """Tell whether a block holds a character that no number has: at ``@`` or above, but no exponent's e."""
+def _letters(block: bytes, delimiter: str) -> NDArray[np.int64]:
+    """Find the characters that no number has: at ``@`` or above, but no exponent's e and no delimiter."""
     text = np.frombuffer(block, dtype=np.uint8)
+    found = [np.empty(0, dtype=np.int64)]
     for start in range(0, len(text), _AT_ONCE):
         part = text[start : start + _AT_ONCE]
-        found = np.count_nonzero(part >= 64)
-        if not found:
-            continue
-        known = np.count_nonzero((part | 32) == 101)  # e and E
-        if ord(delimiter) >= 64:
-            known += np.count_nonzero(part == ord(delimiter))
-        if found > known:
-            return True
-    return False
+        letters = part >= 64
+        if letters.any():
+            letters &= ((part | 32) != 101) & (part != ord(delimiter))  # 101: e and E
+            found.append(start + np.flatnonzero(letters))
+    return np.concatenate(found)
+
+
+def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool:
+    """Return whether one of the columns (from 0) holds text somewhere in a rectangular block."""
+    letters = _letters(block, dialect.delimiter) if columns else ()
+    if not len(letters):
+        return False
+    text = np.frombuffer(block, dtype=np.uint8)
+    ends = np.flatnonzero((text == ord(dialect.delimiter)) | (text == 10))
+    asked, numeric = np.zeros((2, dialect.width), dtype=bool)
+    asked[columns], numeric[list(dialect.numeric)] = True, True
+    cells = np.searchsorted(ends, letters)
+    cells = cells[(np.diff(cells, prepend=-1) > 0) & asked[cells % dialect.width]]  # each cell once
+    starts = np.where(cells > 0, ends[cells - 1] + 1, 0)
+    digit = (text[starts] >= 48) & (text[starts] <= 57)
+    doubtful = numeric[cells % dialect.width] | ~digit  # time stamps with a T are many, and no text
+    stops = np.append(ends, len(block))[cells]
+    words = {
+        (block[start:stop], column in dialect.numeric)
+        for start, stop, column in np.stack([starts, stops, cells % dialect.width])[:, doubtful].T.tolist()
+    }
+    return any(_is_text_in(decoded(word).strip(), numbers, dialect) for word, numbers in words)
+
+
+def _is_text_in(cell: str, numeric: bool, dialect: Dialect) -> bool:
+    """Return whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
+    return (numeric or not _DIGIT.search(cell)) and is_text(cell, dialect.decimal)
 
 
 def _parse_plain(
-    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+    block: bytes, lines: int, picks: list[ColumnInfo], dialect: Dialect
 ) -> list[FloatArray] | None:
-    """Parse a small regular block without any library; None where it is not regular after all.
-
-    ``guarded`` are columns (from 0) of numbers that are not wanted: text in them makes a row irregular.
-    """
-    if b'"' in block or b"_" in block or not block.isascii() or not _is_rectangular(block, lines, dialect):
+    """Parse a small rectangular block without any library; None where a cell needs a careful look."""
+    if b'"' in block or b"_" in block or not block.isascii():
         return None
     mark = dialect.delimiter.encode()
     cells = block.removesuffix(b"\n").replace(b"\n", mark)
     if dialect.decimal == ",":
-        if b"." in cells:
-            return None
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
-    if any(_any_text(words[column :: dialect.width], column, dialect) for column in guarded):
-        return None
     try:
         arrays = [
             np.array(list(map(_reader(pick), words[pick.number - 1 :: dialect.width])), dtype=np.float64)
@@ -348,48 +348,28 @@ def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
     """Return what reads the cells of a column."""
     if pick.written == "numbers":
         return float
-    from dbo_cli.logs.time_cells import READERS
+    from dbo_cli.logs.text.time_stamps import READERS
 
     read = READERS[pick.written]
     return lambda cell: read(cell.decode().strip())
 
 
-def _is_guarded_text(cell: str, column: int, dialect: Dialect) -> bool:
-    """Tell whether a cell holds words where its column has numbers, or time stamps (which have digits)."""
-    if column in dialect.numeric:
-        return is_text(cell, dialect.decimal)
-    return is_text(cell, dialect.decimal) and not any(character.isdigit() for character in cell)
-
-
-def _any_text(cells: Iterable[bytes], column: int, dialect: Dialect) -> bool:
-    """Tell whether any of the cells of a column holds text."""
-    return any(_is_guarded_text(cell.decode().strip(), column, dialect) for cell in set(cells))
-
-
 def _parse_fast(
-    block: bytes, lines: int, picks: list[ColumnInfo], guarded: list[int], dialect: Dialect
+    block: bytes, lines: int, picks: list[ColumnInfo], dialect: Dialect
 ) -> list[FloatArray] | None:
-    """Parse a large block with polars; None where it is not regular after all (see ``_parse_plain``)."""
+    """Parse a large rectangular block with polars; None where a cell needs a careful look."""
     import polars
 
     keep_interrupts()
-
-    columns = [pick.number - 1 for pick in picks]
-    whole = len(set(columns)) == dialect.width  # then polars refuses long rows, and short ones leave a null
-    if not whole and not _is_rectangular(block, lines, dialect):
-        return None
-    if dialect.decimal == "," and b"." in block:
-        return None
-    wanted = set(columns)
-    schema: dict[str, Any] = {}
-    for n in range(dialect.width):
-        schema[f"column_{n + 1}"] = polars.Float64 if n in wanted else polars.String
+    columns = sorted({pick.number - 1 for pick in picks})
+    schema: dict[str, Any] = {f"column_{n + 1}": polars.String for n in range(dialect.width)}
+    schema |= {f"column_{n + 1}": polars.Float64 for n in columns}
     try:
         table = polars.read_csv(
             block,
             has_header=False,
             schema=schema,
-            columns=None if whole else sorted(wanted | set(guarded)),
+            columns=columns if len(columns) < dialect.width else None,  # all: short rows leave a null
             separator=dialect.delimiter,
             decimal_comma=dialect.decimal == ",",
             quote_char='"' if b'"' in block else None,
@@ -399,15 +379,9 @@ def _parse_fast(
         return None
     if len(table) != lines:
         return None
-    for column in guarded:
-        text = table.get_column(f"column_{column + 1}").drop_nulls()
-        worded = r"[^\x00-?eE]" if column in dialect.numeric else r"^[^0-9]+$"
-        odd = text.filter(text.str.contains(worded)).unique()
-        if any(_is_guarded_text(cell.strip(), column, dialect) for cell in odd):
-            return None
     arrays = []
-    for column in columns:
-        read = table.get_column(f"column_{column + 1}")
+    for pick in picks:
+        read = table.get_column(f"column_{pick.number}")
         array = read.to_numpy()
         if read.null_count() or not are_measured(array).all():
             return None

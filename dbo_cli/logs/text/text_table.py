@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,17 +12,20 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.background_io import one_ahead
 from dbo_cli.logs.byte_source import ByteSource, LineBlocks
-from dbo_cli.logs.cell_grammar import decode_line, is_number, split_cells
 from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
-from dbo_cli.logs.record_end import last_cells, looks_cut
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock
-from dbo_cli.logs.text_dialect import COMMENTS, Dialect, detect, is_comment
-from dbo_cli.logs.text_parsing import PLAIN_BYTES, BlockParser
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock, dropped_note
+from dbo_cli.logs.text.block_parser import PLAIN_BYTES, BlockParser
+from dbo_cli.logs.text.cells import is_number, split_cells, to_number
+from dbo_cli.logs.text.dialect import COMMENTS, Dialect, detect, is_comment
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.instrument_headers import InstrumentHeader
+    from dbo_cli.logs.text.instruments import InstrumentHeader
 
+_NEIGHBOURS = 100
+_USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
+_NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
 _LARGEST_BLOCK = 1 << 23
 # One line of names above nothing but numbers: no instrument's header, so its readers need not be loaded.
 # A rate in the names (tInc = 2e-6) and Rohde & Schwarz's "in s" are theirs.
@@ -80,7 +84,7 @@ class TextTable:
     def _detected(
         self, head: bytes | None, options: ReadingOptions, live: bool
     ) -> tuple[Dialect, InstrumentHeader | None]:
-        """Detect the dialect and what the instrument says above it, further down below pages of remarks."""
+        """Detect the dialect and what the instrument states above it, perhaps below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
             options = replace(options, skip_lines=max(0, options.skip_lines - above))
@@ -92,16 +96,16 @@ class TextTable:
                 made = header.dialect if header is not None else None
                 return made or detect(self.place, complete, options), header
             except InputError as problem:
-                told = problem
+                refusal = problem
             head = None if live else self._lines.longer_head()
-        raise told
+        raise refusal
 
     def describe(self) -> str:
-        """Tell in one line how the log is written, for ``verbose``."""
+        """Describe in one line how the log is written, for ``verbose``."""
         return f"{self.place}: {self.dialect.describe()}"
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Give the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
+        """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
         if self._header is None:
             return None, 0.0
         from dbo_cli.logs.stated_clock import agreed_rate
@@ -125,9 +129,7 @@ class TextTable:
         if parser.repeated is not None and parser.repeated.count:
             self.notes.append(parser.repeated.note(TIME in picks))
         if parser.dropped:
-            rest = f" and {parser.dropped - 1} more" if parser.dropped > 1 else ""
-            plural = "s" if parser.dropped > 1 else ""
-            self.notes.append(f"{parser.first_dropped}{rest}: {parser.dropped} row{plural} dropped")
+            self.notes.append(dropped_note(parser.first_dropped, parser.dropped))
 
     def close(self) -> None:
         """Close the file."""
@@ -157,7 +159,7 @@ class TextTable:
 
     def _is_whole(self, last: bytes, parser: BlockParser) -> bool:
         """Judge a last line without its end: True with a note, False where it is dropped, or refuse it."""
-        line, row = decode_line(last.removesuffix(b"\r")), parser.next_row
+        line, row = decoded(last.removesuffix(b"\r")), parser.next_row
         first, final = parser.rows
         if is_comment(line, self.dialect.comments) or row < first or (final is not None and row > final):
             return True
@@ -174,33 +176,32 @@ class TextTable:
         if not parser.skip_bad:
             out = f"`skip_bad` or `rows` :{max(1, row - 1)} leaves it out"
             raise InputError(f"{message} ({out}; end the line if it is whole)")
-        parser.dropped += 1
-        parser.first_dropped = parser.first_dropped or message
+        parser.drop(message)
         return False
 
     def _describe_columns(self) -> list[ColumnInfo]:
         names = self.dialect.headers or ("",) * self.dialect.width
         units = self.dialect.units or ("",) * self.dialect.width
         written = self.dialect.writings or ("numbers",) * self.dialect.width
-        told = enumerate(zip(names, units, written, strict=True), start=1)
-        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in told]
+        parts = enumerate(zip(names, units, written, strict=True), start=1)
+        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in parts]
 
 
 def _instrument_header(place: str, head: bytes, options: ReadingOptions) -> InstrumentHeader | None:
-    """Read what an instrument says above its data; None for a plain log."""
+    """Read what an instrument states above its data; None for a plain log."""
     if _PLAIN.fullmatch(head):
         return None
-    from dbo_cli.logs.instrument_headers import read_instrument_header
+    from dbo_cli.logs.text.instruments import read_instrument_header
 
     return read_instrument_header(place, head, options)
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:
-    """Tell whether a line of numbers has arrived, so that a live log can begin."""
+    """Return whether a line of numbers has arrived, so that a live log can begin."""
     forced = options.delimiter_character
     comments = COMMENTS if options.comment is None else options.comment
     for raw in text.split(b"\n")[-2::-1]:
-        line = decode_line(raw)
+        line = decoded(raw)
         if not is_comment(line, comments):
             marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
             if any(
@@ -208,3 +209,55 @@ def _has_data(text: bytes, options: ReadingOptions) -> bool:
             ):
                 return True
     return False
+
+
+def _digits(cell: str) -> tuple[int, int, int] | None:
+    """Count a number's digits before and after the decimal sign (-1: no sign) and in the exponent."""
+    found = _NUMBER.fullmatch(cell)
+    if found is None:
+        return None
+    decimals = len(found["rest"]) - 1 if found["rest"] is not None else -1
+    return len(found["whole"]), decimals, len(found["exponent"] or "")
+
+
+def last_cells(text: bytes, dialect: Dialect) -> list[str]:
+    """Return the last cells of the whole rows in the text above the last line, at most a hundred."""
+    cells = []
+    for raw in text.split(b"\n")[1:-1][-_NEIGHBOURS:]:
+        line = decoded(raw.removesuffix(b"\r"))
+        if not is_comment(line, dialect.comments):
+            row = split_cells(line, dialect.delimiter)
+            if len(row) == dialect.width:
+                cells.append(row[-1])
+    return cells
+
+
+def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Return whether a number has visibly fewer digits than all the numbers above it.
+
+    Fewer decimals, or fewer digits in the exponent, than any number above: cut, unless it ends in ``.0`` as
+    whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
+    decimal sign alone mean nothing (99 follows 100), unless the value leaps as well.
+    """
+    own = _digits(cell)
+    others = [one for one in map(_digits, above) if one is not None]
+    if own is None or not others:
+        return False
+    whole, decimals, exponent = (min(counts) for counts in zip(*others, strict=True))
+    if own[2] < exponent:
+        return True
+    if own[1] < decimals:
+        varying = len({one[1] for one in others}) > 1
+        return not (varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal))
+    shorter = len(cell) < min(map(len, above)) or own[0] < whole
+    return shorter and _leaps(cell, above, decimal)
+
+
+def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Return whether the last number is further from the one above than numbers above are from each other."""
+    value = to_number(cell, decimal)
+    numbers = [number for number in (to_number(one, decimal) for one in above) if number is not None]
+    if value is None or len(numbers) < 2:
+        return False
+    steps = [abs(later - earlier) for earlier, later in itertools.pairwise(numbers)]
+    return abs(value - numbers[-1]) > _USUAL_STEPS * max(steps)

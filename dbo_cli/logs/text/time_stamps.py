@@ -13,11 +13,14 @@ from functools import lru_cache
 DAY = 86400
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
-_YEAR_FIRST = re.compile(r"(\d{4})([-/.])(\d{1,2})\2(\d{1,2})")
-_COMPACT = re.compile(r"(\d{4})(\d\d)(\d\d)")
-_DAY_FIRST = re.compile(r"(\d{1,2})([-.])(\d{1,2})\2(\d{4}|\d\d)")
-_SLASHES = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4}|\d\d)")
-_NAMED_MONTH = re.compile(r"(\d{1,2})[- ]([A-Za-z]{3})[- ](\d{4})")
+_MONTH_FIRST = re.compile(r"(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4}|\d\d)")
+_DATES = (
+    re.compile(r"(?P<year>\d{4})([-/.])(?P<month>\d{1,2})\2(?P<day>\d{1,2})"),
+    re.compile(r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)"),
+    re.compile(r"(?P<day>\d{1,2})([-.])(?P<month>\d{1,2})\2(?P<year>\d{4}|\d\d)"),
+    _MONTH_FIRST,
+    re.compile(r"(?P<day>\d{1,2})[- ](?P<month>[A-Za-z]{3})[- ](?P<year>\d{4})"),
+)
 _CLOCK = re.compile(
     r"(?:(?P<days>\d{1,5}) days?,? )?(?P<hours>\d{1,3}):(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]?\d)"
     r"(?:[.,](?P<fraction>\d{1,20})|:(?P<millis>\d{3}))?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
@@ -40,20 +43,13 @@ def date_days(text: str) -> int | None:
     """
     import datetime
 
-    if found := _YEAR_FIRST.fullmatch(text):
-        year, month, day = int(found[1]), int(found[3]), int(found[4])
-    elif found := _COMPACT.fullmatch(text):
-        year, month, day = int(found[1]), int(found[2]), int(found[3])
-    elif found := _DAY_FIRST.fullmatch(text):
-        day, month, year = int(found[1]), int(found[3]), int(found[4])
-    elif found := _SLASHES.fullmatch(text):
-        month, day, year = int(found[1]), int(found[2]), int(found[3])
-        if month > 12:
-            month, day = day, month
-    elif (found := _NAMED_MONTH.fullmatch(text)) and found[2].lower() in _MONTHS:
-        day, month, year = int(found[1]), _MONTHS.index(found[2].lower()) + 1, int(found[3])
-    else:
+    found = next((found for pattern in _DATES if (found := pattern.fullmatch(text))), None)
+    if found is None:
         return None
+    year, day, name = int(found["year"]), int(found["day"]), found["month"].lower()
+    month = _MONTHS.index(name) + 1 if name in _MONTHS else int(name) if name.isdecimal() else 0
+    if found.re is _MONTH_FIRST and month > 12:
+        month, day = day, month
     try:
         date = datetime.date(year + 2000 if year < 100 else year, month, day)
     except ValueError:

@@ -8,20 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from dbo_cli.logs.number_text import is_overflow
+from dbo_cli.logs.reading_options import BLANKS
+from dbo_cli.logs.sample_block import is_overflow
 
-BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 _POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
 NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})
-
-
-def decode_line(line: bytes) -> str:
-    """Turn a line into text: UTF-8, or else the Western code page that old instruments write."""
-    try:
-        return line.decode("utf-8")
-    except UnicodeDecodeError:
-        return line.decode("cp1252", errors="replace")
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
@@ -66,27 +58,26 @@ def to_number(cell: str, decimal: str) -> float | None:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Tell whether a cell is written as a number (NaN and inf count: they are numbers that went wrong)."""
+    """Return whether a cell is written as a number (NaN and inf count: they are numbers that went wrong)."""
     pattern = _POINT if decimal == "." else _COMMA
     if pattern.fullmatch(cell) is not None:
         return cell.isascii()
     return cell.lstrip("+-").lower() in NOT_FINITE
 
 
-SKIP_REMEDY = "(`skip_bad` drops such rows)"
 MISSING = frozenset({"na", "n/a", "nan", "null", "none", "nil", "missing"})
 """What programs write where a number is missing: no sign that a row is no row of data."""
 
 
 def is_text(cell: str, decimal: str) -> bool:
-    """Tell whether a cell holds words where others of its column hold numbers (an e alone is none)."""
+    """Return whether a cell holds words where others of its column hold numbers (an e alone is none)."""
     if not any(character >= "@" and character not in "eE" for character in cell):
         return False
     return not is_number(cell, decimal) and cell.lower() not in MISSING
 
 
 def complain(cell: str, decimal: str, written: str = "numbers") -> str:
-    """Say what is wrong with a cell that holds no finite number, or none of its column's time stamps."""
+    """Describe what is wrong with a cell that holds no finite number, or none of its column's time stamps."""
     if not cell:
         return "is empty"
     shown = repr(cell if len(cell) <= 40 else cell[:37] + "...")

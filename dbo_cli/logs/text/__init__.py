@@ -1,0 +1,1 @@
+"""Delimited text: from the bytes of a file to a table of columns."""

@@ -1,0 +1,463 @@
+"""Text headers that carry the answer: names, units, rate and start as an instrument or controller wrote them.
+
+Written after the makers' manuals and files published with them.  A maker is recognised by words that only its
+files have; everything else is left to ``text.dialect``.  What a header states of the sample rate is read
+whoever wrote it (``Sampling rate: 10 kHz``), and used where the log has no time column.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
+from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+from dbo_cli.logs.text.cells import is_number, split_cells
+from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect
+from dbo_cli.logs.text.segments import END_OF_HEADER, find_header_block
+
+_LOOKED_AT = 400  # lines; no instrument's header is half as long
+_NEAR = 100  # lines; makers that write a few settings begin their table above
+_LONGEST = 300  # characters of a line that states something
+_MARK = re.compile(r"[=:;,\t]")
+
+
+@dataclass(frozen=True)
+class InstrumentHeader:
+    """What a header states.
+
+    Attributes
+    ----------
+    dialect
+        How the log is written, where the maker is known; None leaves it to be detected.
+    clock
+        What is stated of the sample rate.
+    start
+        The time (s) of the first row.
+    remarks
+        Notes for the user.
+    end_mark
+        What the program writes behind the last row.
+    """
+
+    dialect: Dialect | None = None
+    clock: tuple[Statement, ...] = ()
+    start: float = 0.0
+    remarks: tuple[str, ...] = ()
+    end_mark: bytes = b""
+
+
+def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> InstrumentHeader:
+    """Read the header of a text log.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    head
+        The first lines.
+    options
+        Where the user gives the way the text is written, no maker's layout is assumed.
+
+    Raises
+    ------
+    InputError
+        The header is a known maker's and contradicts itself.
+    """
+    lines = [decoded(line.removesuffix(b"\r")) for line in head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]]
+    lines[0] = lines[0].removeprefix("\ufeff")
+    forced = (options.delimiter, options.decimal, options.comment, options.skip_lines, options.header_lines)
+    for maker in _MAKERS if all(one is None for one in forced) else ():
+        begins = (n for n, line in enumerate(lines[: maker.within]) if maker.mark.match(line[:_LONGEST]))
+        at = next(begins, None)
+        header = None if at is None else maker.read(place, lines, at)
+        if header is not None and header.dialect is not None:
+            stated = header.clock or tuple(_stated(lines[: header.dialect.first_line - 1]))
+            return replace(header, clock=stated)
+    return InstrumentHeader(clock=tuple(_stated(lines)))
+
+
+def _stated(lines: Sequence[str]) -> Iterator[Statement]:
+    """Find the lines above the data that state a rate or a step: ``key = value``, ``key: value``."""
+    for line in lines:
+        mark = _MARK.search(line) if len(line) <= _LONGEST else None
+        if mark is None:
+            continue
+        key = line[: mark.start()].strip().lstrip("#%;!/*").strip()
+        if not key[:1].isalpha() or not is_clock_name(key):  # a row of data is the usual case
+            continue
+        value = _first_value(line[mark.end() :].strip(" ,;\t"), mark[0])
+        thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)
+        if thousands is not None:
+            statement_text = f"'{key}' {value}"
+            yield Statement(
+                statement_text,
+                None,
+                f"{statement_text} may be {thousands[1]} or {thousands[1]}{thousands[2]}",
+            )
+        elif (statement := read_statement(key, value)) is not None:
+            yield statement
+
+
+def _first_value(text: str, mark: str) -> str:
+    """Take the first channel's value of a line, with its unit where that has a cell of its own."""
+    value = re.split(r"[\t;]|,\s*(?=,|$)", text)[0].strip()
+    if mark != "," and re.fullmatch(r"\d+,\d+\s*\D*", value):
+        grouped = re.fullmatch(r"\d{1,3},\d{3}\D*", value)  # 1,000 is 1 to some and 1000 to others
+        return value if grouped else value.replace(",", ".")
+    cells = [cell.strip() for cell in value.split(",")]
+    if len(cells) == 2 and is_number(cells[0], ".") and not is_number(cells[1], "."):
+        return f"{cells[0]} {cells[1]}"
+    return cells[0] if len(set(cells)) == 1 else value
+
+
+# What the makers' readers share.
+
+
+def _dialect(
+    lines: Sequence[str],
+    first: int,
+    names: Sequence[str],
+    units: Sequence[str],
+    width: int | None = None,
+    delimiter: str = ",",
+    decimal: str = ".",
+) -> Dialect:
+    """Describe a table whose rows begin at index ``first``; names and units are filled up to its width."""
+    width = len(split_cells(lines[first], delimiter)) if width is None else width
+    filled = [tuple([*cells, *[""] * width][:width]) for cells in (names, units)]
+    rows = [split_cells(line, delimiter) for line in lines[first:][-SAMPLE_LINES:]]
+    rows = [row for row in rows if len(row) >= width]
+    counts = [sum(is_number(row[n], decimal) for row in rows) for n in range(width)]
+    return Dialect(
+        delimiter, decimal, COMMENTS, width, first + 1, filled[0], filled[1] if any(units) else (),
+        numeric=frozenset(n for n, count in enumerate(counts) if count and 2 * count >= len(rows)),
+        header_block=find_header_block(lines, first, delimiter),
+    )  # fmt: skip
+
+
+def _number_row(lines: Sequence[str], start: int, delimiter: str = ",", decimal: str = ".") -> int | None:
+    """Find the first line from index ``start`` on whose filled cells are all numbers."""
+    for index in range(start, len(lines)):
+        cells = [cell for cell in split_cells(lines[index], delimiter) if cell]
+        if cells and all(is_number(cell, decimal) for cell in cells):
+            return index
+    return None
+
+
+def _number(text: str) -> float | None:
+    """Read a number with either decimal sign; None for anything else."""
+    try:
+        return float(text.strip().replace(",", "."))
+    except ValueError:
+        return None
+
+
+def _step(name: str, value: str, unit: str = "") -> tuple[Statement, ...]:
+    """Read a step, in seconds by the maker's definition, under the name that it has in the file."""
+    step = _number(value.strip().removesuffix("s"))
+    return (Statement(f"'{name}' {value.strip()}{unit}", 1.0 / step),) if step and step > 0.0 else ()
+
+
+def _interval(name: str, value: str, unit: str | None = None) -> tuple[Statement, ...]:
+    """Read a step that may have a unit."""
+    found = read_statement(name, value, unit, sure=True)
+    return () if found is None else (found,)
+
+
+def _settings(lines: Sequence[str]) -> dict[str, list[str]]:
+    """Read lines of comma-separated settings: a key, and a value for each channel."""
+    rows = [split_cells(line, ",") for line in lines]
+    return {cells[0].lower(): cells[1:] for cells in rows if cells[0]}
+
+
+# One reader for each maker: the file's lines, and the index of the line that gave it away.
+
+
+def _pi_array(place: str, lines: list[str], end: int) -> InstrumentHeader | None:
+    """Read a GCS array of PI's data recorder: ``SAMPLE_TIME`` in s, ``SEPARATOR`` as a code, names.
+
+    Raises
+    ------
+    InputError
+        The rows have another number of columns than the header states.
+    """
+    pattern = re.compile(r"\s*#\s*([A-Z_]+\s?\d*)\s*=\s*(.*?)\s*")
+    found = [pattern.fullmatch(line[:_LONGEST]) for line in lines[:end]]
+    settings = {one[1].replace(" ", ""): one[2] for one in found if one is not None}
+    if end + 1 >= len(lines) or not {"SAMPLE_TIME", "NDATA", "DIM"} & settings.keys():
+        return None
+    code = _number(settings.get("SEPARATOR", "9"))
+    delimiter = chr(int(code)) if code is not None and 0 < code < 127 else "\t"
+    delimiter = delimiter if delimiter in lines[end + 1] else BLANKS
+    width = len([cell for cell in split_cells(lines[end + 1].rstrip(), delimiter) if cell])
+    stated = _number(settings.get("DIM", ""))
+    if stated is not None and int(stated) != width:
+        raise InputError(
+            f"{place}:{end + 2}: {width} cells where the header states DIM = {int(stated)} columns "
+            "(`skip_lines` and `header_lines` 0 read it without the header)"
+        )
+    names = [settings.get(f"NAME{number}", "") for number in range(width)]
+    dialect = _dialect(lines, end + 1, names, [], width, delimiter)
+    return InstrumentHeader(dialect, _step("SAMPLE_TIME", settings.get("SAMPLE_TIME", ""), " s"))
+
+
+_LVM_SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
+
+
+def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read LabVIEW's .lvm: separator, decimal sign, and by channel the unit, ``X0`` and ``Delta_X``.
+
+    Raises
+    ------
+    InputError
+        Every channel has its own X column, and whether they are the same is not known.
+    """
+    ends = [number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
+    if len(ends) < 2 or ends[1] + 2 >= len(lines):
+        return None
+    stated = [re.match(r"(\w+)([\t,;])(.*)", line) for line in lines[: ends[0]]]
+    file = {
+        one[1]: one[3].rstrip("\t ").removesuffix(one[2]) or one[3].strip("\t ")
+        for one in stated
+        if one is not None
+    }
+    delimiter = _LVM_SEPARATORS.get(file.get("Separator", "Tab").lower(), "\t")
+    rows = [split_cells(line, delimiter) for line in lines[ends[0] + 1 : ends[1] + 3]]
+    channels = {cells[0]: cells[1:] for cells in rows[:-2] if cells[0]}
+    names = rows[-2]
+    while names and names[-1] in ("", "Comment"):
+        names.pop()
+    x_columns = file.get("X_Columns", "One").lower()
+    if x_columns == "multi":
+        raise InputError(
+            f"{place}: every channel has its own X column (X_Columns Multi): write it with X_Columns One "
+            "or No"
+        )
+    timed = all(one.lower() == "time" for one in channels.get("X_Dimension", []) if one)
+    if x_columns == "no":
+        names = ["", *names[1:]]  # the X column is there, but its cells are empty
+    units = ["s" if timed and x_columns != "no" else "", *channels.get("Y_Unit_Label", [])]
+    relative = (
+        file.get("Time_Pref", "Relative").lower() == "relative"
+    )  # else X0 counts from a day in the past
+    start = _number(next((one for one in channels.get("X0", []) if one), "")) if relative else None
+    steps = [found for value in channels.get("Delta_X", []) for found in _step("Delta_X", value)]
+    decimal = "," if file.get("Decimal_Separator") == "," else "."
+    dialect = _dialect(lines, ends[1] + 2, names, units, max(len(names), len(rows[-1])), delimiter, decimal)
+    return InstrumentHeader(dialect, tuple(dict.fromkeys(steps)) if timed else (), start or 0.0)
+
+
+_FILETIME = 1e16  # counts of 100 ns since 1601 are above, milliseconds since the start of a recording below
+_TWINCAT_KEYS = frozenset(
+    ("Name", "SymbolName", "SymbolComment", "Unit", "SampleTime[ms]", "ScaleFactor", "Offset", "Data-Type")
+)
+
+
+def _twincat(place: str, lines: list[str], at: int) -> InstrumentHeader | None:
+    """Read TwinCAT Scope's text export: a block of keys by channel, then time stamps (ms) and values.
+
+    Raises
+    ------
+    InputError
+        The channels are sampled at different times, so that the rows do not belong together.
+    """
+    delimiter = lines[at][len("SampleTime[ms]")]
+    keyed = [(number, split_cells(line, delimiter)) for number, line in enumerate(lines[:_NEAR])]
+    keyed = [(number, cells) for number, cells in keyed if cells[0] in _TWINCAT_KEYS]
+    rows = {
+        cells[0]: cells for _, cells in keyed
+    }  # the first "Name" is the project's; the channels' is below
+    at = keyed[-1][0] + 1
+    commas = delimiter != "," and _has_decimal_commas(lines[at : at + 50], delimiter)
+    decimal = "," if commas else "."
+    first = _number_row(lines, at, delimiter, decimal)
+    if "Name" not in rows:
+        return None
+    names = rows["Name"]
+    keys = [n for n, cell in enumerate(names) if cell == "Name"]
+    if len(keys) > 1 or len([cell for cell in names if cell]) == 2:  # each channel behind its own stamps
+        channels = [n + 1 for n in keys]
+    else:  # all behind the stamps of the first column
+        channels = [n for n in range(1, len(names)) if names[n]]
+    steps = {rows["SampleTime[ms]"][n] for n in channels if n < len(rows["SampleTime[ms]"])}
+    if len(steps) > 1:
+        raise InputError(
+            f"{place}: the channels are sampled every {' and '.join(sorted(steps))} ms, and rows of "
+            "different times stand beside each other: export channels of one sample time"
+        )
+    if first is None:
+        return None
+    cells = split_cells(lines[first], delimiter)
+    given = rows.get("Unit", [])
+    labels = [names[n] if n in channels else "" for n in range(len(cells))]
+    units = [given[n] if n in channels and n < len(given) else "" for n in range(len(cells))]
+    stamp = _number(cells[0])
+    if stamp is not None and stamp < _FILETIME:
+        labels[0], units[0] = "time", "ms"
+    step = _number(steps.pop()) if steps else None
+    clock = (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),) if step and step > 0.0 else ()
+    dialect = _dialect(lines, first, labels, units, None, delimiter, decimal)
+    return InstrumentHeader(dialect, clock, remarks=_scale_remarks(rows, channels), end_mark=b"EOF")
+
+
+def _has_decimal_commas(lines: Sequence[str], delimiter: str) -> bool:
+    cells = [cell for line in lines for cell in split_cells(line, delimiter)]
+    commas = any("," in cell and is_number(cell, ",") for cell in cells)
+    return commas and not any("." in cell and is_number(cell, ".") for cell in cells)
+
+
+def _scale_remarks(rows: dict[str, list[str]], channels: list[int]) -> tuple[str, ...]:
+    """Note which channels have a scale that the export may or may not have applied."""
+    found = []
+    for key, plain in (("ScaleFactor", 1.0), ("Offset", 0.0)):
+        for n in (n for n in channels if n < len(rows.get(key, []))):
+            value = _number(rows[key][n])
+            if value is not None and value != plain:
+                found.append(
+                    f"channel '{rows['Name'][n]}' has {key} {value:g}, and the file does not say whether its "
+                    "values are scaled already (Scope: 'Scale values before export')"
+                )
+    return tuple(found)
+
+
+def _tektronix_rows(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read the TDS series' files: settings in two columns, beside the first rows of time and volts."""
+    first = split_cells(lines[0], ",")
+    if len(first) < 5 or not all(is_number(cell, ".") for cell in first[3:5]):
+        return None
+    beside = next((n for n, line in enumerate(lines) if not split_cells(line, ",")[0]), len(lines))
+    settings = {key: values[0] for key, values in _settings(lines[:beside]).items() if values}
+    width = len(first) - (not first[-1])
+    names, units = ["", "", "", "time"], ["", "", "", settings.get("horizontal units", "")]
+    if width == 5:
+        names, units = [*names, settings.get("source", "")], [*units, settings.get("vertical units", "")]
+    dialect = _dialect(lines, 0, names, units, width)
+    return InstrumentHeader(dialect, _interval("Sample Interval", settings.get("sample interval", "")))
+
+
+def _tektronix_table(place: str, lines: list[str], header: int) -> InstrumentHeader | None:
+    """Read the MSO, DPO and MDO series' files: settings by channel, then ``TIME,CH1,CH2`` and the rows."""
+    settings = _settings(lines[:header])
+    first = _number_row(lines, header + 1)
+    if not {"sample interval", "horizontal units"} & settings.keys() or first is None:
+        return None
+    names, width = split_cells(lines[header], ","), len(split_cells(lines[first], ","))
+    if abs(width - len(names)) > 1:
+        return None
+    horizontal, interval = (
+        [*settings.get(key, []), ""][0] for key in ("horizontal units", "sample interval")
+    )
+    vertical = settings.get("vertical units", [])
+    if len(names) == 2 and len([one for one in vertical if one]) == 1:
+        vertical = vertical[:1]
+    units = [horizontal or "s", *vertical]  # the maker's unit of time is the second
+    return InstrumentHeader(_dialect(lines, first, names, units), _interval("Sample Interval", interval))
+
+
+def _rigol_ds(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read the DS series' files: ``X,CH1,Start,Increment`` over units, start and step, then the rows."""
+    names = [cell.lower() for cell in split_cells(lines[0], ",")]
+    if len(lines) < 3 or not {"start", "increment"} <= set(names):
+        return None
+    second, at, channels = split_cells(lines[1], ","), names.index("increment"), names.index("start")
+    start = _number(second[channels]) if len(second) > max(at, channels) else None
+    timed = second[0].lower() == "second"
+    if (
+        start is None
+        or len(split_cells(lines[2], ",")) < channels
+        or second[0].lower() not in ("sequence", "second")
+    ):
+        return None
+    labels = ["time" if timed else "sequence", *split_cells(lines[0], ",")[1:channels]]
+    dialect = _dialect(lines, 2, labels, ["s" if timed else "", *second[1:channels]])
+    return InstrumentHeader(dialect, _step("Increment", second[at]), start)
+
+
+def _rigol_mso(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read the MSO series' files: ``CH1(V),t0 = -1e-3, tInc = 1e-6`` over the rows."""
+    found = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST])
+    if found is None or len(lines) < 2:
+        return None
+    cells = [
+        cell for cell in split_cells(lines[0], ",") if cell and not cell.lower().startswith(("t0", "tinc"))
+    ]
+    channels = [re.fullmatch(r"(.+?)\(?([mu]?V|A)\)?", cell) for cell in cells]
+    names = [one[1] if one else cell for one, cell in zip(channels, cells, strict=True)]
+    dialect = _dialect(lines, 1, names, [one[2] if one else "" for one in channels])
+    return InstrumentHeader(dialect, _step("tInc", found[2]), _number(found[1]) or 0.0)
+
+
+def _infiniivision(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read Keysight's and Agilent's InfiniiVision files: ``x-axis,1,2`` over ``second,Volt,Volt``."""
+    first = _number_row(lines, 2)
+    if first is None:
+        return None
+    names, units = split_cells(lines[0], ","), split_cells(lines[1], ",")
+    if len(units) != len(names) or is_number(units[0], "."):
+        return None
+    return InstrumentHeader(_dialect(lines, first, names, units))
+
+
+def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read Keysight's Infiniium files: ``XInc``, ``XOrg``, ``YUnits`` and more above ``Data``."""
+    setting = re.compile(r"([A-Za-z][A-Za-z ]*)[:,\t](.*)")
+    settings: dict[str, str] = {}
+    first = None
+    for index, line in enumerate(lines[:_NEAR]):
+        found = setting.match(line[:_LONGEST].strip())
+        if line.strip().lower().rstrip(":,") == "data" and "xinc" in settings:
+            first = _number_row(lines, index + 1)
+            break
+        if found is None:
+            first = index if _number_row([line], 0) == 0 else None
+            break
+        settings[found[1].strip().lower()] = found[2].strip(" :,\t")
+    if first is None or not {"xinc", "xorg"} <= settings.keys():
+        return None
+    unit, measured = settings.get("xunits", ""), settings.get("yunits", "")
+    width = len(split_cells(lines[first].rstrip(", "), ","))
+    names, units = (["time", "signal"], [unit, measured]) if width == 2 else (["signal"], [measured])
+    if width > 2:
+        names, units = ["time", *[f"signal {number}" for number in range(1, width)]], [unit]
+    clock = _interval("XInc", settings["xinc"], unit or None)
+    return InstrumentHeader(
+        _dialect(lines, first, names, units, width), clock, _number(settings["xorg"]) or 0.0
+    )
+
+
+def _rohde_schwarz(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read the RTB, RTM and RTA series' files: ``in s,CH1 in V,CH2 in V``."""
+    delimiter = "," if "," in lines[0] else ";"
+    cells = split_cells(lines[0], delimiter)
+    parts = [cell.rsplit(" in ", 1) for cell in cells[1:]]
+    names = ["time", *(part[0] for part in parts)]
+    units = [cells[0].removeprefix("in "), *(part[1] if len(part) == 2 else "" for part in parts)]
+    decimal = "," if delimiter == ";" and re.search(r"\d,\d", lines[1] if len(lines) > 1 else "") else "."
+    return InstrumentHeader(_dialect(lines, 1, names, units, len(names), delimiter, decimal))
+
+
+class _Maker(NamedTuple):
+    """Where the line stands that gives a maker away (one of the first ``within``), and who reads the rest."""
+
+    mark: re.Pattern[str]
+    within: int
+    read: Callable[[str, list[str], int], InstrumentHeader | None]
+
+
+_MAKERS = (
+    _Maker(re.compile(r"\s*#\s*END_HEADER"), _LOOKED_AT, _pi_array),
+    _Maker(re.compile("LabVIEW Measurement"), 1, _lvm),
+    _Maker(re.compile(r"SampleTime\[ms\][\t,;]"), _NEAR, _twincat),
+    _Maker(re.compile("Record Length,"), 1, _tektronix_rows),
+    _Maker(re.compile(r"TIME,\s*[A-Z]"), _NEAR, _tektronix_table),
+    _Maker(re.compile(r"\s*x\s*,", re.IGNORECASE), 1, _rigol_ds),
+    _Maker(re.compile(r".*t0\s*=.*tInc\s*="), 1, _rigol_mso),
+    _Maker(re.compile("x-axis,", re.IGNORECASE), 1, _infiniivision),
+    _Maker(re.compile(r"\s*[A-Za-z][A-Za-z ]*[:,\t]"), 1, _infiniium),
+    _Maker(re.compile(r"in (?:[munp]?s)\s*[,;]"), 1, _rohde_schwarz),
+)
