@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.single_tables import Axes, Folded, counts_unit, fold, shift_for
+from dbo_cli.export.single_tables import Axes, Folded, counts_of_range, fold, shift_for
 
 Floats = NDArray[np.float64]
 
@@ -138,7 +138,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> Bounds:
     steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
     loop = _loop(plan, axes, q31, steepest)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    x_in, y_out = counts_unit(source.minimum, source.maximum), counts_unit(result.minimum, result.maximum)
+    x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
     before = fold(plan.head, source.minimum, source.maximum)
     entering = _function_error(before, q31, source.maximum, base, x_in, axes.x_unit)
     across = entering + _subset_error(axes.widths, axes.wide, run)

@@ -13,6 +13,7 @@ from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan
 from dbo_cli.export.single_kernel import F, Segments, SingleTables
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
+from dbo_cli.hysteresis.model import Quantity
 
 Floats = NDArray[np.float64]
 
@@ -146,9 +147,9 @@ def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[floa
     )
 
 
-def counts_unit(low: float, high: float) -> float:
-    """Return how much one count of a range is."""
-    return 0.5 * (high - low) / COUNTS
+def counts_of_range(quantity: Quantity) -> tuple[float, float]:
+    """Return where a range has its count 0, and how much one count is."""
+    return 0.5 * (quantity.minimum + quantity.maximum), 0.5 * quantity.span / COUNTS
 
 
 def check_memories(plan: CascadePlan) -> None:
@@ -212,44 +213,29 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     source, result = plan.model.input, plan.model.output
     rows, slope_shift = _rows(axes, q31)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    middle, unit = 0.5 * (source.minimum + source.maximum), counts_unit(source.minimum, source.maximum)
-    taken = (middle, unit) if q31 else (0.0, 1.0)
-    middle, unit = 0.5 * (result.minimum + result.maximum), counts_unit(result.minimum, result.maximum)
-    given = (middle, unit) if q31 else (0.0, 1.0)
-    behind = fold(plan.tail, gears.y0, gears.y0 + float(axes.high.sum()))
-    undone = tuple(stage.inverse() for stage in reversed(plan.tail))
+    taken, given = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
     x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
     before = fold(plan.head, source.minimum, source.maximum)
+    behind = fold(plan.tail, gears.y0, gears.y0 + float(axes.high.sum()))
     if plan.direction == "forward":
         drive = segments_of(before, q31, taken, (gears.x0, x_step))
     else:
-        drive = segments_of(fold(undone, result.minimum, result.maximum), q31, given, (gears.y0, y_step))
+        undone = fold(plan.drive_stages, result.minimum, result.maximum)
+        drive = segments_of(undone, q31, given, (gears.y0, y_step))
     offset = (gears.y0 if on_output else gears.x0) - plan.reference
     offset /= axes.y_count if on_output else axes.x_count
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
     return SingleTables(
-        q31=q31,
-        rows=rows,
-        n=gears.n,
-        run=gears.equal_run,
-        tolerance=round(-math.log2(tolerance)),
-        terms=_terms(plan, axes, q31),
-        memory_on_output=on_output,
+        q31=q31, rows=rows, n=gears.n, run=gears.equal_run, tolerance=round(-math.log2(tolerance)),
+        terms=_terms(plan, axes, q31), memory_on_output=on_output,
         drive_offset=round(offset) if q31 else F(offset),
-        slope_shift=slope_shift,
-        x_shift=axes.fine[0],
-        y_shift=axes.fine[1],
-        least=-span,
-        most=2 * span,
-        limits=_limit_positions(plan, axes),
-        covered=plan.covered,
-        spare_bits=plan.spare_bits,
+        slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
+        least=-span, most=2 * span, limits=_limit_positions(plan, axes),
+        covered=plan.covered, spare_bits=plan.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
-        drive=drive,
-        clip=_clip(plan, q31, given),
-        delay=_delay(plan, q31),
-    )
+        drive=drive, clip=_clip(plan, q31), delay=_delay(plan, q31),
+    )  # fmt: skip
 
 
 def _limit_positions(plan: CascadePlan, axes: Axes) -> tuple[int, int, int] | None:
@@ -270,7 +256,7 @@ def _limit_positions(plan: CascadePlan, axes: Axes) -> tuple[int, int, int] | No
     )
 
 
-def _clip(plan: CascadePlan, q31: bool, given: tuple[float, float]) -> tuple[Any, Any] | None:
+def _clip(plan: CascadePlan, q31: bool) -> tuple[Any, Any] | None:
     if plan.limits is None:
         return None
     if not q31:
@@ -279,7 +265,8 @@ def _clip(plan: CascadePlan, q31: bool, given: tuple[float, float]) -> tuple[Any
         low = np.nextafter(low, F(np.inf)) if float(low) < plan.limits.v_min else low
         high = np.nextafter(high, F(-np.inf)) if float(high) > plan.limits.v_max else high
         return low, high
-    ends = (plan.limits.v_min - given[0]) / given[1], (plan.limits.v_max - given[0]) / given[1]
+    middle, unit = counts_of_range(plan.model.output)
+    ends = (plan.limits.v_min - middle) / unit, (plan.limits.v_max - middle) / unit
     if max(abs(ends[0]), abs(ends[1])) >= 2.0**31:
         raise ModelError("`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold")
     return math.ceil(ends[0] - 1e-6), math.floor(ends[1] + 1e-6)
@@ -287,11 +274,7 @@ def _clip(plan: CascadePlan, q31: bool, given: tuple[float, float]) -> tuple[Any
 
 def _delay(plan: CascadePlan, q31: bool) -> tuple[int, Any]:
     """Return a forward model's delay in whole samples and the part beyond; -1 where there is none."""
-    if plan.direction == "inverse" or plan.delay == 0.0:
+    if plan.delay_samples is None:
         return -1, 0
-    assert plan.time_step is not None
-    samples = plan.delay / plan.time_step
-    whole = math.floor(samples + 1e-9)
-    part = max(samples - whole, 0.0)
-    part = part if part > 1e-9 else 0.0
-    return whole, (round(part * COUNTS) if q31 else F(part))
+    whole, part = plan.delay_samples
+    return whole, round(part * COUNTS) if q31 else F(part)

@@ -1,0 +1,241 @@
+"""Text of exported files: templates that are files of their own kind; numbers, arrays and names as C."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+
+from dbo_cli.errors import UsageError
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_LONGEST = 40  # NAME_names.h and the longest names of the kernel stay far below what linkers and disks hold
+RESERVED = frozenset(
+    """alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t
+    char32_t class compl concept const consteval constexpr constinit const_cast continue co_await
+    co_return co_yield decltype default delete do double dynamic_cast else enum explicit export
+    extern false float for friend goto if inline int long mutable namespace new noexcept not not_eq
+    nullptr operator or or_eq private protected public register reinterpret_cast requires restrict
+    return short signed sizeof static static_assert static_cast struct switch template this
+    thread_local throw true try typedef typeid typename typeof union unsigned using virtual void
+    volatile wchar_t while xor xor_eq main setup loop errno assert offsetof stdin stdout stderr
+    NULL INFINITY NAN abort exit free malloc memcmp memcpy memset printf puts""".split()
+)
+_TAKEN = ("dbo_", "fmi2", "example_main", "int8_t", "int16_t", "int32_t", "int64_t", "size_t", "uint")
+
+Values = Mapping[str, str | bool]
+
+_MARK, _END = r"^[ \t]*(?:/\*|<!--|#)", r"(?: \*/| -->)?\n"
+_SECTION = re.compile(rf"{_MARK}\? (!?)(\w+){_END}(.*?){_MARK}: \2{_END}", re.M | re.S)
+_LINES = re.compile(rf"{_MARK}\+ (\w+){_END}", re.M)
+
+
+def fill(template: str, values: Values) -> str:
+    """Return a file of ``templates/`` filled in.
+
+    A name in capitals stands for its value (``NAME_step``, and ``TERMSU`` for the unsigned constant), a line
+    that is the comment ``+ name`` for lines of text; lines between the comments ``? name`` and ``: name``
+    stay where the value is true (``? !name``: where it is not). Values are not searched for names.
+    """
+    text = (resources.files("dbo_cli.export") / "templates" / template).read_text(encoding="utf-8")
+    while _SECTION.search(text):
+        text = _SECTION.sub(lambda at: at[3] if bool(values[at[2]]) != bool(at[1]) else "", text)
+    names = sorted((name for name in values if name.isupper()), key=len, reverse=True)
+    if names:
+        word = re.compile(rf"(?<![A-Za-z0-9_])(?:{'|'.join(names)})(?=U?(?![A-Za-z0-9]))")
+        text = word.sub(lambda at: str(values[at[0]]), text)
+    return _LINES.sub(lambda at: str(values[at[1]]), text)
+
+
+def plain(text: str) -> str:
+    """Return text on one line that cannot end the comment it stands in, nor begin another."""
+    words = "".join(c if c.isprintable() else " " for c in text)
+    return re.sub(r"\*(?=/)|/(?=\*)", lambda at: f"{at[0]} ", words)
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that cannot begin the names of files, types and functions in C, C++ and on every disk.
+
+    Raises
+    ------
+    UsageError
+        It is no identifier, reserved, or taken by the files that are exported beside it.
+    """
+    if not _IDENTIFIER.fullmatch(name):
+        raise UsageError(
+            f"`name` {name!r}: is no C identifier (a letter first, then letters, digits and underscores)"
+        )
+    if len(name) > _LONGEST:
+        raise UsageError(f"`name` {name!r}: has {len(name)} characters; at most {_LONGEST} are allowed")
+    if name in RESERVED or name.lower() in RESERVED:
+        raise UsageError(f"`name` {name!r}: is a reserved word of C or C++ (choose another)")
+    if name.lower().startswith(_TAKEN):
+        raise UsageError(f"`name` {name!r}: is taken by the files of the export (choose another)")
+
+
+def hex_double(value: float) -> str:
+    """Return a C99 constant that is this float64 to the bit."""
+    return float(value).hex()
+
+
+def hex_float(value: float) -> str:
+    """Return a C99 constant that is this number's float32 to the bit."""
+    return float(np.float32(value)).hex() + "f"
+
+
+def integer(value: int) -> str:
+    """Return a C constant; the least 32-bit and 64-bit numbers have no literal of their own."""
+    value = int(value)
+    if value == -(2**31):
+        return "(-2147483647 - 1)"
+    if value == -(2**63):
+        return "(-INT64_C(9223372036854775807) - 1)"
+    return str(value) if abs(value) < 2**31 else f"INT64_C({value})"
+
+
+def array(kind: str, name: str, items: Sequence[str]) -> str:
+    """Return the definition of a constant array, private to its file, in lines of at most 108 characters."""
+    lines, line = [], "    "
+    for item in items:
+        if len(line) + len(item) + 1 > 108 and line.strip():
+            lines.append(line.rstrip())
+            line = "    "
+        line += item + ", "
+    lines.append(line.rstrip().removesuffix(","))
+    return f"static const {kind} {name}[{len(items)}] = {{\n" + "\n".join(lines) + "};\n"
+
+
+def struct_rows(rows: Iterable[Iterable[str]]) -> list[str]:
+    """Return initialisers of structures."""
+    return ["{" + ", ".join(row) + "}" for row in rows]
+
+
+def double_rows(rows: Iterable[Iterable[float]]) -> list[str]:
+    """Return initialisers of structures of float64."""
+    return struct_rows([hex_double(value) for value in row] for row in rows)
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """One run of the self-test, as C constants: the start, the inputs, and the outputs expected.
+
+    ``reset`` is None for a run after ``NAME_init``, else the drive given to ``NAME_reset``.
+    """
+
+    label: str
+    reset: str | None
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+
+
+@dataclass(frozen=True)
+class ModelCode:
+    """A model in one arithmetic as C, before it has a name.
+
+    Attributes
+    ----------
+    number : str
+        The type of inputs, outputs and drives.
+    members : list of str
+        Members of the state beside the output.
+    template : str
+        The template of NAME.c.
+    values : mapping
+        What it is filled with.
+    macros : list of (str, str, str)
+        Of NAME.h: name without the prefix, value, and what it is.
+    vectors : list of Vectors
+        The self-test.
+    headers : tuple of str
+        The kernel's headers beside ``dbo_kernel.h``.
+    table_bytes : int
+        The size of the constant tables.
+    bounds : mapping
+        Derived bounds on the error by name; empty for double.
+    """
+
+    number: str
+    members: list[str]
+    template: str
+    values: Values
+    macros: list[tuple[str, str, str]]
+    vectors: list[Vectors]
+    headers: tuple[str, ...]
+    table_bytes: int
+    bounds: Mapping[str, float]
+
+    @property
+    def state_bytes(self) -> int:
+        """The size of the state on a 32-bit chip, its members at their natural alignment."""
+        sizes = {
+            "uint64_t": (8, 8), "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4),
+            "size_t": (4, 4), "int": (4, 4), "dbo_backlash_state": (40, 8), "dbo_lookup_state": (16, 8),
+            "dbo_section_state": (24, 8), "dbo_inverse_state": (24, 8),
+            "dbo_memory": (8, 4 if self.number == "float" else 8),
+        }  # fmt: skip
+        total = 0
+        for kind, _, count in map(declared, [*self.members, f"{self.number} output;"]):
+            size, alignment = sizes[kind]
+            total = -(-total // alignment) * alignment + size * (count or 1)
+        return -(-total // 8) * 8
+
+
+def declared(member: str) -> tuple[str, str, int]:
+    """Return type, name and length of a member of the state; 0 where it is no array."""
+    kind, rest = member.removesuffix(";").split(" ", 1)
+    name, _, count = rest.removesuffix("]").partition("[")
+    return kind, name, int(count or 0)
+
+
+def delay_line(samples: int, number: str, between: str) -> tuple[list[str], str]:
+    """Return members and steps of a delay of so many samples and a part.
+
+    ``between`` is the expression between two samples, of ``later`` and ``earlier``. Before the first sample
+    the first value holds.
+    """
+    size = samples + 2
+    values = {
+        "SLOTS": str(size), "LATER": str(size - samples), "EARLIER": str(size - samples - 1),
+        "NUMBER": number, "BETWEEN": between,
+    }  # fmt: skip
+    members = [f"{number} delayed[{size}];", "uint32_t delay_at;", "int delay_filled;"]
+    return members, fill("delay_line.c", values)
+
+
+def model_sources(words: Values, code: ModelCode) -> dict[str, str]:
+    """Return NAME.h, NAME.c and NAME_test.c by template; ``words`` are what every file of an export knows."""
+    width = max((len(key) for key, _, _ in code.macros), default=0)
+    values = {
+        **words, **code.values, "NUMBER": code.number,
+        "macros": "".join(
+            f"#define {words['GUARD']}_{key:<{width}} {value} /* {meaning} */\n"
+            for key, value, meaning in code.macros
+        ),
+        "members": "".join(f"    {member}\n" for member in code.members),
+        "kernel_headers": "".join(f'#include "{header}"\n' for header in code.headers),
+    }  # fmt: skip
+    return {
+        "NAME.h": fill("NAME.h", values),
+        "NAME.c": fill(code.template, values),
+        "NAME_test.c": _self_test(values, code),
+    }
+
+
+def _self_test(values: Values, code: ModelCode) -> str:
+    vectors, runs = [], ""
+    for k, run in enumerate(code.vectors):
+        vectors.append(array(code.number, f"inputs_{k}", run.inputs))
+        vectors.append(array(code.number, f"expected_{k}", run.outputs))
+        start = "init(&state)" if run.reset is None else f"reset(&state, {run.reset})"
+        runs += (
+            f"    {values['NAME']}_{start};\n"
+            f'    wrong += play("{run.label}", &state, inputs_{k}, expected_{k}, {len(run.inputs)}U);\n'
+        )
+    bits = {"double": "uint64_t", "float": "uint32_t", "int32_t": "int32_t"}[code.number]
+    count = str(sum(len(run.inputs) for run in code.vectors))
+    return fill(
+        "NAME_test.c", {**values, "BITS": bits, "COUNT": count, "vectors": "\n".join(vectors), "runs": runs}
+    )
