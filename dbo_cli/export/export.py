@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import re
+from dataclasses import asdict, replace
 from importlib import resources
 from typing import Literal
 
@@ -14,11 +15,12 @@ from dbo_cli.export.export_folder import FORMAT, MANIFEST, check_folder, write_f
 from dbo_cli.export.host_files import fmu_bytes, library_files
 from dbo_cli.export.project_files import ExportSummary, project_files
 from dbo_cli.export.single_code import single_code
-from dbo_cli.export.source_text import ModelCode, Values, check_name, model_sources
-from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
+from dbo_cli.export.source_text import ModelCode, Values, check_name, fill, model_sources, plain
+from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, Quantity
 
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
+_KERNEL_NAME = re.compile(r"\bdbo_\w+\b(?!\.)")  # types and functions, but not the names of files
 
 
 def export_model(
@@ -63,17 +65,24 @@ def export_model(
     check_name(name)
     _check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
     check_folder(folder, overwrite)
+    model = replace(model, input=_plain(model.input), output=_plain(model.output))
     model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
     plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
     code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
     summary = _summary(plan, code, folder, name, arithmetic, loss)
     files = _files(plan, code, summary, arduino, fmu, shared)
-    summary = dataclasses.replace(summary, files=(*sorted(files), MANIFEST))
-    manifest = {"format": FORMAT, "version": 1, **dataclasses.asdict(summary)}
+    summary = replace(summary, files=(*sorted(files), MANIFEST))
+    manifest = {"format": FORMAT, "version": 1, **asdict(summary)}
     del manifest["folder"]
     files[MANIFEST] = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
     write_folder(folder, {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}, overwrite)
     return summary
+
+
+def _plain(quantity: Quantity) -> Quantity:
+    """Return a quantity whose name and unit end no comment that they stand in."""
+    unit = None if quantity.unit is None else plain(quantity.unit)
+    return replace(quantity, quantity=plain(quantity.quantity), unit=unit)
 
 
 def _check_choices(arithmetic: str, direction: str, double_only: dict[str, bool], arduino: bool) -> None:
@@ -116,12 +125,12 @@ def _summary(
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
         state_bytes=code.state_bytes, worst_runs=rows * (2 if twice else 1),
         vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
-        notes=tuple(_notes(plan, loss)),
+        notes=tuple(_notes(plan, loss, name if arithmetic == "q31" else None)),
     )  # fmt: skip
 
 
-def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
-    """Return what the caller must know or do."""
+def _notes(plan: CascadePlan, loss: dict[str, float], counted: str | None) -> list[str]:
+    """Return what the caller must know or do; ``counted`` is the name of an export in counts."""
     notes, ahead, limits = [], plan.read_ahead, plan.limits
     unit = f" {plan.model.output.unit}" if plan.model.output.unit else ""
     if plan.time_step is not None:
@@ -150,7 +159,13 @@ def _notes(plan: CascadePlan, loss: dict[str, float]) -> list[str]:
             f"{plan.backlash.n} gears instead of the model's: {loss['max']:.3g}{tail}"
             f" ({loss['max_percent']:.2g} % of the range) at most, {loss['rms']:.3g}{tail} RMS on test moves."
         )
-    notes.append("Inputs that are no numbers, or absurd, are ignored: the last output comes again.")
+    ignored = "Inputs that are no numbers, or absurd, are ignored: the last output comes again."
+    if counted is not None:
+        ignored = (
+            "Inputs that are no numbers, or beyond twice the range, are ignored: the last output comes again."
+            f" {counted.upper()}_IN(x) gives {counted.upper()}_IGNORED for them; it reads x more than once."
+        )
+    notes.append(ignored)
     return notes
 
 
@@ -169,7 +184,7 @@ def _files(
     }  # fmt: skip
     own = {file.replace("NAME", name): text for file, text in model_sources(words, code).items()}
     test = own.pop(f"{name}_test.c")
-    sources = own | _kernel_files(summary.arithmetic, code.headers)
+    sources = own | _kernel_files(name, summary.arithmetic, code.headers)
     files: dict[str, str | bytes] = {**project_files(plan, code, summary, words, sources, test, arduino)}
     if shared:
         files |= library_files(plan, words, sources)
@@ -178,7 +193,19 @@ def _files(
     return files
 
 
-def _kernel_files(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
+def _kernel_files(name: str, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
+    """Return the kernel's sources as they are, and headers that make their names this export's own."""
+    files = _kernel_texts(arithmetic, headers)
+    names = sorted({word for text in files.values() for word in _KERNEL_NAME.findall(text)})
+    for file in [file for file in files if file.endswith(".h")]:
+        guard = file.upper().replace(".", "_")
+        words = {"NAME": name, "OWN_GUARD": f"{name.upper()}_{guard}", "KERNEL_GUARD": guard}
+        files[file] = fill("kernel_header.h", {**words, "text": files[file]})
+    defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
+    return {**files, f"{name}_names.h": fill("NAME_names.h", {"names": defined})}
+
+
+def _kernel_texts(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources under the names they have in every export."""
     package, firmware = resources.files("dbo_cli.hysteresis"), resources.files("dbo_cli.export") / "firmware"
     if arithmetic == "double":

@@ -10,10 +10,9 @@ import numpy as np
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
 from dbo_cli.export.error_bounds import derive_bounds
-from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
-from dbo_cli.export.single_tables import axes_of, check_memories, counts_of_range, single_tables
+from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables
+from dbo_cli.export.single_tables import axes_of, check_memories, counts_of_range, single_tables, to_counts
 from dbo_cli.export.source_text import ModelCode, Vectors, array, delay_line, hex_float, integer, struct_rows
-from dbo_cli.hysteresis.model import Quantity
 
 Text = Callable[[Any], str]
 
@@ -37,7 +36,6 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     t = single_tables(plan, axes, q31, bounds.tolerance)
     text: Text = integer if q31 else hex_float
     number = "int32_t" if q31 else "float"
-    first = text(to_counts(plan.first_output, plan.model.output) if q31 else plan.first_output)
     spare = plan.spare_words(32)
     tables, size = _tables(t, text)
     if spare:
@@ -56,7 +54,9 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "WORDS": str(_words(t)), "TERMS": str(len(t.terms)), "COVERED": str(plan.covered),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
-        "FIRST_OUTPUT": first, "REACH": f"{ignored_beyond(plan.model.input)}F",
+        "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
+        "CHANGE": "" if t.change is None else text(t.change), "DRIVE_REACH": f"{ignored_beyond(plan.drive)}F",
+        "REACH": f"{ignored_beyond(plan.model.input)}F",
         "Y_SHIFT": str(t.y_shift),
     }  # fmt: skip
     for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
@@ -123,20 +123,19 @@ def _between(t: SingleTables, text: Text) -> str:
     return f"dbo_counts_of({both}, 30U)"
 
 
-def to_counts(value: float, quantity: Quantity) -> int:
-    """Return a value in counts of q31, saturating."""
-    middle, unit = counts_of_range(quantity)
-    return clamped(round((value - middle) / unit))
-
-
 def _count_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
     found = []
     for key, quantity in (("IN(x)", plan.model.input), ("OUT(q)", plan.model.output)):
         middle, unit = counts_of_range(quantity)
         what = f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}"
         if key == "IN(x)":
-            value = f"((int32_t)(((x) - {middle!r}) * {1.0 / unit!r}))"
-            found.append((key, value, f"{what} to counts; within twice the range"))
+            counts = f"((x) - {middle!r}) * {1.0 / unit!r}"
+            value = (
+                f"({counts} > -2147483648.0 && {counts} < 2147483648.0"
+                f" ? (int32_t)({counts}) : (-2147483647 - 1))"
+            )
+            found.append(("IGNORED", "(-2147483647 - 1)", "no number: the last output comes again"))
+            found.append((key, value, f"{what} to counts; IGNORED beyond twice the range"))
         else:
             found.append((key, f"((q) * {unit!r} + {middle!r})", f"counts to {what}"))
     return found

@@ -22,16 +22,12 @@ typedef struct {
 /* The start after the drive has been at or below its lower end: no gear is engaged, nothing remembered. */
 void NAME_init(NAME_state *state);
 
-/* The start of an actuator that was switched on and trimmed to this drive, and rests there. */
+/* The start of an actuator that was switched on and trimmed to this drive, and rests there;
+ * as NAME_init where the drive is not a number. */
 void NAME_reset(NAME_state *state, NUMBER drive);
 
-/*? counts */
-/* One sample: MEANING. Every input is a number. */
-/*: counts */
-/*? !counts */
 /* One sample: MEANING. An input that is not a number is ignored:
  * the last output comes again. */
-/*: counts */
 NUMBER NAME_step(NAME_state *state, NUMBER input);
 
 #ifdef __cplusplus

@@ -1,3 +1,5 @@
-/* The kernel's names as this export has them: what is compiled of it bears the export's name, so that
- * exports of any arithmetic stand in one program. Read anew by each of the kernel's headers. */
+/* The kernel's names, made this export's own: exports of any arithmetic stand side by side in one program.
+ * Each of the kernel's headers reads this again, since another export may have been included between. */
+#undef DBO_FLOAT
+#undef DBO_Q31
 /*+ names */

@@ -43,8 +43,9 @@ void NAME_init(NAME_state *state) {
 void NAME_reset(NAME_state *state, double drive) {
     double x = drive;
     NAME_init(state);
+    if (!(x >= -DRIVE_REACH && x <= DRIVE_REACH)) return;
 /*? inverse */
-    state->output = drive;
+    state->output = x < LOWEST_OUTPUT ? LOWEST_OUTPUT : x > HIGHEST_OUTPUT ? HIGHEST_OUTPUT : x;
 /*: inverse */
 /*+ drive_steps */
 /*? lookup */

@@ -33,8 +33,14 @@ void NAME_init(NAME_state *state) {
 void NAME_reset(NAME_state *state, NUMBER drive) {
     NUMBER x = drive;
     NAME_init(state);
+/*? counts */
+    if (x == GUARD_IGNORED) return;
+/*: counts */
+/*? !counts */
+    if (!(x >= -DRIVE_REACH && x <= DRIVE_REACH)) return;
+/*: counts */
 /*? inverse */
-    state->output = drive;
+    state->output = x < LOWEST_OUTPUT ? LOWEST_OUTPUT : x > HIGHEST_OUTPUT ? HIGHEST_OUTPUT : x;
 /*: inverse */
     dbo_backlash_settle(&op, &state->gears, COVEREDU, SPARE,
                         dbo_segments_step(drives, DRIVE_ROWSU, DRIVE_SHIFTU, &state->segments[2], x));
@@ -42,6 +48,9 @@ void NAME_reset(NAME_state *state, NUMBER drive) {
 
 NUMBER NAME_step(NAME_state *state, NUMBER input) {
     NUMBER x = input;
+/*? counts */
+    if (x == GUARD_IGNORED) return state->output;
+/*: counts */
 /*? !counts */
     if (!(x >= -REACH && x <= REACH)) return state->output;
 /*: counts */
@@ -57,6 +66,16 @@ NUMBER NAME_step(NAME_state *state, NUMBER input) {
 /*? !counts */
     x = dbo_segments_step(behind, BEHIND_ROWSU, BEHIND_SHIFTU, &state->segments[1], (float)dbo_counts_of(y, Y_SHIFTU));
 /*: counts */
+/*? slew */
+/*? counts */
+    if ((int64_t)x - state->output < -CHANGE) x = (int32_t)(state->output - CHANGE);
+    if ((int64_t)x - state->output > CHANGE) x = (int32_t)(state->output + CHANGE);
+/*: counts */
+/*? !counts */
+    if (x < state->output - CHANGE) x = state->output - CHANGE;
+    if (x > state->output + CHANGE) x = state->output + CHANGE;
+/*: counts */
+/*: slew */
 /*? inverse */
     x = x < LOWEST_OUTPUT ? LOWEST_OUTPUT : x > HIGHEST_OUTPUT ? HIGHEST_OUTPUT : x;
 /*: inverse */
