@@ -15,11 +15,7 @@ from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity
-from dbo_cli.hysteresis.operators import (
-    BacklashState,
-    DiscreteBacklashOperator,
-    DiscretePointOperator,
-)
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 
 Floats = NDArray[np.float64]
 Direction = Literal["forward", "inverse"]
@@ -176,16 +172,6 @@ class CascadePlan:
         """The drive that the self-test resets to: a little below the middle, inside of a gear."""
         return self.drive.minimum + 0.37 * self.drive.span
 
-    @property
-    def macros(self) -> list[tuple[str, str, str]]:
-        """What every header defines: the clock, and the delay that the caller must read ahead."""
-        macros = []
-        if self.time_step is not None:
-            macros.append(("SAMPLE_RATE_HZ", repr(1.0 / self.time_step), "call the step so often"))
-        if self.read_ahead > 0.0:
-            macros.append(("READ_AHEAD_S", repr(self.read_ahead), "give the input this much earlier"))
-        return macros
-
     def empty_state(self) -> ModelState:
         """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""
         memory = (0.0,) * self.terms if self.terms else None
@@ -215,10 +201,7 @@ _KINDS = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | Dynamic
 
 
 def plan_cascade(
-    model: ActuatorModel,
-    direction: Direction,
-    sample_rate: float | None,
-    limits: DriveLimits | None,
+    model: ActuatorModel, direction: Direction, sample_rate: float | None, limits: DriveLimits | None
 ) -> CascadePlan:
     """Return the plan of one direction of a model; limits are for an inverse.
 

@@ -69,8 +69,9 @@ def export_model(
     model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
     plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
     code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
-    summary = _summary(plan, code, folder, name, arithmetic, loss)
-    files = _files(plan, code, summary, arduino, fmu, shared)
+    words = _words(plan, name, arithmetic)
+    summary = _summary(plan, code, folder, name, arithmetic, loss, tuple(_notes(plan, loss, words)))
+    files = _files(plan, code, summary, words, arduino, fmu, shared)
     summary = replace(summary, files=(*sorted(files), MANIFEST))
     manifest = {"format": FORMAT, "version": 1, **asdict(summary)}
     del manifest["folder"]
@@ -115,8 +116,9 @@ def _limits(
 
 
 def _summary(
-    plan: CascadePlan, code: ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float]
-) -> ExportSummary:
+    plan: CascadePlan, code: ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float],
+    notes: tuple[str, ...],
+) -> ExportSummary:  # fmt: skip
     run = plan.backlash.equal_run
     rows = -(-plan.backlash.n // run)
     twice = plan.direction == "inverse" and plan.model.drive_lag is not None  # where the limits hold back
@@ -125,69 +127,63 @@ def _summary(
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
         state_bytes=code.state_bytes, worst_runs=rows * (2 if twice else 1),
         vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
-        notes=tuple(_notes(plan, loss, name if arithmetic == "q31" else None)),
+        notes=notes,
     )  # fmt: skip
 
 
-def _notes(plan: CascadePlan, loss: dict[str, float], counted: str | None) -> list[str]:
-    """Return what the caller must know or do; ``counted`` is the name of an export in counts."""
-    notes, ahead, limits = [], plan.read_ahead, plan.limits
-    unit = f" {plan.model.output.unit}" if plan.model.output.unit else ""
-    if plan.time_step is not None:
-        notes.append(
-            f"Call the step at a fixed {1.0 / plan.time_step:.12g} Hz: lag, creep and slew are in the tables"
-            " for that step; another rate is another export."
-        )
-    if ahead > 0.0:
-        steps = 0.0 if plan.time_step is None else round(ahead / plan.time_step, 6)
-        samples = "" if plan.time_step is None else f" ({steps:.6g} sample{'s' if steps > 1 else ''})"
-        notes.append(
-            f"Read {ahead:.9g} s{samples} ahead: give the displacement that is wanted so much later. Where"
-            " the trajectory is not known in advance, the actuator lags by that time."
-        )
-    if limits is not None:
-        slew = "" if limits.max_slew is None else f", changing by at most {limits.max_slew!r} a second"
-        notes.append(
-            f"The drive is kept within {limits.v_min!r} ... {limits.v_max!r}{unit}{slew};"
-            " the range wins over the slew limit. Where a limit binds, the state is that of the actuator as"
-            " it is driven."
-        )
-    if loss:
-        forward_unit = plan.model.input.unit if plan.direction == "inverse" else plan.model.output.unit
-        tail = f" {forward_unit}" if forward_unit else ""
-        notes.append(
-            f"{plan.backlash.n} gears instead of the model's: {loss['max']:.3g}{tail}"
-            f" ({loss['max_percent']:.2g} % of the range) at most, {loss['rms']:.3g}{tail} RMS on test moves."
-        )
-    ignored = "Inputs that are no numbers, or absurd, are ignored: the last output comes again."
-    if counted is not None:
-        ignored = (
-            "Inputs that are no numbers, or beyond twice the range, are ignored: the last output comes again."
-            f" {counted.upper()}_IN(x) gives {counted.upper()}_IGNORED for them; it reads x more than once."
-        )
-    notes.append(ignored)
-    return notes
-
-
-def _files(
-    plan: CascadePlan, code: ModelCode, summary: ExportSummary, arduino: bool, fmu: bool, shared: bool
-) -> dict[str, str | bytes]:
-    """Return the content of every file by its path in the folder."""
-    name, model = summary.name, plan.model
-    words: Values = {
+def _words(plan: CascadePlan, name: str, arithmetic: str) -> Values:
+    """Return what every file of an export knows."""
+    model, inverse = plan.model, plan.direction == "inverse"
+    return {
         "NAME": name, "GUARD": name.upper(),
         "TITLE": f"The {plan.direction} hysteresis model of an actuator,"
         f" {model.input.quantity} to {model.output.quantity}",
         "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
-        "MEANING": "the displacement wanted in, the drive out" if plan.direction == "inverse"
-        else "the drive in, the displacement out",
+        "MEANING": f"the {'displacement wanted' if inverse else 'drive'} in,"
+        f" the {'drive' if inverse else 'displacement'} out",
+        "timed": plan.time_step is not None, "ahead": plan.read_ahead > 0.0, "inverse": inverse,
+        "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
+        "RATE": repr(0.0 if plan.time_step is None else 1.0 / plan.time_step),
     }  # fmt: skip
+
+
+def _notes(plan: CascadePlan, loss: dict[str, float], words: Values) -> list[str]:
+    """Return what the caller must know or do."""
+    found: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.backlash.n)}
+    drive, forward = plan.drive, plan.model if plan.direction == "forward" else plan.model.inverse()
+    if plan.time_step is not None:
+        steps = round(plan.read_ahead / plan.time_step, 6)
+        found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
+        found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
+    if plan.limits is not None:
+        slew = plan.limits.max_slew
+        found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), (
+            f"{plan.limits.v_max!r}{_tail(drive)}"
+            f"{'' if slew is None else f', changing by at most {slew!r} a second'}"
+        )
+    if loss:
+        unit = _tail(forward.output)
+        most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
+        found["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
+    return fill("notes.md", {**words, **found}).splitlines()
+
+
+def _tail(quantity: Quantity) -> str:
+    return f" {quantity.unit}" if quantity.unit else ""
+
+
+def _files(
+    plan: CascadePlan, code: ModelCode, summary: ExportSummary, words: Values, arduino: bool, fmu: bool,
+    shared: bool,
+) -> dict[str, str | bytes]:  # fmt: skip
+    """Return the content of every file by its path in the folder."""
+    name = summary.name
     own = {file.replace("NAME", name): text for file, text in model_sources(words, code).items()}
     test = own.pop(f"{name}_test.c")
     sources = own | _kernel_files(name, summary.arithmetic, code.headers)
     files: dict[str, str | bytes] = {**project_files(plan, code, summary, words, sources, test, arduino)}
     if shared:
-        files |= library_files(plan, words, sources)
+        files |= library_files(words, sources)
     if fmu:
         files[f"{name}.fmu"] = fmu_bytes(plan, words, sources)
     return files

@@ -26,7 +26,7 @@ from dbo_cli.export.source_text import Values, fill
 _EARLIEST = (1980, 1, 1, 0, 0, 0)  # zip's first date: the same export gives the same bytes
 
 
-def library_files(plan: CascadePlan, words: Values, code: Mapping[str, str]) -> dict[str, str | bytes]:
+def library_files(words: Values, code: Mapping[str, str]) -> dict[str, str | bytes]:
     """Return header, source and binary of the flat library of an export in float64.
 
     Raises
@@ -34,10 +34,8 @@ def library_files(plan: CascadePlan, words: Values, code: Mapping[str, str]) -> 
     OutputError
         There is no compiler, or it refuses.
     """
-    rate = 0.0 if plan.time_step is None else 1.0 / plan.time_step
-    values = {**words, "RATE": repr(rate), "AHEAD": repr(plan.read_ahead)}
     name = words["NAME"]
-    flat = {f"{name}_library.{kind}": fill(f"NAME_library.{kind}", values) for kind in ("h", "c")}
+    flat = {f"{name}_library.{kind}": fill(f"NAME_library.{kind}", words) for kind in ("h", "c")}
     return {**flat, f"lib{name}{_library_suffix()}": _compile({**code, **flat})}
 
 

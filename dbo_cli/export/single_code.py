@@ -61,11 +61,14 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     }  # fmt: skip
     for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
         values |= {f"{label}_ROWS": str(len(segments.x)), f"{label}_SHIFT": str(segments.shift)}
-    macros = plan.macros + (_count_macros(plan) if q31 else [])
+    for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
+        middle, unit = counts_of_range(quantity)
+        values |= {
+            f"{way}_MIDDLE": repr(middle), f"{way}_COUNT": repr(unit), f"{way}_COUNTS": repr(1.0 / unit),
+            f"{way}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
+        }  # fmt: skip
     figures = bounds.figures(plan.model.output.span)
-    return ModelCode(
-        number, members, "single.c", values, macros, _vectors(plan, t, text), (), size, figures
-    )
+    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), (), size, figures)
 
 
 def _words(t: SingleTables) -> int:
@@ -121,24 +124,6 @@ def _between(t: SingleTables, text: Text) -> str:
         return f"later + {text(part)} * (earlier - later)"
     both = f"(int64_t)later * {2**30} + (int64_t){part} * ((int64_t)earlier - later)"
     return f"dbo_counts_of({both}, 30U)"
-
-
-def _count_macros(plan: CascadePlan) -> list[tuple[str, str, str]]:
-    found = []
-    for key, quantity in (("IN(x)", plan.model.input), ("OUT(q)", plan.model.output)):
-        middle, unit = counts_of_range(quantity)
-        what = f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}"
-        if key == "IN(x)":
-            counts = f"((x) - {middle!r}) * {1.0 / unit!r}"
-            value = (
-                f"({counts} > -2147483648.0 && {counts} < 2147483648.0"
-                f" ? (int32_t)({counts}) : (-2147483647 - 1))"
-            )
-            found.append(("IGNORED", "(-2147483647 - 1)", "no number: the last output comes again"))
-            found.append((key, value, f"{what} to counts; IGNORED beyond twice the range"))
-        else:
-            found.append((key, f"((q) * {unit!r} + {middle!r})", f"counts to {what}"))
-    return found
 
 
 def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:

@@ -13,17 +13,6 @@ from dbo_cli.errors import UsageError
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _LONGEST = 40  # NAME_names.h and the longest names of the kernel stay far below what linkers and disks hold
-RESERVED = frozenset(
-    """alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t
-    char32_t class compl concept const consteval constexpr constinit const_cast continue co_await
-    co_return co_yield decltype default delete do double dynamic_cast else enum explicit export
-    extern false float for friend goto if inline int long mutable namespace new noexcept not not_eq
-    nullptr operator or or_eq private protected public register reinterpret_cast requires restrict
-    return short signed sizeof static static_assert static_cast struct switch template this
-    thread_local throw true try typedef typeid typename typeof union unsigned using virtual void
-    volatile wchar_t while xor xor_eq main setup loop errno assert offsetof stdin stdout stderr
-    NULL INFINITY NAN abort exit free malloc memcmp memcpy memset printf puts""".split()
-)
 _TAKEN = ("dbo_", "fmi2", "example_main", "int8_t", "int16_t", "int32_t", "int64_t", "size_t", "uint")
 
 Values = Mapping[str, str | bool]
@@ -33,6 +22,14 @@ _SECTION = re.compile(rf"{_MARK}\? (!?)(\w+){_END}(.*?){_MARK}: \2{_END}", re.M 
 _LINES = re.compile(rf"{_MARK}\+ (\w+){_END}", re.M)
 
 
+def _template(name: str) -> str:
+    return (resources.files("dbo_cli.export") / "templates" / name).read_text(encoding="utf-8")
+
+
+RESERVED = frozenset(_template("reserved_words.txt").split())
+"""Words of C and C++, and names that every program has."""
+
+
 def fill(template: str, values: Values) -> str:
     """Return a file of ``templates/`` filled in.
 
@@ -40,7 +37,7 @@ def fill(template: str, values: Values) -> str:
     that is the comment ``+ name`` for lines of text; lines between the comments ``? name`` and ``: name``
     stay where the value is true (``? !name``: where it is not). Values are not searched for names.
     """
-    text = (resources.files("dbo_cli.export") / "templates" / template).read_text(encoding="utf-8")
+    text = _template(template)
     while _SECTION.search(text):
         text = _SECTION.sub(lambda at: at[3] if bool(values[at[2]]) != bool(at[1]) else "", text)
     names = sorted((name for name in values if name.isupper()), key=len, reverse=True)
@@ -145,8 +142,6 @@ class ModelCode:
         The template of NAME.c.
     values : mapping
         What it is filled with.
-    macros : list of (str, str, str)
-        Of NAME.h: name without the prefix, value, and what it is.
     vectors : list of Vectors
         The self-test.
     headers : tuple of str
@@ -161,7 +156,6 @@ class ModelCode:
     members: list[str]
     template: str
     values: Values
-    macros: list[tuple[str, str, str]]
     vectors: list[Vectors]
     headers: tuple[str, ...]
     table_bytes: int
@@ -207,13 +201,8 @@ def delay_line(samples: int, number: str, between: str) -> tuple[list[str], str]
 
 def model_sources(words: Values, code: ModelCode) -> dict[str, str]:
     """Return NAME.h, NAME.c and NAME_test.c by template; ``words`` are what every file of an export knows."""
-    width = max((len(key) for key, _, _ in code.macros), default=0)
     values = {
         **words, **code.values, "NUMBER": code.number,
-        "macros": "".join(
-            f"#define {words['GUARD']}_{key:<{width}} {value} /* {meaning} */\n"
-            for key, value, meaning in code.macros
-        ),
         "members": "".join(f"    {member}\n" for member in code.members),
         "kernel_headers": "".join(f'#include "{header}"\n' for header in code.headers),
     }  # fmt: skip

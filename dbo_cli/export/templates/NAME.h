@@ -11,7 +11,21 @@
 extern "C" {
 #endif
 
-/*+ macros */
+/*? timed */
+#define GUARD_SAMPLE_RATE_HZ RATE /* call the step so often */
+/*: timed */
+/*? ahead */
+#define GUARD_READ_AHEAD_S   AHEAD /* give the input this much earlier */
+/*: ahead */
+/*? counts */
+#define GUARD_IGNORED        (-2147483647 - 1) /* no number: the last output comes again */
+/* INPUT_LABEL to counts, IGNORED beyond twice the range; and counts to OUTPUT_LABEL */
+#define GUARD_IN(x) \
+    (((x) - INPUT_MIDDLE) * INPUT_COUNTS > -2147483648.0 && ((x) - INPUT_MIDDLE) * INPUT_COUNTS < 2147483648.0 \
+         ? (int32_t)(((x) - INPUT_MIDDLE) * INPUT_COUNTS) \
+         : GUARD_IGNORED)
+#define GUARD_OUT(q) ((q) * OUTPUT_COUNT + OUTPUT_MIDDLE)
+/*: counts */
 
 /* All that one sample leaves behind for the next; may be copied. */
 typedef struct {
