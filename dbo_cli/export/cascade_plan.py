@@ -133,6 +133,12 @@ class CascadePlan:
         return factors
 
     @property
+    def kappa(self) -> float:
+        """The immediate part of the memory on an inverse's output: sum c_j (1 - a_j), term by term."""
+        on_output = self.backlash.memory_on == "output"
+        return float(sum((self.gain * (1.0 - self.decay)).tolist())) if on_output else 0.0
+
+    @property
     def reference(self) -> float:
         """The drive, as the backlash stage meets it, at which nothing is remembered."""
         return self.backlash.relaxation.reference if self.backlash.relaxation else 0.0

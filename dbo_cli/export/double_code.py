@@ -104,15 +104,11 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
 def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
     """Add the gears: run by the package's kernel, or a table of all their states."""
     gears, rest = plan.backlash, 1.0 - plan.decay
-    on_output = gears.memory_on == "output"
     run = 1 if lookup else gears.equal_run
-    fixed = lookup or plan.limits is not None or (plan.terms > 0 and on_output)
-    limits, kappa, terms, corners = plan.inner_limits, 0.0, "", ""
-    if on_output:
-        for gain, part in zip(plan.gain.tolist(), rest.tolist(), strict=True):
-            kappa += gain * part
+    limits, kappa, terms, corners = plan.inner_limits, plan.kappa, "", ""
+    fixed = lookup or limits is not None
     if plan.terms:
-        terms = "".join(_doubles(name, values) for name, values in (("gain", plan.gain), ("decay", plan.decay)))
+        terms = _doubles("gain", plan.gain) + _doubles("decay", plan.decay)
     rows = gears.gears[::run]
     parts.size = 32 * len(rows) + 16 * plan.terms + fixed * (24 * len(rows) + 8 * plan.terms)
     # As dbo_prepare_fixed_step computes it.
@@ -127,13 +123,14 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
     spare = [] if lookup else plan.spare_words(64)
     lagging = plan.model.drive_lag is not None  # then the limits are made anew for each sample
     values: dict[str, str | bool] = {
-        "terms": plan.terms > 0, "fixed": fixed, "lookup": lookup, "limited": limits is not None and not lagging,
+        "terms": plan.terms > 0, "fixed": fixed, "lookup": lookup, "limits": limits is not None,
+        "constant_limits": limits is not None and not lagging,
         "slew": plan.slew_step is not None,
         "gear_rows": c.array("dbo_gear", "gears", c.double_rows(rows)), "term_tables": terms,
         "fixed_rows": c.array("dbo_fixed_gear", "fixed_gears", c.double_rows(steps)),
         "rest_table": _doubles("rest", rest) if plan.terms else "", "corner_tables": corners,
         "spare_table": c.array("uint64_t", "spare", spare) if spare else "",
-        "GEARS": str(gears.n), "RUN": str(run), "TERMS": str(plan.terms), "ON_OUTPUT": str(int(on_output)),
+        "GEARS": str(gears.n), "RUN": str(run), "TERMS": str(plan.terms), "ON_OUTPUT": str(int(gears.memory_on == "output")),
         "CHANGE": c.hex_double(plan.slew_step or 0.0), "LIMITS": "&within" if lagging else "&limits",
     }  # fmt: skip
     slack = 0.0 if limits is None else NEGLIGIBLE * (limits.v_max - limits.v_min)
@@ -144,7 +141,7 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
     }  # fmt: skip
     values |= {key: c.hex_double(value) for key, value in numbers.items()}
     parts.tables = c.fill("double_tables.c", values)
-    parts.gears = c.fill("double_gears.c", {**values, "limits": limits is not None})
+    parts.gears = c.fill("double_gears.c", values)
 
 
 def _doubles(name: str, values: Floats) -> str:
@@ -231,20 +228,15 @@ def _undone_dynamics(plan: CascadePlan, parts: _Parts) -> None:
     assert plan.inverter is not None
     undone, rows, windows, steps = plan.inverter.parts[::-1], [], "", ""
     for k, part in enumerate(undone):
-        ahead, weights = part.weight.size, "0"
+        ahead, weights, window = part.weight.size, "0", f"window_{k}"
         if ahead:
             weights = f"weights_{k}"
-            parts.tables += c.array("double", weights, [c.hex_double(v) for v in part.weight])
-            steps += (
-                f"    for (size_t k = 0; k < {ahead}; k++) state->window_{k}[k] = state->window_{k}[k + 1];\n"
-            )
-        parts.members.append(f"double window_{k}[{ahead + 1}];")
+            parts.tables += _doubles(weights, part.weight)
+        parts.members.append(f"double {window}[{ahead + 1}];")
         rows.append([*(c.hex_double(v) for v in np.ravel(part.numbers)), str(ahead), weights])
-        windows += f"        for (size_t k = 0; k < {ahead + 1}; k++) state->window_{k}[k] = x;\n"
-        steps += (
-            f"    state->window_{k}[{ahead}] = x;\n"
-            f"    dbo_dynamics_undo(&sections[{k}], &state->sections[{k}], state->window_{k}, &x, 1);\n"
-        )
+        windows += f"        for (size_t k = 0; k < {ahead + 1}; k++) state->{window}[k] = x;\n"
+        words: c.Values = {"WINDOW": window, "AHEAD": str(ahead), "PLACE": str(k), "ahead": ahead > 0}
+        steps += c.fill("dynamics_undo.c", words)
     parts.tables += c.array("dbo_section_inverse", "sections", c.struct_rows(rows))
     parts.size += 72 * len(undone) + 8 * plan.inverter.ahead
     parts.members += [f"dbo_inverse_state sections[{len(undone)}];", "int moving;"]
@@ -265,7 +257,8 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     parts.size += 64
     parts.members += ["dbo_section_state lag;", "int lagging;"]
     if plan.direction == "forward":
-        parts.tables += c.array("dbo_section_step", "lag_step", c.double_rows(lag.rows(plan.time_step))) + output
+        rows = c.double_rows(lag.rows(plan.time_step))
+        parts.tables += c.array("dbo_section_step", "lag_step", rows) + output
         return c.fill("lag_forward.c", {"once": parts.once})
     assert plan.limits is not None
     assert plan.inner_limits is not None
@@ -309,23 +302,15 @@ def _kept(member: str) -> tuple[str, str]:
 
 
 def _vectors(plan: CascadePlan) -> list[c.Vectors]:
-    trimmed = plan.trimmed_drive
-    runs = ("after init", None, plan.empty_state()), (
-        "after reset", c.hex_double(trimmed), plan.settled_state(trimmed),
-    )  # fmt: skip
-    found = []
-    for seed, (label, reset, state) in enumerate(runs, 1):
+    trimmed, found = plan.trimmed_drive, []
+    for seed, reset in enumerate((None, trimmed), 1):
+        state = plan.empty_state() if reset is None else plan.settled_state(reset)
         moves = self_test_moves(plan.model.input.minimum, plan.model.input.maximum, seed)
-        given = _after_dynamics(plan, moves)
+        given = moves
+        if plan.inverter is not None:  # what reaches the other stages while the moves go into the window
+            held = np.concatenate([np.full(plan.inverter.ahead, moves[0]), moves])
+            given = plan.inverter.run(held, plan.inverter.rest(float(moves[0])))[0]
         y = plan.model.simulate(given, state, time_step=plan.time_step, limits=plan.limits).y
-        texts = ([c.hex_double(v) for v in values] for values in (moves, y))
-        found.append(c.Vectors(label, reset, *texts))
+        start = None if reset is None else c.hex_double(reset)
+        found.append(c.Vectors(start, *([c.hex_double(v) for v in values] for values in (moves, y))))
     return found
-
-
-def _after_dynamics(plan: CascadePlan, moves: Floats) -> Floats:
-    """Return what reaches an inverse model's other stages while ``moves`` go into the window."""
-    if plan.inverter is None:
-        return moves
-    held = np.concatenate([np.full(plan.inverter.ahead, moves[0]), moves])
-    return plan.inverter.run(held, plan.inverter.rest(float(moves[0])))[0]

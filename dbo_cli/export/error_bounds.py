@@ -57,13 +57,10 @@ class Bounds:
 
     def figures(self, span: float) -> dict[str, float]:
         """Return the bounds by name, in the output's unit and in % of a range."""
-        return {
-            "same_gears": self.same_gears,
-            "same_gears_percent": 100.0 * self.same_gears / span,
-            "after_close_turn": self.after_close_turn,
-            "after_close_turn_percent": 100.0 * self.after_close_turn / span,
-            "close_turn_fraction": self.tolerance,
-        }
+        found: dict[str, float] = {}
+        for key, value in (("same_gears", self.same_gears), ("after_close_turn", self.after_close_turn)):
+            found |= {key: value, f"{key}_percent": 100.0 * value / span}
+        return {**found, "close_turn_fraction": self.tolerance}
 
 
 def _function_error(

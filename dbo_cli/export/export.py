@@ -9,14 +9,14 @@ from importlib import resources
 from typing import Literal
 
 from dbo_cli.errors import UsageError
+from dbo_cli.export import source_text as c
 from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
 from dbo_cli.export.double_code import double_code
 from dbo_cli.export.export_folder import FORMAT, MANIFEST, check_folder, write_folder
 from dbo_cli.export.host_files import fmu_bytes, library_files
 from dbo_cli.export.project_files import ExportSummary, project_files
 from dbo_cli.export.single_code import single_code
-from dbo_cli.export.source_text import ModelCode, Values, check_name, fill, model_sources, plain
-from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, Quantity
+from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
@@ -62,10 +62,10 @@ def export_model(
     OutputError
         The folder exists already or cannot be written; ``fmu`` or ``shared`` find no C compiler.
     """
-    check_name(name)
+    c.check_name(name)
     _check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
     check_folder(folder, overwrite)
-    model = replace(model, input=_plain(model.input), output=_plain(model.output))
+    model = replace(model, input=c.plain_quantity(model.input), output=c.plain_quantity(model.output))
     model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
     plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
     code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
@@ -78,12 +78,6 @@ def export_model(
     files[MANIFEST] = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
     write_folder(folder, {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}, overwrite)
     return summary
-
-
-def _plain(quantity: Quantity) -> Quantity:
-    """Return a quantity whose name and unit end no comment that they stand in."""
-    unit = None if quantity.unit is None else plain(quantity.unit)
-    return replace(quantity, quantity=plain(quantity.quantity), unit=unit)
 
 
 def _check_choices(arithmetic: str, direction: str, double_only: dict[str, bool], arduino: bool) -> None:
@@ -116,7 +110,7 @@ def _limits(
 
 
 def _summary(
-    plan: CascadePlan, code: ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float],
+    plan: CascadePlan, code: c.ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float],
     notes: tuple[str, ...],
 ) -> ExportSummary:  # fmt: skip
     run = plan.backlash.equal_run
@@ -131,7 +125,7 @@ def _summary(
     )  # fmt: skip
 
 
-def _words(plan: CascadePlan, name: str, arithmetic: str) -> Values:
+def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
     """Return what every file of an export knows."""
     model, inverse = plan.model, plan.direction == "inverse"
     return {
@@ -147,7 +141,7 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> Values:
     }  # fmt: skip
 
 
-def _notes(plan: CascadePlan, loss: dict[str, float], words: Values) -> list[str]:
+def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
     """Return what the caller must know or do."""
     found: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.backlash.n)}
     drive, forward = plan.drive, plan.model if plan.direction == "forward" else plan.model.inverse()
@@ -158,27 +152,23 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: Values) -> list[str
     if plan.limits is not None:
         slew = plan.limits.max_slew
         found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), (
-            f"{plan.limits.v_max!r}{_tail(drive)}"
+            f"{plan.limits.v_max!r}{c.unit_behind(drive)}"
             f"{'' if slew is None else f', changing by at most {slew!r} a second'}"
         )
     if loss:
-        unit = _tail(forward.output)
+        unit = c.unit_behind(forward.output)
         most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
         found["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
-    return fill("notes.md", {**words, **found}).splitlines()
-
-
-def _tail(quantity: Quantity) -> str:
-    return f" {quantity.unit}" if quantity.unit else ""
+    return c.fill("notes.md", {**words, **found}).splitlines()
 
 
 def _files(
-    plan: CascadePlan, code: ModelCode, summary: ExportSummary, words: Values, arduino: bool, fmu: bool,
+    plan: CascadePlan, code: c.ModelCode, summary: ExportSummary, words: c.Values, arduino: bool, fmu: bool,
     shared: bool,
 ) -> dict[str, str | bytes]:  # fmt: skip
     """Return the content of every file by its path in the folder."""
     name = summary.name
-    own = {file.replace("NAME", name): text for file, text in model_sources(words, code).items()}
+    own = {file.replace("NAME", name): text for file, text in c.model_sources(words, code).items()}
     test = own.pop(f"{name}_test.c")
     sources = own | _kernel_files(name, summary.arithmetic, code.headers)
     files: dict[str, str | bytes] = {**project_files(plan, code, summary, words, sources, test, arduino)}
@@ -196,9 +186,9 @@ def _kernel_files(name: str, arithmetic: str, headers: tuple[str, ...]) -> dict[
     for file in [file for file in files if file.endswith(".h")]:
         guard = file.upper().replace(".", "_")
         words = {"NAME": name, "OWN_GUARD": f"{name.upper()}_{guard}", "KERNEL_GUARD": guard}
-        files[file] = fill("kernel_header.h", {**words, "text": files[file]})
+        files[file] = c.fill("kernel_header.h", {**words, "text": files[file]})
     defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
-    return {**files, f"{name}_names.h": fill("NAME_names.h", {"names": defined})}
+    return {**files, f"{name}_names.h": c.fill("NAME_names.h", {"names": defined})}
 
 
 def _kernel_texts(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.source_text import ModelCode, Values, fill
+from dbo_cli.export.source_text import ModelCode, Values, fill, unit_behind
 from dbo_cli.hysteresis.model import Quantity
 
 
@@ -103,34 +103,16 @@ def _capitalised(quantity: Quantity) -> str:
 def _figures(plan: CascadePlan, summary: ExportSummary) -> Values:
     """Return what README.md shows of an export's figures."""
     drive, result = plan.drive, plan.model.output
-    bounds = dict.fromkeys(("SAME_GEARS", "AFTER_CLOSE_TURN", "CLOSE_TURN"), "")
-    if summary.bounds:
-        figures, unit = summary.bounds, f" {result.unit}" if result.unit else ""
-        for key in ("same_gears", "after_close_turn"):
-            bounds[key.upper()] = f"{figures[key]:.3g}{unit} ({figures[f'{key}_percent']:.3g} %"
-        bounds["CLOSE_TURN"] = f"{figures['close_turn_fraction']:.2g}"
+    figures = {key.upper(): str(value) for key, value in asdict(summary).items()}
+    for key in ("same_gears", "after_close_turn"):
+        most, percent = summary.bounds.get(key, 0.0), summary.bounds.get(f"{key}_percent", 0.0)
+        figures[key.upper()] = f"{most:.3g}{unit_behind(result)} ({percent:.3g} %"
+    figures["CLOSE_TURN"] = f"{summary.bounds.get('close_turn_fraction', 0.0):.2g}"
+    figures["LOWEST_DRIVE"] = f"{drive.minimum!r}{unit_behind(drive)}"
+    for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", result)):
+        ends = f"{quantity.minimum:.9g} to {quantity.maximum:.9g}{unit_behind(quantity)}"
+        figures |= {f"{way}_NAME": quantity.quantity, f"{way}_RANGE": ends}
     return {
-        **bounds,
-        "ARITHMETIC": summary.arithmetic, "GEARS": str(summary.gears), "ROWS": str(summary.table_rows),
-        "RUN": str(summary.run), "TABLE_BYTES": str(summary.table_bytes),
-        "STATE_BYTES": str(summary.state_bytes), "WORST_RUNS": str(summary.worst_runs),
-        "SAMPLES": str(summary.vectors), "UNITS": _units(plan, summary),
-        "LOWEST_DRIVE": f"{drive.minimum!r}{f' {drive.unit}' if drive.unit else ''}",
-        "moving": plan.model.dynamics is not None,
+        **figures, "moving": plan.model.dynamics is not None,
         "duties": "".join(f"- {note}\n" for note in summary.notes),
     }  # fmt: skip
-
-
-def _units(plan: CascadePlan, summary: ExportSummary) -> str:
-    ranges = "; ".join(
-        f"{quantity.quantity} {way}, {quantity.minimum:.9g} to {quantity.maximum:.9g}"
-        f"{f' {quantity.unit}' if quantity.unit else ''}"
-        for way, quantity in (("in", plan.model.input), ("out", plan.model.output))
-    )
-    if summary.arithmetic != "q31":
-        return f"{ranges}; beyond the range the last slope goes on."
-    guard = summary.name.upper()
-    return (
-        f"{ranges}. As 32-bit counts: the middle of a range is 0, its ends are ±2^30; `{guard}_IN(x)`"
-        f" and `{guard}_OUT(y)` convert constants and results."
-    )

@@ -128,16 +128,16 @@ def _between(t: SingleTables, text: Text) -> str:
 
 def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
     """Return two runs, computed by the readable twin of the kernel."""
-    source, trimmed = plan.model.input, plan.trimmed_drive
-    found = []
-    for seed, label in enumerate(("after init", "after reset"), 1):
+    source, found = plan.model.input, []
+    start = to_counts(plan.trimmed_drive, plan.drive) if t.q31 else F(plan.trimmed_drive)
+    for seed, reset in enumerate((None, start), 1):
         moves = self_test_moves(source.minimum, source.maximum, seed)
         inputs: list[Any] = [to_counts(v, source) if t.q31 else F(v) for v in moves.tolist()]
-        start = to_counts(trimmed, plan.drive) if t.q31 else F(trimmed)
         kernel = SingleKernel(t)
         with np.errstate(over="ignore", under="ignore"):
-            kernel.init() if label == "after init" else kernel.reset(start)
+            if reset is not None:
+                kernel.reset(reset)
             outputs = [kernel.step(x) for x in inputs]
-        reset = None if label == "after init" else text(start)
-        found.append(Vectors(label, reset, [text(v) for v in inputs], [text(v) for v in outputs]))
+        texts = ([text(v) for v in values] for values in (inputs, outputs))
+        found.append(Vectors(None if reset is None else text(reset), *texts))
     return found

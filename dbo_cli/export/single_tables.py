@@ -105,10 +105,7 @@ def quantised(wanted: Floats, run: int, unit: float) -> Floats:
 def axes_of(plan: CascadePlan) -> Axes:
     """Return the gears with kappa in their widths, and the units of positions."""
     gears = plan.backlash
-    kappa = 0.0
-    if gears.memory_on == "output":
-        for c, a in zip(plan.gain.tolist(), plan.decay.tolist(), strict=True):
-            kappa += c * (1.0 - a)
+    kappa = plan.kappa
     wide, high = gears.gears[:, 0] + kappa * gears.gears[:, 1], gears.gears[:, 1].copy()
     totals = [float(wide.sum()), float(high.sum())]
     if gears.memory_on == "input" and plan.terms:

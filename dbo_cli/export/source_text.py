@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
 
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.model import Quantity
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _LONGEST = 40  # NAME_names.h and the longest names of the kernel stay far below what linkers and disks hold
@@ -53,6 +54,16 @@ def plain(text: str) -> str:
     return re.sub(r"\*(?=/)|/(?=\*)", lambda at: f"{at[0]} ", words)
 
 
+def plain_quantity(quantity: Quantity) -> Quantity:
+    """Return a quantity whose name and unit end no comment that they stand in."""
+    return replace(quantity, quantity=plain(quantity.quantity), unit=quantity.unit and plain(quantity.unit))
+
+
+def unit_behind(quantity: Quantity) -> str:
+    """Return a quantity's unit as it stands behind a number; nothing where it is not known."""
+    return f" {quantity.unit}" if quantity.unit else ""
+
+
 def check_name(name: str) -> None:
     """Refuse a name that cannot begin the names of files, types and functions in C, C++ and on every disk.
 
@@ -61,16 +72,16 @@ def check_name(name: str) -> None:
     UsageError
         It is no identifier, reserved, or taken by the files that are exported beside it.
     """
-    if not _IDENTIFIER.fullmatch(name):
-        raise UsageError(
-            f"`name` {name!r}: is no C identifier (a letter first, then letters, digits and underscores)"
-        )
-    if len(name) > _LONGEST:
-        raise UsageError(f"`name` {name!r}: has {len(name)} characters; at most {_LONGEST} are allowed")
-    if name in RESERVED or name.lower() in RESERVED:
-        raise UsageError(f"`name` {name!r}: is a reserved word of C or C++ (choose another)")
-    if name.lower().startswith(_TAKEN):
-        raise UsageError(f"`name` {name!r}: is taken by the files of the export (choose another)")
+    problems = (
+        (not _IDENTIFIER.fullmatch(name),
+         "is no C identifier (a letter first, then letters, digits and underscores)"),
+        (len(name) > _LONGEST, f"has {len(name)} characters; at most {_LONGEST} are allowed"),
+        (bool(RESERVED & {name, name.lower()}), "is a reserved word of C or C++ (choose another)"),
+        (name.lower().startswith(_TAKEN), "is taken by the files of the export (choose another)"),
+    )  # fmt: skip
+    for wrong, why in problems:
+        if wrong:
+            raise UsageError(f"`name` {name!r}: {why}")
 
 
 def hex_double(value: float) -> str:
@@ -122,7 +133,6 @@ class Vectors:
     ``reset`` is None for a run after ``NAME_init``, else the drive given to ``NAME_reset``.
     """
 
-    label: str
     reset: str | None
     inputs: Sequence[str]
     outputs: Sequence[str]
@@ -219,9 +229,10 @@ def _self_test(values: Values, code: ModelCode) -> str:
         vectors.append(array(code.number, f"inputs_{k}", run.inputs))
         vectors.append(array(code.number, f"expected_{k}", run.outputs))
         start = "init(&state)" if run.reset is None else f"reset(&state, {run.reset})"
+        label = f"after {start[: start.index('(')]}"
         runs += (
             f"    {values['NAME']}_{start};\n"
-            f'    wrong += play("{run.label}", &state, inputs_{k}, expected_{k}, {len(run.inputs)}U);\n'
+            f'    wrong += play("{label}", &state, inputs_{k}, expected_{k}, {len(run.inputs)}U);\n'
         )
     bits = {"double": "uint64_t", "float": "uint32_t", "int32_t": "int32_t"}[code.number]
     count = str(sum(len(run.inputs) for run in code.vectors))

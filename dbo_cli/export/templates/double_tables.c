@@ -23,7 +23,7 @@ static const dbo_fixed_step fixed = {KAPPA, 0, 0, fixed_gears};
 static const dbo_lookup lookup = {&op, &fixed, corners, lowest};
 /*: lookup */
 /*+ spare_table */
-/*? limited */
+/*? constant_limits */
 /*? slew */
 static const double largest_change = CHANGE;
 static const dbo_limits limits = {LEAST, MOST, SLACK, &largest_change, 0};
@@ -31,4 +31,4 @@ static const dbo_limits limits = {LEAST, MOST, SLACK, &largest_change, 0};
 /*? !slew */
 static const dbo_limits limits = {LEAST, MOST, SLACK, 0, 0};
 /*: slew */
-/*: limited */
+/*: constant_limits */
