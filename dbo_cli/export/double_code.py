@@ -130,7 +130,8 @@ def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
         "fixed_rows": c.array("dbo_fixed_gear", "fixed_gears", c.double_rows(steps)),
         "rest_table": _doubles("rest", rest) if plan.terms else "", "corner_tables": corners,
         "spare_table": c.array("uint64_t", "spare", spare) if spare else "",
-        "GEARS": str(gears.n), "RUN": str(run), "TERMS": str(plan.terms), "ON_OUTPUT": str(int(gears.memory_on == "output")),
+        "GEARS": str(gears.n), "RUN": str(run), "TERMS": str(plan.terms),
+        "ON_OUTPUT": str(int(gears.memory_on == "output")),
         "CHANGE": c.hex_double(plan.slew_step or 0.0), "LIMITS": "&within" if lagging else "&limits",
     }  # fmt: skip
     slack = 0.0 if limits is None else NEGLIGIBLE * (limits.v_max - limits.v_min)
