@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import shutil
 import subprocess
 from dataclasses import replace
@@ -349,6 +350,41 @@ def test_every_symbol_of_an_export_bears_its_name(tmp_path: Path) -> None:
     assert [name for name in symbols if not name.startswith("axis_")] == []
 
 
+@needs_compiler
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
+def test_two_exports_are_installed_and_found_by_cmake(tmp_path: Path) -> None:
+    exports = {"Fine": ("double", made_model(0)), "quick": ("float", made_model(1))}
+    for name, (arithmetic, model) in exports.items():
+        export_model(model, str(tmp_path / name), name=name, arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
+        for step in (["-S", name, "-B", f"b_{name}"], ["--build", f"b_{name}"],
+                     ["--install", f"b_{name}", "--prefix", "installed"]):  # fmt: skip
+            subprocess.run(["cmake", *step], cwd=tmp_path, check=True, capture_output=True)
+    user = tmp_path / "user"
+    user.mkdir()
+    text = program(exports).replace('"Fine/', '"').replace('"quick/', '"')
+    (user / "main.c").write_text(text)
+    (user / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.13)\nproject(user C)\nfind_package(Fine REQUIRED)\n"
+        "find_package(quick REQUIRED)\nadd_executable(user main.c)\n"
+        "target_link_libraries(user PRIVATE Fine::Fine quick::quick)\n"
+    )
+    prefix = f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"
+    for step in (["-S", ".", "-B", "b", prefix], ["--build", "b"]):
+        subprocess.run(["cmake", *step], cwd=user, check=True, capture_output=True)
+    done = subprocess.run(["b/user"], cwd=user, capture_output=True, text=True, check=True)
+    assert len(done.stdout.splitlines()) == 4000
+
+
+def test_the_platformio_manifest_leaves_out_the_programs(tmp_path: Path) -> None:
+    """Read as JSON; PlatformIO itself is not at hand."""
+    export_model(made_model(0), str(tmp_path / "x"), name="axis", sample_rate=RATE)
+    manifest = json.loads((tmp_path / "x" / "library.json").read_text())
+    assert manifest["name"] == "axis"
+    assert manifest["build"]["srcFilter"] == ["+<*.c>", "-<axis_test.c>", "-<example_main.c>"]
+    mains = [p.name for p in (tmp_path / "x").glob("*.c") if "int main(void)" in p.read_text()]
+    assert sorted(mains) == ["axis_test.c", "example_main.c"]
+
+
 # ---- comments, templates
 
 
@@ -380,12 +416,13 @@ def test_a_template_is_filled_by_words_lines_and_sections(tmp_path: Path) -> Non
     text = fill("NAME.ino", values)
     assert text.startswith("#include <NUMBER.h>\n\nstatic NUMBER_state state;\n")  # a value is not searched
     assert "    float input = 0; /* what is wanted next */\n" in text
+    files: dict[str, str | bool] = {"TARGET_NAME": "x", "SOURCE_FILES": "x.c", "HEADER_FILES": "x.h"}
     for small in (True, False):
-        text = fill("CMakeLists.txt", {"TARGET_NAME": "x", "SOURCE_FILES": "x.c", "small": small})
+        text = fill("CMakeLists.txt", {**files, "CONFIG_FILE": "xConfig.cmake", "small": small})
         assert ("DBO_SMALL" in text) == small
         assert "#?" not in text
     with pytest.raises(KeyError):
-        fill("CMakeLists.txt", {"TARGET_NAME": "x", "SOURCE_FILES": "x.c"})
+        fill("CMakeLists.txt", files)
 
 
 # ---- a unit for simulation tools, of a model without time

@@ -98,9 +98,8 @@ def _limits(
     max_slew: float | None,
 ) -> DriveLimits | None:  # fmt: skip
     """Return the limits of an inverse's drive: those given, else the model's range."""
-    given = v_min is not None or v_max is not None or max_slew is not None
     if direction == "forward":
-        if given:
+        if (v_min, v_max, max_slew) != (None, None, None):
             raise UsageError("limits on the drive (`v_min`, `v_max`, `max_slew`) need `direction` inverse")
         return None
     drive = model.input if model.direction == "forward" else model.output
@@ -170,7 +169,7 @@ def _files(
     name = summary.name
     own = {file.replace("NAME", name): text for file, text in c.model_sources(words, code).items()}
     test = own.pop(f"{name}_test.c")
-    sources = own | _kernel_files(name, summary.arithmetic, code.headers)
+    sources = own | _kernel_files(words, summary.arithmetic, code.headers)
     files: dict[str, str | bytes] = {**project_files(plan, code, summary, words, sources, test, arduino)}
     if shared:
         files |= library_files(words, sources)
@@ -179,31 +178,29 @@ def _files(
     return files
 
 
-def _kernel_files(name: str, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
+def _kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources as they are, and headers that make their names this export's own."""
+    name, guard = words["NAME"], words["GUARD"]
     files = _kernel_texts(arithmetic, headers)
     names = sorted({word for text in files.values() for word in _KERNEL_NAME.findall(text)})
     for file in [file for file in files if file.endswith(".h")]:
-        guard = file.upper().replace(".", "_")
-        words = {"NAME": name, "OWN_GUARD": f"{name.upper()}_{guard}", "KERNEL_GUARD": guard}
-        files[file] = c.fill("kernel_header.h", {**words, "text": files[file]})
+        kernel_guard = file.upper().replace(".", "_")
+        guards = {"OWN_GUARD": f"{guard}_{kernel_guard}", "KERNEL_GUARD": kernel_guard}
+        files[file] = c.fill("kernel_header.h", {"NAME": name, **guards, "text": files[file]})
     defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
-    return {**files, f"{name}_names.h": c.fill("NAME_names.h", {"names": defined})}
+    chosen = {key: arithmetic == key for key in ("float", "q31")}
+    return {**files, f"{name}_names.h": c.fill("NAME_names.h", {**chosen, "names": defined})}
 
 
 def _kernel_texts(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources under the names they have in every export."""
     package, firmware = resources.files("dbo_cli.hysteresis"), resources.files("dbo_cli.export") / "firmware"
-    if arithmetic == "double":
-        kept = {"dbo_kernel": package, "dbo_dynamics": package, "dbo_lookup": firmware}
-        used = ("dbo_kernel", *(header.removesuffix(".h") for header in headers))
-        return {
-            f"{file}.{kind}": (kept[file] / f"{file}.{kind}").read_text(encoding="utf-8")
-            for file in used for kind in ("c", "h")
-        }  # fmt: skip
-    chosen = "#define DBO_Q31\n" if arithmetic == "q31" else "#define DBO_FLOAT\n"
-    head = (firmware / "dbo_kernel_single.h").read_text(encoding="utf-8")
-    return {
-        "dbo_kernel.c": (firmware / "dbo_kernel_single.c").read_text(encoding="utf-8"),
-        "dbo_kernel.h": head.replace("/* the arithmetic: DBO_FLOAT or DBO_Q31 */\n", chosen),
-    }
+    kept = {"dbo_kernel": package, "dbo_dynamics": package, "dbo_lookup": firmware}
+    found = {}
+    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
+        for kind in ("c", "h"):
+            path = kept[file] / f"{file}.{kind}"
+            if arithmetic != "double":
+                path = firmware / f"{file}_single.{kind}"
+            found[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
+    return found

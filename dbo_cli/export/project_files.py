@@ -78,14 +78,15 @@ def project_files(
             "library.properties": fill("library.properties", values),
             "README.md": page,
         }
-    # NAME is a word of CMake's own.
-    target: Values = {"TARGET_NAME": name, "SOURCE_FILES": compiled, "small": small}
+    target = {**values, "TARGET_NAME": name, "CONFIG_FILE": f"{name}Config.cmake"}
+    del target["NAME"]  # a word of CMake's own
     return {
         **sources,
         f"{name}_test.c": test,
         "example_main.c": fill("example_main.c", values),
         "Makefile": fill("Makefile", values),
         "CMakeLists.txt": fill("CMakeLists.txt", target),
+        "library.json": fill("library.json", values),
         "README.md": page,
     }
 

@@ -40,7 +40,8 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    members = [f"uint32_t words[{_words(t)}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
+    words = (t.n + 31) // 32
+    members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
     delay = ""
@@ -51,7 +52,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     values: dict[str, str | bool] = {
         "counts": q31, "inverse": plan.direction == "inverse", "terms": bool(t.terms), "spare": bool(spare),
         "delay": bool(delay), "tables": tables, "delay_line": delay,
-        "WORDS": str(_words(t)), "TERMS": str(len(t.terms)), "COVERED": str(plan.covered),
+        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.covered),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
@@ -69,10 +70,6 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         }  # fmt: skip
     figures = bounds.figures(plan.model.output.span)
     return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), (), size, figures)
-
-
-def _words(t: SingleTables) -> int:
-    return (t.n + 31) // 32
 
 
 def _tables(t: SingleTables, text: Text) -> tuple[str, int]:

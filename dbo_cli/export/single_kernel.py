@@ -254,13 +254,8 @@ class SingleKernel:
         c = segments.place(u)
         return segments.y[c] + self.along(segments.slope[c], u - segments.x[c], segments.shift)
 
-    def init(self) -> None:
-        """Do what ``NAME_init`` does."""
-        self.__init__(self.t)  # type: ignore[misc]
-
     def reset(self, drive: Number) -> None:
-        """Do what ``NAME_reset`` does."""
-        self.init()
+        """Do what ``NAME_reset`` does to the state of ``NAME_init``, which a new kernel has."""
         if self.t.clip is not None:  # of an inverse, whose output is the drive
             self.output = self._kept(drive)
         axis = 1 if self.t.memory_on_output else 0
