@@ -33,7 +33,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     if q31:
         check_memories(plan)
     bounds = derive_bounds(plan, axes, q31)
-    t = single_tables(plan, axes, q31, bounds.tolerance)
+    t = single_tables(plan, axes, q31, bounds["close_turn_fraction"])
     text: Text = integer if q31 else hex_float
     number = "int32_t" if q31 else "float"
     spare = plan.spare_words(32)
@@ -68,8 +68,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
             f"{way}_MIDDLE": repr(middle), f"{way}_COUNT": repr(unit), f"{way}_COUNTS": repr(1.0 / unit),
             f"{way}_LABEL": f"{quantity.quantity}{f' ({quantity.unit})' if quantity.unit else ''}",
         }  # fmt: skip
-    figures = bounds.figures(plan.model.output.span)
-    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), (), size, figures)
+    return ModelCode(number, members, "single.c", values, _vectors(plan, t, text), (), size, bounds)
 
 
 def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
