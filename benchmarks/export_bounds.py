@@ -26,12 +26,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
-from exported import COMPILERS, SANITIZERS, compiled, random_moves  # noqa: E402
+from exported import COMPILERS, SANITIZERS, as_given, compiled, in_units, random_moves  # noqa: E402
 from invented_actuators import cases  # noqa: E402
 
 from dbo_cli.errors import ModelError  # noqa: E402
 from dbo_cli.export import export_model  # noqa: E402
-from dbo_cli.export.single_tables import counts_unit  # noqa: E402
 from dbo_cli.hysteresis.identification import IdentificationOptions, identify  # noqa: E402
 from dbo_cli.hysteresis.model import ActuatorModel  # noqa: E402
 
@@ -74,19 +73,6 @@ def identified(count: int) -> list[tuple[str, ActuatorModel, float]]:
     return found
 
 
-def given(moves: Any, quantity: Any, arithmetic: str) -> tuple[Any, Any]:
-    """Return moves as an arithmetic takes them, and what they are then."""
-    if arithmetic == "float":
-        taken = moves.astype(np.float32)
-        return taken, taken.astype(np.float64)
-    unit, middle = (
-        counts_unit(quantity.minimum, quantity.maximum),
-        0.5 * (quantity.minimum + quantity.maximum),
-    )
-    taken = np.rint((moves - middle) / unit).astype(np.int32)
-    return taken, taken * unit + middle
-
-
 def compare(model: ActuatorModel, rate: float, direction: Any, arithmetic: Any, samples: int) -> str:
     """Return errors beside bounds, in % of the output's range."""
     turned = model.inverse() if direction == "inverse" else model
@@ -102,14 +88,9 @@ def compare(model: ActuatorModel, rate: float, direction: Any, arithmetic: Any, 
         same = every = differing = 0.0
         for k in range(samples // RUN):
             moves = random_moves(np.random.default_rng(k), source.minimum, source.maximum, RUN)
-            taken, seen = given(moves, source, arithmetic)
+            taken, seen = as_given(moves, source, arithmetic)
             (exact, gears), (y, others) = play["double"](seen), play[arithmetic](taken)
-            values = y.astype(np.float64)
-            if arithmetic == "q31":
-                values = values * counts_unit(result.minimum, result.maximum) + 0.5 * (
-                    result.minimum + result.maximum
-                )
-            error = np.abs(values - exact)
+            error = np.abs(in_units(y, result, arithmetic) - exact)
             always = np.logical_and.accumulate(gears == others)
             differing += float(np.count_nonzero(gears != others))
             same, every = max(same, float(error[always].max(initial=0.0))), max(every, float(error.max()))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.export.single_tables import counts_of_range
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, Relaxation, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 
@@ -122,3 +123,21 @@ def random_moves(rng: np.random.Generator, low: float, high: float, count: int) 
     lengths = rng.integers(1, 80, turns.size)
     knots = np.concatenate([[0], np.cumsum(lengths)])[: turns.size]
     return np.interp(np.arange(count), knots, turns)
+
+
+def as_given(moves: Any, quantity: Quantity, arithmetic: str) -> tuple[Any, Any]:
+    """Return moves as the arithmetic takes them, and what they then are."""
+    if arithmetic == "double":
+        return moves, moves
+    if arithmetic == "float":
+        given = moves.astype(np.float32)
+        return given, given.astype(np.float64)
+    middle, unit = counts_of_range(quantity)
+    given = np.rint((moves - middle) / unit).astype(np.int32)
+    return given, given * unit + middle
+
+
+def in_units(y: Any, quantity: Quantity, arithmetic: str) -> Any:
+    """Return outputs of the arithmetic in the quantity's unit."""
+    middle, unit = counts_of_range(quantity)
+    return y.astype(np.float64) * unit + middle if arithmetic == "q31" else y.astype(np.float64)

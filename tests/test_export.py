@@ -11,14 +11,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, SANITIZERS, WARNINGS, compiled, made_model, random_moves
+from exported import (
+    COMPILERS,
+    SANITIZERS,
+    WARNINGS,
+    as_given,
+    compiled,
+    in_units,
+    made_model,
+    random_moves,
+)
 
 from dbo_cli.errors import DboError, ModelError, OutputError, UsageError
 from dbo_cli.export import export_model
-from dbo_cli.export.c_text import RESERVED, check_name, hex_double, integer
 from dbo_cli.export.cascade_plan import plan_cascade
 from dbo_cli.export.single_code import row_shift
-from dbo_cli.export.single_tables import counts_unit, fold
+from dbo_cli.export.single_tables import fold
+from dbo_cli.export.source_text import RESERVED, check_name, hex_double, integer
 from dbo_cli.hysteresis.cascade import through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.linear_sections import Lag, Resonance
@@ -155,27 +164,6 @@ def test_errors_stay_within_the_derived_bounds(arithmetic: Any, direction: Any, 
             assert error[always].max(initial=0.0) <= summary.bounds["same_gears"]
             assert error.max() <= summary.bounds["after_close_turn"]
     assert judged > 30_000
-
-
-def as_given(moves: Any, quantity: Any, arithmetic: str) -> tuple[Any, Any]:
-    """Return moves as the arithmetic takes them, and what they then are."""
-    if arithmetic == "double":
-        return moves, moves
-    if arithmetic == "float":
-        given = moves.astype(np.float32)
-        return given, given.astype(np.float64)
-    middle = 0.5 * (quantity.minimum + quantity.maximum)
-    unit = counts_unit(quantity.minimum, quantity.maximum)
-    given = np.rint((moves - middle) / unit).astype(np.int32)
-    return given, given * unit + middle
-
-
-def in_units(y: Any, quantity: Any, arithmetic: str) -> Any:
-    middle, unit = (
-        0.5 * (quantity.minimum + quantity.maximum),
-        counts_unit(quantity.minimum, quantity.maximum),
-    )
-    return y.astype(np.float64) * unit + middle if arithmetic == "q31" else y.astype(np.float64)
 
 
 @needs_compiler
@@ -539,11 +527,9 @@ def test_a_lag_before_the_gears_gives_the_bits_of_compensate(slew: float | None,
             model, str(folder), name="x", sample_rate=RATE, v_min=limits.v_min, max_slew=limits.max_slew
         )
         plan = plan_cascade(model, "inverse", RATE, limits)
-        state, rest = plan.empty_state()
         rng = np.random.default_rng(seed)
         desired = random_moves(rng, model.output.minimum, model.output.maximum, 2_000)
-        begun = ModelState(state, drive=rest)
-        done = plan.model.simulate(desired, begun, time_step=1.0 / RATE, limits=limits)
+        done = plan.model.simulate(desired, plan.empty_state(), time_step=1.0 / RATE, limits=limits)
         assert done.clipped_count > 20
         play = compiled(folder, "x", "double", summary.gears, others=("dbo_dynamics.c",))
         got, _ = play(desired)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -12,16 +13,15 @@ from numpy.typing import NDArray
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.delay import DelayStage
-from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
-from dbo_cli.hysteresis.operators import (
-    BacklashState,
-    DiscreteBacklashOperator,
-    DiscretePointOperator,
-)
+from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
+from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 
 Floats = NDArray[np.float64]
 Direction = Literal["forward", "inverse"]
+
+_TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
+_IGNORED_BEYOND = 1e6  # an input so many ranges away counts as no number: what it leads to is not finite
 
 
 @dataclass(frozen=True)
@@ -36,31 +36,21 @@ class CascadePlan:
         Seconds between samples; None where nothing depends on them.
     limits : DriveLimits, or None
         Of an inverse: range and slew of the drive. A forward model has none.
-    inner_limits : DriveLimits, or None
-        The same as the backlash stage meets them, before the stages behind it.
-    covered : int
-        Gears that take part in a settled start: the first ones. Those beyond the model's voltages do not.
-    spare_bits : int
-        The bits of those others: they stay engaged while the drive is within the model's voltages.
-    start_drive : float
-        The drive at which none of the covered gears is engaged, as the backlash stage meets it.
-    delay : float
-        Seconds of the output's delay. A forward export delays its output; an inverse reads ahead.
     """
 
     model: ActuatorModel
     time_step: float | None
     limits: DriveLimits | None
-    inner_limits: DriveLimits | None
-    covered: int
-    spare_bits: int
-    start_drive: float
-    delay: float
 
     @property
     def direction(self) -> Direction:
         """The direction that is exported."""
         return self.model.direction
+
+    @property
+    def drive(self) -> Quantity:
+        """The drive: the input of a forward model, the output of an inverse."""
+        return self.model.output if self.direction == "inverse" else self.model.input
 
     @property
     def backlash(self) -> DiscreteBacklashOperator:
@@ -76,6 +66,52 @@ class CascadePlan:
     def tail(self) -> MemoryFree:
         """The memory-free stages behind it."""
         return self.model._tail
+
+    @property
+    def drive_stages(self) -> MemoryFree:
+        """The memory-free stages from a drive to the backlash stage."""
+        if self.direction == "forward":
+            return self.head
+        return tuple(stage.inverse() for stage in reversed(self.tail))
+
+    @cached_property
+    def inner_limits(self) -> DriveLimits | None:
+        """The limits as the backlash stage meets them, before the stages behind it."""
+        return None if self.limits is None else self.model.inner_limits(self.limits)
+
+    @property
+    def covered(self) -> int:
+        """How many gears take part in a settled start: the first ones, within the model's voltages."""
+        return self.model._covered_gears.operator.n
+
+    @property
+    def spare_bits(self) -> int:
+        """The bits of the other gears: they stay engaged while the drive is within the model's voltages."""
+        return self.model._covered_gears.spare_bits
+
+    @property
+    def lowest_drive(self) -> float:
+        """The drive at which none of the covered gears is engaged, as the backlash stage meets it."""
+        return self.model._covered_gears.operator.x0
+
+    @property
+    def delay(self) -> float:
+        """Seconds of the output's delay. A forward export delays its output; an inverse reads ahead."""
+        return self.model.delay_seconds
+
+    @property
+    def delay_samples(self) -> tuple[int, float] | None:
+        """A forward model's delay in whole samples and the part beyond, as the delay stage counts; or None.
+
+        What is within a billionth of a sample of a whole number is that number, as in ``hysteresis.delay``.
+        """
+        if self.direction == "inverse" or self.delay == 0.0:
+            return None
+        assert self.time_step is not None
+        samples = self.delay / self.time_step
+        whole = math.floor(samples + 1e-9)
+        part = max(samples - whole, 0.0)
+        return whole, part if part > 1e-9 else 0.0
 
     @property
     def terms(self) -> int:
@@ -97,6 +133,12 @@ class CascadePlan:
         return factors
 
     @property
+    def kappa(self) -> float:
+        """The immediate part of the memory on an inverse's output: sum c_j (1 - a_j), term by term."""
+        on_output = self.backlash.memory_on == "output"
+        return float(sum((self.gain * (1.0 - self.decay)).tolist())) if on_output else 0.0
+
+    @property
     def reference(self) -> float:
         """The drive, as the backlash stage meets it, at which nothing is remembered."""
         return self.backlash.relaxation.reference if self.backlash.relaxation else 0.0
@@ -108,15 +150,49 @@ class CascadePlan:
             return None
         return self.inner_limits.max_slew * self.time_step
 
-    def inner_drive(self, drive: float) -> float:
-        """Return a drive (V) as the backlash stage meets it."""
-        if self.direction == "forward":
-            return float(through(self.head, np.array([drive]))[0])
-        return float(through(_undone(self.tail), np.array([drive]))[0])
+    @cached_property
+    def inverter(self) -> DynamicsInverter | None:
+        """What undoes the dynamics of an inverse model, or None."""
+        if self.direction == "forward" or self.model.dynamics is None:
+            return None
+        assert self.time_step is not None
+        return self.model.dynamics.inverter(self.time_step)
 
-    def empty_state(self) -> tuple[BacklashState, float]:
-        """Return the state before any covered gear is engaged, nothing remembered, and the drive there."""
-        return BacklashState(self.spare_bits, (0.0,) * self.terms if self.terms else None), self.start_drive
+    @property
+    def read_ahead(self) -> float:
+        """How many seconds earlier an inverse needs its input: for its delay, and its dynamics."""
+        if self.direction == "forward":
+            return 0.0
+        return self.delay + (0.0 if self.inverter is None else self.inverter.ahead * self.inverter.time_step)
+
+    @property
+    def first_output(self) -> float:
+        """The output after a rest at the lower end, no covered gear engaged."""
+        covered = self.model._covered_gears.operator
+        at = covered.x0 if self.direction == "inverse" else covered.y0
+        y = float(through(self.tail, np.array([at]))[0])
+        return y if self.limits is None else min(max(y, self.limits.v_min), self.limits.v_max)
+
+    @property
+    def trimmed_drive(self) -> float:
+        """The drive that the self-test resets to: a little below the middle, inside of a gear."""
+        return self.drive.minimum + 0.37 * self.drive.span
+
+    def empty_state(self) -> ModelState:
+        """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""
+        memory = (0.0,) * self.terms if self.terms else None
+        return ModelState(BacklashState(self.spare_bits, memory), drive=self.lowest_drive)
+
+    def settled_state(self, drive: float) -> ModelState:
+        """Return the state of ``NAME_reset``: settled and at rest at a drive (V)."""
+        inner = float(through(self.drive_stages, np.array([drive]))[0])
+        covered = self.model._covered_gears
+        operator = covered.operator
+        start = covered.whole(operator.empty() if inner <= operator.x0 else operator.settled(inner))
+        _, after, _ = self.model.forward_backlash.run([inner], start)
+        memory = tuple(0.0 + (inner - self.reference) for _ in range(self.terms)) if self.terms else None
+        lagging = None if self.model.drive_lag is None else ((drive, 0.0, drive),)
+        return ModelState(BacklashState(after.bits, memory), drive=inner, drive_lag=lagging)
 
     def spare_words(self, width: int) -> list[str]:
         """Return the spare gears' bits as C constants of ``width`` bits; empty where there are none."""
@@ -127,18 +203,11 @@ class CascadePlan:
         return [form.format(self.spare_bits >> width * k & mask) for k in range(count)]
 
 
-def _undone(stages: MemoryFree) -> MemoryFree:
-    return tuple(stage.inverse() for stage in reversed(stages))
-
-
 _KINDS = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage
 
 
 def plan_cascade(
-    model: ActuatorModel,
-    direction: Direction,
-    sample_rate: float | None,
-    limits: DriveLimits | None,
+    model: ActuatorModel, direction: Direction, sample_rate: float | None, limits: DriveLimits | None
 ) -> CascadePlan:
     """Return the plan of one direction of a model; limits are for an inverse.
 
@@ -152,7 +221,7 @@ def plan_cascade(
     if sample_rate is not None and not (math.isfinite(sample_rate) and sample_rate > 0.0):
         raise UsageError(f"`sample_rate` {sample_rate!r}: must be a frequency in Hz greater than 0")
     turned = model if model.direction == direction else model.inverse()
-    _ = turned.backlash  # a model that has no gears says so
+    relaxation = turned.backlash.relaxation  # a model that has no gears is refused here
     for place, stage in enumerate(turned.stages):
         if not isinstance(stage, _KINDS):
             raise ModelError(f"stages[{place}]: a {type(stage).__name__} cannot be exported")
@@ -161,21 +230,83 @@ def plan_cascade(
     timed = turned.needs_time or (limits is not None and limits.max_slew is not None)
     if timed and sample_rate is None:
         raise UsageError("the model depends on the time between samples: give `sample_rate` in Hz")
-    backlash = turned.backlash
-    delay, covered = turned.delay_seconds, turned._covered_gears
-    plan = CascadePlan(
-        turned,
-        None if sample_rate is None else 1.0 / sample_rate,
-        limits,
-        None if limits is None else turned.inner_limits(limits),
-        covered.operator.n,
-        covered.spare_bits,
-        covered.operator.x0,
-        delay,
-    )
-    if backlash.relaxation is not None and np.any(plan.decay >= 1.0):
+    plan = CascadePlan(turned, None if sample_rate is None else 1.0 / sample_rate, limits)
+    if relaxation is not None and np.any(plan.decay >= 1.0):
         raise ModelError(
-            f"relaxation.tau: {max(backlash.relaxation.tau)!r} s is too slow for {sample_rate!r} Hz"
+            f"relaxation.tau: {max(relaxation.tau)!r} s is too slow for {sample_rate!r} Hz"
             " (`sample_rate` lower)"
         )
     return plan
+
+
+def ignored_beyond(quantity: Quantity) -> str:
+    """Return the C constant beyond which a value counts as no number: a power of two, in decimals."""
+    largest = _IGNORED_BEYOND * max(quantity.span, abs(quantity.minimum), abs(quantity.maximum))
+    return repr(2.0 ** min(math.ceil(math.log2(largest)), 126))  # 2^126 is a float32, too
+
+
+def self_test_moves(low: float, high: float, seed: int = 1) -> Floats:
+    """Return inputs between ``low`` and ``high`` and a little beyond: about 300 samples, always the same.
+
+    A slow sweep there and back, an oscillation that decays around the middle, a random walk, random jumps, a
+    turn at each end exactly, a rest, and 3 % beyond either end.
+    """
+    rng = np.random.default_rng(seed)
+    span = high - low
+    way = np.linspace(0.0, 1.0, 31)
+    decaying = 0.5 + 0.5 * np.exp(-np.arange(80) / 30.0) * np.cos(np.arange(80) * 0.55)
+    walk = 0.5 + np.cumsum(rng.normal(0.0, 0.02, 70))
+    parts = [
+        way, way[::-1], decaying, np.clip(walk, 0.0, 1.0), rng.uniform(0.0, 1.0, 30),
+        np.array([0.0, 1.0, 0.4, 1.0, 0.0, 0.6, 0.2]), np.full(8, 0.3),
+        np.array([1.0, 1.03, 0.9, -0.03, 0.1, 0.7]),
+    ]  # fmt: skip
+    return low + span * np.concatenate(parts)
+
+
+def with_fewer_gears(model: ActuatorModel, gears: int) -> tuple[ActuatorModel, dict[str, float]]:
+    """Return a forward model with ``gears`` even gears on the same loading curve, and what is lost.
+
+    The loading curve keeps its value at every new breakpoint; turns between them are what gets coarser.
+    The loss is the difference of the two models' outputs over 20 test moves: ``max``, ``rms`` in the
+    output's unit, and ``max_percent`` of its range.
+
+    Raises
+    ------
+    UsageError
+        ``gears`` is not between 1 and the number that the model has.
+    """
+    full = model.forward_backlash
+    if not 1 <= gears <= full.n:
+        raise UsageError(f"`gears` {gears}: the model has {full.n}; give a number from 1 to that")
+    forward = model if model.direction == "forward" else model.inverse()
+    if gears == full.n:
+        return forward, {}
+    across = np.concatenate([[0.0], np.cumsum(full.dx)])
+    up = np.concatenate([[0.0], np.cumsum(full.dy)])
+    ends = across[-1] * np.arange(gears + 1) / gears
+    heights = np.diff(np.interp(ends, across, up))
+    reduced = DiscreteBacklashOperator(
+        np.full(gears, across[-1] / gears), heights, full.x0, full.y0, full.relaxation, "input"
+    )
+    stages = tuple(reduced if stage is forward.backlash else stage for stage in forward.stages)
+    fewer = replace(forward, stages=stages)
+    return fewer, _loss(forward, fewer)
+
+
+def _loss(full: ActuatorModel, fewer: ActuatorModel) -> dict[str, float]:
+    differences = []
+    step = max(full.backlash.relaxation.tau) if full.backlash.relaxation else None
+    if full.needs_time and step is None:
+        step = max(full.delay_seconds, 1e-9)  # any step will do for a delay alone
+    for seed in range(_TRIALS):
+        moves = self_test_moves(full.input.minimum, full.input.maximum, seed)
+        outputs = [m.simulate(moves, m.start(float(moves[0])), time_step=step).y for m in (full, fewer)]
+        differences.append(outputs[1] - outputs[0])
+    every = np.concatenate(differences)
+    worst = float(np.max(np.abs(every)))
+    return {
+        "max": worst,
+        "rms": float(np.sqrt(np.mean(every**2))),
+        "max_percent": 100.0 * worst / full.output.span,
+    }

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.single_tables import Axes, Folded, counts_unit, fold, shift_for
+from dbo_cli.export.single_tables import Axes, Folded, counts_of_range, fold, shift_for
 
 Floats = NDArray[np.float64]
 
@@ -35,35 +35,6 @@ LEAST_TOLERANCE = 20
 
 COARSEST_TOLERANCE = 4
 """Where even 2^-4 of a gear drowns in rounding, the arithmetic cannot hold the gears."""
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Error bounds in the output's unit, and the crossing tolerance they ask for.
-
-    Attributes
-    ----------
-    same_gears : float
-        While both have crossed the same gears, and with memory always did.
-    after_close_turn : float
-        Always, for inputs inside the model's range: also after turns within ``tolerance`` of a gear's end.
-    tolerance : float
-        The part of a gear that may be missing when it counts as crossed, a power of two.
-    """
-
-    same_gears: float
-    after_close_turn: float
-    tolerance: float
-
-    def figures(self, span: float) -> dict[str, float]:
-        """Return the bounds by name, in the output's unit and in % of a range."""
-        return {
-            "same_gears": self.same_gears,
-            "same_gears_percent": 100.0 * self.same_gears / span,
-            "after_close_turn": self.after_close_turn,
-            "after_close_turn_percent": 100.0 * self.after_close_turn / span,
-            "close_turn_fraction": self.tolerance,
-        }
 
 
 def _function_error(
@@ -124,8 +95,12 @@ def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> _Loop:
     return _Loop(own, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy))
 
 
-def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> Bounds:
-    """Return the bounds for inputs inside the model's range.
+def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
+    """Return the bounds for inputs inside the model's range, in the output's unit and in % of its range.
+
+    ``same_gears`` holds while both have crossed the same gears, and with memory always did;
+    ``after_close_turn`` always, also after turns within ``close_turn_fraction`` of a gear's end. That is the
+    part of a gear that may be missing when it counts as crossed, a power of two.
 
     Raises
     ------
@@ -138,7 +113,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> Bounds:
     steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
     loop = _loop(plan, axes, q31, steepest)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    x_in, y_out = counts_unit(source.minimum, source.maximum), counts_unit(result.minimum, result.maximum)
+    x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
     before = fold(plan.head, source.minimum, source.maximum)
     entering = _function_error(before, q31, source.maximum, base, x_in, axes.x_unit)
     across = entering + _subset_error(axes.widths, axes.wide, run)
@@ -169,7 +144,10 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> Bounds:
     if plan.delay and not on_output and not q31:
         leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
     same = bend * inner + leaving
-    return Bounds(same, same + bend * hop, tolerance)
+    found: dict[str, float] = {}
+    for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
+        found |= {key: value, f"{key}_percent": 100.0 * value / result.span}
+    return {**found, "close_turn_fraction": tolerance}
 
 
 def _tolerance(place: float, narrow: float, rising: float, low: float, plan: CascadePlan) -> float:

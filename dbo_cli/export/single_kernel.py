@@ -46,7 +46,8 @@ class SingleTables:
     """All constants of one export in float32 or q31; see ``dbo_kernel_single.h`` for each.
 
     Gears are rows (width, height, slope), one for ``run`` gears; terms are (carried, rest, carried_shift,
-    rest_shift). ``slope_shift`` and the terms' shifts mean nothing in float32.
+    rest_shift). ``slope_shift`` and the terms' shifts mean nothing in float32. ``clip`` is what the
+    output may be, ``change`` how far it may go in a step; ``first`` is the one before the first sample.
     """
 
     q31: bool
@@ -69,6 +70,8 @@ class SingleTables:
     behind: Segments
     drive: Segments
     clip: tuple[Number, Number] | None
+    change: Number | None
+    first: Number
     delay: tuple[int, Number]
 
 
@@ -89,7 +92,7 @@ class SingleKernel:
         self.t = tables
         self.bits = tables.spare_bits
         self.load()
-        self.last = self.y
+        self.last, self.output = self.y, tables.first
         self.memory: list[Any] = [self._rest(0 if tables.q31 else F(0.0)) for _ in tables.terms]
         self.delayed: list[Number] = []
 
@@ -251,13 +254,10 @@ class SingleKernel:
         c = segments.place(u)
         return segments.y[c] + self.along(segments.slope[c], u - segments.x[c], segments.shift)
 
-    def init(self) -> None:
-        """Do what ``NAME_init`` does."""
-        self.__init__(self.t)  # type: ignore[misc]
-
     def reset(self, drive: Number) -> None:
-        """Do what ``NAME_reset`` does."""
-        self.init()
+        """Do what ``NAME_reset`` does to the state of ``NAME_init``, which a new kernel has."""
+        if self.t.clip is not None:  # of an inverse, whose output is the drive
+            self.output = self._kept(drive)
         axis = 1 if self.t.memory_on_output else 0
         place = self.position_of(self.through(self.t.drive, drive), (self.t.x_shift, self.t.y_shift)[axis])
         target = place - (self.x, self.y)[axis]
@@ -287,9 +287,14 @@ class SingleKernel:
             out: Number = self.counts_of(self.through(self.t.behind, counts), 0)
         else:
             out = self.through(self.t.behind, F(counts))
-        if self.t.clip is not None:
-            out = min(max(out, self.t.clip[0]), self.t.clip[1])
-        return self._lagged(out)
+        if self.t.change is not None:
+            out = min(max(out, self.output - self.t.change), self.output + self.t.change)
+        self.output = self._kept(out)
+        return self._lagged(self.output)
+
+    def _kept(self, out: Number) -> Number:
+        """Return an output within the limits."""
+        return out if self.t.clip is None else min(max(out, self.t.clip[0]), self.t.clip[1])
 
     def _lagged(self, out: Number) -> Number:
         whole, part = self.t.delay

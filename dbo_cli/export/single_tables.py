@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.single_kernel import F, Segments, SingleTables
+from dbo_cli.export.single_kernel import F, Segments, SingleTables, clamped
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
+from dbo_cli.hysteresis.model import DriveLimits, Quantity
 
 Floats = NDArray[np.float64]
 
@@ -104,10 +105,7 @@ def quantised(wanted: Floats, run: int, unit: float) -> Floats:
 def axes_of(plan: CascadePlan) -> Axes:
     """Return the gears with kappa in their widths, and the units of positions."""
     gears = plan.backlash
-    kappa = 0.0
-    if gears.memory_on == "output":
-        for c, a in zip(plan.gain.tolist(), plan.decay.tolist(), strict=True):
-            kappa += c * (1.0 - a)
+    kappa = plan.kappa
     wide, high = gears.gears[:, 0] + kappa * gears.gears[:, 1], gears.gears[:, 1].copy()
     totals = [float(wide.sum()), float(high.sum())]
     if gears.memory_on == "input" and plan.terms:
@@ -146,9 +144,9 @@ def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[floa
     )
 
 
-def counts_unit(low: float, high: float) -> float:
-    """Return how much one count of a range is."""
-    return 0.5 * (high - low) / COUNTS
+def counts_of_range(quantity: Quantity) -> tuple[float, float]:
+    """Return where a range has its count 0, and how much one count is."""
+    return 0.5 * (quantity.minimum + quantity.maximum), 0.5 * quantity.span / COUNTS
 
 
 def check_memories(plan: CascadePlan) -> None:
@@ -212,86 +210,118 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     source, result = plan.model.input, plan.model.output
     rows, slope_shift = _rows(axes, q31)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
-    middle, unit = 0.5 * (source.minimum + source.maximum), counts_unit(source.minimum, source.maximum)
-    taken = (middle, unit) if q31 else (0.0, 1.0)
-    middle, unit = 0.5 * (result.minimum + result.maximum), counts_unit(result.minimum, result.maximum)
-    given = (middle, unit) if q31 else (0.0, 1.0)
-    behind = fold(plan.tail, gears.y0, gears.y0 + float(axes.high.sum()))
-    undone = tuple(stage.inverse() for stage in reversed(plan.tail))
+    taken, given = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
     x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
     before = fold(plan.head, source.minimum, source.maximum)
+    behind = fold(plan.tail, gears.y0, gears.y0 + float(axes.high.sum()))
     if plan.direction == "forward":
         drive = segments_of(before, q31, taken, (gears.x0, x_step))
     else:
-        drive = segments_of(fold(undone, result.minimum, result.maximum), q31, given, (gears.y0, y_step))
+        undone = fold(plan.drive_stages, result.minimum, result.maximum)
+        drive = segments_of(undone, q31, given, (gears.y0, y_step))
+    limits = _limits(plan, axes, q31)
+    first = to_counts(plan.first_output, result) if q31 else F(plan.first_output)
+    if limits.clip is not None:
+        first = min(max(first, limits.clip[0]), limits.clip[1])
     offset = (gears.y0 if on_output else gears.x0) - plan.reference
     offset /= axes.y_count if on_output else axes.x_count
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
     return SingleTables(
-        q31=q31,
-        rows=rows,
-        n=gears.n,
-        run=gears.equal_run,
-        tolerance=round(-math.log2(tolerance)),
-        terms=_terms(plan, axes, q31),
-        memory_on_output=on_output,
+        q31=q31, rows=rows, n=gears.n, run=gears.equal_run, tolerance=round(-math.log2(tolerance)),
+        terms=_terms(plan, axes, q31), memory_on_output=on_output,
         drive_offset=round(offset) if q31 else F(offset),
-        slope_shift=slope_shift,
-        x_shift=axes.fine[0],
-        y_shift=axes.fine[1],
-        least=-span,
-        most=2 * span,
-        limits=_limit_positions(plan, axes),
-        covered=plan.covered,
-        spare_bits=plan.spare_bits,
+        slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
+        least=-span, most=2 * span, limits=limits.positions,
+        covered=plan.covered, spare_bits=plan.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
-        drive=drive,
-        clip=_clip(plan, q31, given),
-        delay=_delay(plan, q31),
-    )
+        drive=drive, clip=limits.clip, change=limits.change, first=first, delay=_delay(plan, q31),
+    )  # fmt: skip
 
 
-def _limit_positions(plan: CascadePlan, axes: Axes) -> tuple[int, int, int] | None:
-    """Return low, high and step of the output as positions, rounded inwards."""
-    inner = plan.inner_limits
-    if inner is None:
-        return None
-    low, high = inner.v_min - plan.backlash.y0, inner.v_max - plan.backlash.y0
-    step = plan.slew_step
-    if step is not None and step < 4.0 * axes.y_unit:
-        raise ModelError("`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)")
-    if max(abs(low), abs(high), step or 0.0) / axes.y_unit >= 2.0**59:
+def to_counts(value: float, quantity: Quantity) -> int:
+    """Return a value in counts of q31, saturating."""
+    middle, unit = counts_of_range(quantity)
+    return clamped(round((value - middle) / unit))
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Limits on the output in the arithmetic, none of them outside of the model's own.
+
+    ``clip`` and ``change`` are numbers as they come out; ``positions`` are low, high and step (-1: no slew
+    limit) as the gears meet them.
+    """
+
+    clip: tuple[Any, Any] | None = None
+    change: Any = None
+    positions: tuple[int, int, int] | None = None
+
+
+def _limits(plan: CascadePlan, axes: Axes, q31: bool) -> _Limits:
+    """Return the limits, rounded inwards."""
+    limits, inner = plan.limits, plan.inner_limits
+    if limits is None or inner is None:
+        return _Limits()
+    clip = _count_clip(limits, plan.drive) if q31 else _float_clip(limits)
+    if not clip[0] < clip[1]:
+        raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
+    change, step = None, -1.0
+    if limits.max_slew is not None and plan.slew_step is not None and plan.time_step is not None:
+        asked = limits.max_slew * plan.time_step
+        change, reached = _count_change(asked, plan.drive) if q31 else _float_change(asked, clip)
+        step = plan.slew_step * (reached / asked) / axes.y_unit
+        if step < 4.0:
+            raise ModelError(
+                "`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)"
+            )
+    low, high = ((v - plan.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max))
+    if max(abs(low), abs(high), step) >= 2.0**59:
         raise ModelError("`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)")
-    return (
-        math.ceil(low / axes.y_unit),
-        math.floor(high / axes.y_unit),
-        -1 if step is None else math.floor(step / axes.y_unit),
-    )
+    return _Limits(clip, change, (math.ceil(low), math.floor(high), math.floor(step)))
 
 
-def _clip(plan: CascadePlan, q31: bool, given: tuple[float, float]) -> tuple[Any, Any] | None:
-    if plan.limits is None:
-        return None
-    if not q31:
-        # Inwards, so that no output is beyond a limit that float32 cannot hold.
-        low, high = F(plan.limits.v_min), F(plan.limits.v_max)
-        low = np.nextafter(low, F(np.inf)) if float(low) < plan.limits.v_min else low
-        high = np.nextafter(high, F(-np.inf)) if float(high) > plan.limits.v_max else high
-        return low, high
-    ends = (plan.limits.v_min - given[0]) / given[1], (plan.limits.v_max - given[0]) / given[1]
-    if max(abs(ends[0]), abs(ends[1])) >= 2.0**31:
+def _float_clip(limits: DriveLimits) -> tuple[Any, Any]:
+    low, high = F(limits.v_min), F(limits.v_max)
+    low = np.nextafter(low, F(np.inf)) if float(low) < limits.v_min else low
+    high = np.nextafter(high, F(-np.inf)) if float(high) > limits.v_max else high
+    return low, high
+
+
+def _count_clip(limits: DriveLimits, drive: Quantity) -> tuple[int, int]:
+    """Return the limits in counts, each, as ``NAME_OUT`` converts it, within the limits asked for."""
+    middle, unit = counts_of_range(drive)
+    low, high = round((limits.v_min - middle) / unit), round((limits.v_max - middle) / unit)
+    if max(abs(low), abs(high)) >= 2**31 - 1:
         raise ModelError("`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold")
-    return math.ceil(ends[0] - 1e-6), math.floor(ends[1] + 1e-6)
+    while low * unit + middle < limits.v_min:
+        low += 1
+    while high * unit + middle > limits.v_max:
+        high -= 1
+    return low, high
+
+
+def _float_change(asked: float, clip: tuple[Any, Any]) -> tuple[Any, float]:
+    """Return the change that adding to an output may round up to the one asked for, and what is sure.
+
+    A sum is off by half a unit in the last place of the largest output, and the change itself by as much.
+    """
+    place = float(np.spacing(max(abs(clip[0]), abs(clip[1]))))
+    change = F(max(asked - 0.5 * place, 0.0))
+    change = np.nextafter(change, F(0.0)) if float(change) > asked - 0.5 * place else change
+    return change, max(asked - 2.0 * place, 0.0)
+
+
+def _count_change(asked: float, drive: Quantity) -> tuple[int, float]:
+    """Return the change in whole counts, and what that is."""
+    unit = counts_of_range(drive)[1]
+    change = min(math.floor(asked / unit), 2**32)  # 2^32: more than from one end to the other
+    return change, min(change * unit, asked)
 
 
 def _delay(plan: CascadePlan, q31: bool) -> tuple[int, Any]:
     """Return a forward model's delay in whole samples and the part beyond; -1 where there is none."""
-    if plan.direction == "inverse" or plan.delay == 0.0:
+    if plan.delay_samples is None:
         return -1, 0
-    assert plan.time_step is not None
-    samples = plan.delay / plan.time_step
-    whole = math.floor(samples + 1e-9)
-    part = max(samples - whole, 0.0)
-    part = part if part > 1e-9 else 0.0
-    return whole, (round(part * COUNTS) if q31 else F(part))
+    whole, part = plan.delay_samples
+    return whole, round(part * COUNTS) if q31 else F(part)

@@ -15,7 +15,7 @@
 
 #include <stdint.h>
 
-/* the arithmetic: DBO_FLOAT or DBO_Q31 */
+/* The arithmetic is chosen by whoever includes this: DBO_FLOAT or DBO_Q31. */
 
 typedef int64_t dbo_position; /* along the input or the output axis */
 

@@ -1,27 +1,11 @@
-"""A model as an FMI 2.0 co-simulation unit: model description, sources, and this computer's binary."""
-
-from __future__ import annotations
-
-import hashlib
-import io
-import platform
-import sys
-import zipfile
-from collections.abc import Mapping
-from string import Template
-from xml.sax.saxutils import quoteattr
-
-from dbo_cli.errors import OutputError
-from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.host_library import compile_library, library_suffix
-from dbo_cli.hysteresis.model import Quantity
-
-_EARLIEST = (1980, 1, 1, 0, 0, 0)  # the same export gives the same bytes
-
-_SOURCE = Template("""\
-/* FMI 2.0 co-simulation of $name: one step of the model a communication step (or a whole number of them).
+/*? timed */
+/* FMI 2.0 co-simulation of NAME: one step of the model a communication step (or a whole number of them).
+/*: timed */
+/*? !timed */
+/* FMI 2.0 co-simulation of NAME: time plays no part, one step of the model a communication step of any length.
+/*: timed */
  * The types are those of the standard's fmi2TypesPlatform.h, "default". */
-#include "$name.h"
+#include "NAME.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -39,7 +23,7 @@ typedef int boolean;
 typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } status;
 
 typedef struct {
-    ${name}_state model;
+    NAME_state model;
     double input;
     double output;
     double initial_drive;
@@ -50,9 +34,9 @@ enum { INPUT = 1, OUTPUT = 2, INITIAL_DRIVE = 3, SETTLED = 4 };
 
 static void fresh(unit *u) {
     memset(u, 0, sizeof *u);
-    ${name}_init(&u->model);
+    NAME_init(&u->model);
     u->output = u->model.output;
-    u->initial_drive = $origin;
+    u->initial_drive = START_DRIVE;
 }
 
 EXPORT const char *fmi2GetTypesPlatform(void);
@@ -73,7 +57,7 @@ void *fmi2Instantiate(const char *name, int kind, const char *guid, const char *
                       const void *functions, boolean visible, boolean logging) {
     unit *u = NULL;
     (void)name, (void)resources, (void)functions, (void)visible, (void)logging;
-    if (kind == 1 && guid != NULL && strcmp(guid, "$guid") == 0) u = (unit *)malloc(sizeof *u);
+    if (kind == 1 && guid != NULL && strcmp(guid, "GUID") == 0) u = (unit *)malloc(sizeof *u);
     if (u != NULL) fresh(u);
     return u;
 }
@@ -99,9 +83,9 @@ EXPORT status fmi2ExitInitializationMode(void *instance);
 status fmi2ExitInitializationMode(void *instance) {
     unit *u = (unit *)instance;
     if (u->settled)
-        ${name}_reset(&u->model, u->initial_drive);
+        NAME_reset(&u->model, u->initial_drive);
     else
-        ${name}_init(&u->model);
+        NAME_init(&u->model);
     u->output = u->model.output;
     return STATUS_OK;
 }
@@ -167,16 +151,16 @@ status fmi2SetBoolean(void *instance, const reference at[], size_t count, const 
 }
 
 /* There are no variables of these kinds. */
-#define NONE_OF(KIND, TYPE)                                                                           \\
-    EXPORT status fmi2Get##KIND(void *u, const reference at[], size_t count, TYPE values[]);          \\
-    status fmi2Get##KIND(void *u, const reference at[], size_t count, TYPE values[]) {                \\
-        (void)u, (void)at, (void)values;                                                              \\
-        return count == 0 ? STATUS_OK : STATUS_ERROR;                                                 \\
-    }                                                                                                 \\
-    EXPORT status fmi2Set##KIND(void *u, const reference at[], size_t count, TYPE const values[]);    \\
-    status fmi2Set##KIND(void *u, const reference at[], size_t count, TYPE const values[]) {          \\
-        (void)u, (void)at, (void)values;                                                              \\
-        return count == 0 ? STATUS_OK : STATUS_ERROR;                                                 \\
+#define NONE_OF(KIND, TYPE)                                                                           \
+    EXPORT status fmi2Get##KIND(void *u, const reference at[], size_t count, TYPE values[]);          \
+    status fmi2Get##KIND(void *u, const reference at[], size_t count, TYPE values[]) {                \
+        (void)u, (void)at, (void)values;                                                              \
+        return count == 0 ? STATUS_OK : STATUS_ERROR;                                                 \
+    }                                                                                                 \
+    EXPORT status fmi2Set##KIND(void *u, const reference at[], size_t count, TYPE const values[]);    \
+    status fmi2Set##KIND(void *u, const reference at[], size_t count, TYPE const values[]) {          \
+        (void)u, (void)at, (void)values;                                                              \
+        return count == 0 ? STATUS_OK : STATUS_ERROR;                                                 \
     }
 NONE_OF(Integer, int)
 NONE_OF(String, const char *)
@@ -255,11 +239,18 @@ status fmi2GetRealOutputDerivatives(void *u, const reference at[], size_t count,
 EXPORT status fmi2DoStep(void *instance, double time, double step, boolean no_return);
 status fmi2DoStep(void *instance, double time, double step, boolean no_return) {
     unit *u = (unit *)instance;
-    const double wanted = step / $time_step;
+/*? timed */
+    const double wanted = step / TIME_STEP;
     const long steps = wanted > 0.5 && wanted < 1e6 ? (long)(wanted + 0.5) : 0;
     (void)time, (void)no_return;
     if (steps == 0 || wanted - (double)steps > 1e-6 || (double)steps - wanted > 1e-6) return STATUS_ERROR;
-    for (long k = 0; k < steps; k++) u->output = ${name}_step(&u->model, u->input);
+    for (long k = 0; k < steps; k++) u->output = NAME_step(&u->model, u->input);
+/*: timed */
+/*? !timed */
+    (void)time, (void)no_return;
+    if (!(step > 0.0)) return STATUS_ERROR;
+    u->output = NAME_step(&u->model, u->input);
+/*: timed */
     return STATUS_OK;
 }
 
@@ -269,112 +260,14 @@ status fmi2CancelStep(void *u) {
     return STATUS_ERROR;
 }
 
-#define NOT_PENDING(KIND, TYPE)                              \\
-    EXPORT status fmi2Get##KIND(void *u, int what, TYPE *value); \\
-    status fmi2Get##KIND(void *u, int what, TYPE *value) {   \\
-        (void)u, (void)what, (void)value;                    \\
-        return STATUS_DISCARD;                               \\
+#define NOT_PENDING(KIND, TYPE)                              \
+    EXPORT status fmi2Get##KIND(void *u, int what, TYPE *value); \
+    status fmi2Get##KIND(void *u, int what, TYPE *value) {   \
+        (void)u, (void)what, (void)value;                    \
+        return STATUS_DISCARD;                               \
     }
 NOT_PENDING(Status, status)
 NOT_PENDING(RealStatus, double)
 NOT_PENDING(IntegerStatus, int)
 NOT_PENDING(BooleanStatus, boolean)
 NOT_PENDING(StringStatus, const char *)
-""")
-
-_DESCRIPTION = Template("""\
-<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName=$quoted_name guid="$guid" description=$description
-    generationTool="dbo export" variableNamingConvention="flat" numberOfEventIndicators="0">
-  <CoSimulation modelIdentifier="$name" canHandleVariableCommunicationStepSize="false"
-      canGetAndSetFMUstate="true" canSerializeFMUstate="true" canNotUseMemoryManagementFunctions="true">
-    <SourceFiles>
-$sources
-    </SourceFiles>
-  </CoSimulation>
-$units  <DefaultExperiment startTime="0" stepSize="$time_step"/>
-  <ModelVariables>
-    <ScalarVariable name=$input valueReference="1" causality="input" variability="continuous">
-      <Real start="0"$input_unit/>
-    </ScalarVariable>
-    <ScalarVariable name=$output valueReference="2" causality="output" variability="continuous">
-      <Real$output_unit/>
-    </ScalarVariable>
-    <ScalarVariable name="initial_drive" valueReference="3" causality="parameter" variability="fixed"
-        description="The drive the actuator was trimmed to and rests at, where settled is true">
-      <Real start="$origin"/>
-    </ScalarVariable>
-    <ScalarVariable name="settled" valueReference="4" causality="parameter" variability="fixed"
-        description="Start trimmed to initial_drive; else after the drive was at its lower end">
-      <Boolean start="false"/>
-    </ScalarVariable>
-  </ModelVariables>
-  <ModelStructure>
-    <Outputs><Unknown index="2" dependencies="1"/></Outputs>
-    <InitialUnknowns><Unknown index="2" dependencies="3 4"/></InitialUnknowns>
-  </ModelStructure>
-</fmiModelDescription>
-""")
-
-
-def platform_folder() -> str:
-    """Return the standard's name of this computer's folder of binaries.
-
-    Raises
-    ------
-    OutputError
-        FMI 2.0 has no name for this computer.
-    """
-    system = {"linux": "linux", "win32": "win", "darwin": "darwin"}.get(sys.platform)
-    if system is None or platform.machine().lower() not in {"x86_64", "amd64"}:
-        raise OutputError(
-            f"FMI 2.0 has no binaries for {platform.system()} on {platform.machine()}:"
-            " export on a 64-bit Intel or AMD computer, or without `fmu`"
-        )
-    return f"{system}64"
-
-
-def _unit(quantity: Quantity) -> str:
-    return f" unit={quoteattr(quantity.unit)}" if quantity.unit else ""
-
-
-def fmu_bytes(plan: CascadePlan, name: str, title: str, code: Mapping[str, str]) -> bytes:
-    """Return the unit as a zip archive: the same model gives the same bytes from the same compiler.
-
-    Raises
-    ------
-    OutputError
-        There is no compiler, or no name for this computer in FMI 2.0.
-    """
-    folder = platform_folder()
-    source, result = plan.model.input, plan.model.output
-    drive = result if plan.direction == "inverse" else source
-    time_step = 1.0 if plan.time_step is None else plan.time_step
-    told = "".join(code[file] for file in sorted(code))
-    guid = hashlib.sha256(f"{name}{title}{told}".encode()).hexdigest()[:32]
-    words = {
-        "name": name, "guid": guid, "time_step": repr(time_step), "origin": repr(drive.minimum),
-        "quoted_name": quoteattr(name), "description": quoteattr(title),
-        "input": quoteattr(source.quantity), "output": quoteattr(result.quantity),
-        "input_unit": _unit(source), "output_unit": _unit(result),
-        "units": _unit_definitions(source, result),
-    }  # fmt: skip
-    sources = {**code, f"{name}_fmu.c": _SOURCE.substitute(words)}
-    listed = sorted(file for file in sources if file.endswith(".c"))
-    words["sources"] = "\n".join(f'      <File name="{file}"/>' for file in listed)
-    files: dict[str, bytes] = {"modelDescription.xml": _DESCRIPTION.substitute(words).encode()}
-    files |= {f"sources/{file}": text.encode() for file, text in sources.items()}
-    files[f"binaries/{folder}/{name}{library_suffix()}"] = compile_library(sources)
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path, content in files.items():
-            archive.writestr(zipfile.ZipInfo(path, _EARLIEST), content, zipfile.ZIP_DEFLATED)
-    return packed.getvalue()
-
-
-def _unit_definitions(*quantities: Quantity) -> str:
-    names = sorted({quantity.unit for quantity in quantities if quantity.unit})
-    if not names:
-        return ""
-    rows = "".join(f"    <Unit name={quoteattr(name)}/>\n" for name in names)
-    return f"  <UnitDefinitions>\n{rows}  </UnitDefinitions>\n"

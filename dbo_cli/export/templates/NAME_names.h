@@ -1,0 +1,11 @@
+/* The kernel's names, made this export's own: exports of any arithmetic stand side by side in one program.
+ * Each of the kernel's headers reads this again, since another export may have been included between. */
+#undef DBO_FLOAT
+#undef DBO_Q31
+/*? float */
+#define DBO_FLOAT
+/*: float */
+/*? q31 */
+#define DBO_Q31
+/*: q31 */
+/*+ names */

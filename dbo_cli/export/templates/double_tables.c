@@ -1,0 +1,34 @@
+/*+ gear_rows */
+/*+ term_tables */
+/*? terms */
+static const dbo_backlash op = {gears, GEARS, RUN, 1, DBO_ROW_FACTOR(RUN),
+    X_START, Y_START, 1, TERMS, gain, REFERENCE, ON_OUTPUT};
+/*: terms */
+/*? !terms */
+static const dbo_backlash op = {gears, GEARS, RUN, 1, DBO_ROW_FACTOR(RUN),
+    X_START, Y_START, 1, TERMS, 0, REFERENCE, ON_OUTPUT};
+/*: terms */
+/*? fixed */
+/*+ fixed_rows */
+/*+ rest_table */
+/*? terms */
+static const dbo_fixed_step fixed = {KAPPA, decay, rest, fixed_gears};
+/*: terms */
+/*? !terms */
+static const dbo_fixed_step fixed = {KAPPA, 0, 0, fixed_gears};
+/*: terms */
+/*: fixed */
+/*? lookup */
+/*+ corner_tables */
+static const dbo_lookup lookup = {&op, &fixed, corners, lowest};
+/*: lookup */
+/*+ spare_table */
+/*? constant_limits */
+/*? slew */
+static const double largest_change = CHANGE;
+static const dbo_limits limits = {LEAST, MOST, SLACK, &largest_change, 0};
+/*: slew */
+/*? !slew */
+static const dbo_limits limits = {LEAST, MOST, SLACK, 0, 0};
+/*: slew */
+/*: constant_limits */
