@@ -112,7 +112,7 @@ def _lagged(t: SingleTables, text: Text) -> str:
 
 def _start(t: SingleTables) -> tuple[list[str], str, str]:
     """Return the state's members, the statements that attach its arrays, and those that clear it."""
-    words = (t.n + 31) // 32
+    words = (t.n + 31) // 32 + 8 * -(-t.n // 64)  # DBO_WORDS(n)
     members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
     clear = f"    for (uint32_t k = 0U; k < {words}U; k++) state->words[k] = 0U;\n"
     clear += "    for (uint32_t k = 0U; k < 3U; k++) state->segments[k] = 0U;\n"
