@@ -146,9 +146,7 @@ class CascadePlan:
     @property
     def slew_step(self) -> float | None:
         """The largest change of the backlash stage's output in one step."""
-        if self.inner_limits is None or self.inner_limits.max_slew is None or self.time_step is None:
-            return None
-        return self.inner_limits.max_slew * self.time_step
+        return None if self.inner_limits is None else self.inner_limits.largest_change(self.time_step)
 
     @cached_property
     def inverter(self) -> DynamicsInverter | None:

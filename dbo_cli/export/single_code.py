@@ -40,7 +40,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    words = (t.n + 31) // 32
+    words = (t.n + 31) // 32 + 8 * -(-t.n // 64)  # DBO_WORDS(n)
     members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")

@@ -6,7 +6,8 @@
 #include <stddef.h>
 
 #define ALL_ONES UINT32_MAX
-#define LEAP 4 /* a leap costs about as much as crossing so many gears one by one */
+#define LEAP 4   /* a leap costs about as much as crossing so many gears one by one */
+#define SINGLE 4 /* so many crossings of gears, or of leaps, come before those of blocks */
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && !defined(DBO_Q31)
 #error "float must be computed as float: compile for hardware or software float32, not x87"
@@ -17,6 +18,12 @@ static uint32_t first_one(uint32_t word) {
     static const uint8_t place[32] = {0,  1,  28, 2,  29, 14, 24, 3,  30, 22, 20, 15, 25, 17, 4,  8,
                                       31, 27, 13, 23, 21, 19, 16, 7,  26, 12, 18, 6,  11, 5,  10, 9};
     return place[((word & (~word + 1U)) * UINT32_C(0x077CB531)) >> 27];
+}
+
+/* Place of the highest one. */
+static uint32_t last_one(uint32_t word) {
+    for (uint32_t reach = 1U; reach < 32U; reach *= 2U) word |= word >> reach;
+    return first_one(word ^ word >> 1);
 }
 
 static uint32_t count_ones(uint32_t word) {
@@ -167,21 +174,37 @@ static uint32_t open_gears(const dbo_backlash *op, const dbo_backlash_state *sta
     return count;
 }
 
+/* Sums over a block of 64 gears, each two words, behind the bits: of the gears crossed, and of all. */
+enum { CROSSED_X = 0, CROSSED_Y = 2, WHOLE_X = 4, WHOLE_Y = 6, SUMS = 8 };
+
+static uint32_t *sums_of(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t block) {
+    return state->words + (op->n + 31U) / 32U + (uint32_t)SUMS * block;
+}
+
+static dbo_position sum(const uint32_t *at) { return (dbo_position)((uint64_t)at[1] << 32 | at[0]); }
+
+static void set_sum(uint32_t *at, dbo_position value) {
+    at[0] = (uint32_t)((uint64_t)value & ALL_ONES);
+    at[1] = (uint32_t)((uint64_t)value >> 32);
+}
+
+static void add_crossed(uint32_t *sums, dbo_position x, dbo_position y) {
+    set_sum(sums + CROSSED_X, sum(sums + CROSSED_X) + x);
+    set_sum(sums + CROSSED_Y, sum(sums + CROSSED_Y) + y);
+}
+
 /* Cross the next `count` gears, all of one run, (6)-(9); 1 <= count <= open_gears. */
 static void cross(const dbo_backlash *op, dbo_backlash_state *state, uint32_t count, int rising) {
     const uint32_t from = rising ? state->zero : state->set, end = run_end(op, from);
     const dbo_gear *gear = gear_at(op, from);
+    const int32_t width = rising ? gear->width : -gear->width, height = rising ? gear->height : -gear->height;
     uint32_t k = from >> 5;
-    if (rising) {
-        state->x += times(count, gear->width);
-        state->y += times(count, gear->height);
-    } else {
-        state->x -= times(count, gear->width);
-        state->y -= times(count, gear->height);
-    }
+    state->x += times(count, width);
+    state->y += times(count, height);
     for (;; k++) {
         uint32_t open = open_bits(state->words[k], k, from, end, rising);
-        const uint32_t here = count_ones(open);
+        const uint32_t here = count_ones(open), crossed = here < count ? here : count;
+        add_crossed(sums_of(op, state, k >> 1), times(crossed, width), times(crossed, height));
         if (here > count) {
             uint32_t left = open;
             for (uint32_t i = 0U; i < count; i++) left &= left - 1U;
@@ -200,11 +223,20 @@ static void cross(const dbo_backlash *op, dbo_backlash_state *state, uint32_t co
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
     state->x = 0;
     state->y = 0;
-    for (uint32_t i = 0U; i < op->n; i++)
-        if ((state->words[i >> 5] >> (i & 31U) & 1U) != 0U) {
-            state->x += gear_at(op, i)->width;
-            state->y += gear_at(op, i)->height;
-        }
+    for (uint32_t k = 0U; 64U * k < op->n; k++) {
+        uint32_t *sums = sums_of(op, state, k);
+        for (uint32_t s = 0U; s < (uint32_t)SUMS; s++) sums[s] = 0U;
+    }
+    for (uint32_t i = 0U; i < op->n; i++) {
+        const dbo_gear *gear = gear_at(op, i);
+        uint32_t *sums = sums_of(op, state, i >> 6);
+        set_sum(sums + WHOLE_X, sum(sums + WHOLE_X) + gear->width);
+        set_sum(sums + WHOLE_Y, sum(sums + WHOLE_Y) + gear->height);
+        if ((state->words[i >> 5] >> (i & 31U) & 1U) == 0U) continue;
+        add_crossed(sums, gear->width, gear->height);
+        state->x += gear->width;
+        state->y += gear->height;
+    }
     state->set = lowest(state->words, op->n, 0U, 0U);
     state->zero = lowest(state->words, op->n, 0U, ALL_ONES);
 }
@@ -232,11 +264,48 @@ static uint32_t gears_crossed(const dbo_backlash *op, const dbo_backlash_state *
     return sure;
 }
 
+/* Cross whole blocks of 64 gears: all that are open where the last one is crossed, since what is left to
+ * travel, and of room, falls with every gear; that one surely is where its far end is short of both. Returns
+ * the gear crossed last, n where there was none. */
+static uint32_t pass_blocks(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
+                            dbo_position bound, int rising) {
+    const uint32_t begin = (rising ? state->zero : state->set) >> 6;
+    uint32_t last = op->n, block = begin;
+    for (; 64U * block < op->n; block++) {
+        uint32_t *sums = sums_of(op, state, block), *word = state->words + 2U * block;
+        const int two = 64U * block + 32U < op->n;
+        const uint32_t low = open_bits(word[0], 2U * block, 0U, op->n, rising);
+        const uint32_t high = two ? open_bits(word[1], 2U * block + 1U, 0U, op->n, rising) : 0U;
+        const dbo_position x = (rising ? sum(sums + WHOLE_X) : 0) - sum(sums + CROSSED_X);
+        const dbo_position y = (rising ? sum(sums + WHOLE_Y) : 0) - sum(sums + CROSSED_Y);
+        uint32_t top;
+        if ((low | high) == 0U) continue;
+        top = 64U * block + (high != 0U ? 32U + last_one(high) : last_one(low));
+        if (rising ? u < state->x + x || bound < state->y + y : u > state->x + x || bound > state->y + y) {
+            const dbo_gear *gear = gear_at(op, top);
+            const dbo_position far_x = rising ? u - (state->x + x) : (state->x + x) - u;
+            const dbo_position far_y = rising ? bound - (state->y + y) : (state->y + y) - bound;
+            if (far_x + gear->width < crossed_at(gear->width, op->tolerance)) break;
+            if (far_y + gear->height < crossed_at(gear->height, op->tolerance)) break;
+        }
+        word[0] ^= low;
+        if (two) word[1] ^= high;
+        add_crossed(sums, x, y);
+        state->x += x;
+        state->y += y;
+        last = top;
+    }
+    if (last == op->n) return last;
+    state->set = rising ? 0U : lowest(state->words, op->n, 2U * begin, 0U);
+    state->zero = rising ? lowest(state->words, op->n, 2U * begin, ALL_ONES) : 0U;
+    return last;
+}
+
 /* Cross gears one way while the input `u` is far enough and the output has room up to `bound`; returns the
  * one crossed last, n where there was none. */
 static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                            dbo_position bound, int rising) {
-    uint32_t last = op->n, next = rising ? state->zero : state->set;
+    uint32_t last = op->n, next = rising ? state->zero : state->set, single = SINGLE;
     while (next < op->n) {
         const dbo_gear *gear = gear_at(op, next);
         const dbo_position travelled = rising ? u - state->x : state->x - u;
@@ -244,6 +313,12 @@ static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, db
         if (travelled < crossed_at(gear->width, op->tolerance)) break;
         if (room < crossed_at(gear->height, op->tolerance)) break;
         last = next;
+        if (single > 0U && --single == 0U) {
+            const uint32_t crossed = pass_blocks(op, state, u, bound, rising);
+            if (crossed < op->n) last = crossed;
+            next = rising ? state->zero : state->set;
+            if (crossed < op->n) continue;
+        }
         if (op->run >= LEAP && travelled >= LEAP * (dbo_position)gear->width)
             cross(op, state, gears_crossed(op, state, u, bound, rising), rising);
         else

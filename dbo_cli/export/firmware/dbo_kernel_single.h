@@ -67,8 +67,12 @@ typedef struct {
     dbo_position most;
 } dbo_backlash;
 
+/* (n + 31) / 32 words of bits, and for each 64 gears four sums of 64 bits: the widths and heights of those
+ * crossed, and of all. So 64 gears take 40 bytes, and a jump crosses them at once. */
+#define DBO_WORDS(n) (((n) + 31U) / 32U + 8U * (((n) + 63U) / 64U))
+
 typedef struct {
-    uint32_t *words; /* (n + 31) / 32 of them: bit i % 32 of word i / 32 is b_i */
+    uint32_t *words; /* DBO_WORDS(n) of them: bit i % 32 of word i / 32 is b_i; the rest the kernel keeps */
     dbo_memory *memory;
     uint32_t set;  /* S (4) */
     uint32_t zero; /* Z (5) */
