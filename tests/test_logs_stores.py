@@ -36,9 +36,9 @@ with h5py.File(sys.argv[1], "a", locking={locking}) as file:
 APPENDER = """
 import sys, numpy
 from dbo_cli.errors import OutputError
-from dbo_cli.logs import hdf5_store
+from dbo_cli.logs.hdf5 import store
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-hdf5_store._PATIENCE = hdf5_store._QUEUE = 1e9  # on a busy machine another may hold the lock for long
+store._PATIENCE = store._QUEUE = 1e9  # on a busy machine another may hold the lock for long
 sys.stdin.readline()
 with signal_writer(sys.argv[1], [OutColumn("time", "s")]) as writer:
     writer.write(numpy.full(1000, float(sys.argv[2])))
@@ -47,7 +47,7 @@ with signal_writer(sys.argv[1], [OutColumn("time", "s")]) as writer:
 
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dbo_cli.logs.hdf5_store._PATIENCE", 0.1)
+    monkeypatch.setattr("dbo_cli.logs.hdf5.store._PATIENCE", 0.1)
 
 
 def write(address: str, value: float = 1.0) -> None:

@@ -171,7 +171,7 @@ def loaded() -> None:
         __import__(f"dbo_cli.cli.{name}")
     for name in ("files", "reporting"):
         __import__(f"dbo_cli.runs.{name}")
-    for name in ("hdf5_writer", "hdf5_store", "signal_writer", "text_logs"):
+    for name in ("hdf5.writer", "hdf5.store", "signal_writer", "text_logs"):
         __import__(f"dbo_cli.logs.{name}")
 
 

@@ -145,8 +145,8 @@ def signal_writer(
 def _hdf5(
     target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
 ) -> Iterator[SignalWriter]:
-    from dbo_cli.logs.hdf5_store import StoreOutput, group_path
-    from dbo_cli.logs.hdf5_writer import Hdf5Writer
+    from dbo_cli.logs.hdf5.store import StoreOutput, group_path
+    from dbo_cli.logs.hdf5.writer import Hdf5Writer
 
     if target.is_stream or descriptor_of(target.path) is not None:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")

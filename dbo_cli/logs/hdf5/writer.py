@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.logs.clock import JITTER
-from dbo_cli.logs.hdf5_store import MARK
+from dbo_cli.logs.hdf5.store import MARK
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray

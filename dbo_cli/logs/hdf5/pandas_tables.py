@@ -12,7 +12,7 @@ import numpy as np
 
 from dbo_cli.logs.column_table import ColumnSource
 from dbo_cli.logs.foreign_text import clean_text
-from dbo_cli.logs.hdf5_columns import attribute, attribute_text, columns_of, field_slicer, is_dataset
+from dbo_cli.logs.hdf5.columns import attribute, attribute_text, columns_of, field_slicer, is_dataset
 
 
 def pandas_columns(group: Any) -> list[ColumnSource]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.logs.column_table import ColumnSource
 from dbo_cli.logs.foreign_text import clean_text
-from dbo_cli.logs.hdf5_columns import (
+from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,
     columns_of,
@@ -18,7 +18,7 @@ from dbo_cli.logs.hdf5_columns import (
     is_group,
     with_unit_fields,
 )
-from dbo_cli.logs.hdf5_pandas import pandas_columns
+from dbo_cli.logs.hdf5.pandas_tables import pandas_columns
 from dbo_cli.logs.stated_clock import is_clock_name
 
 _DEEPEST = 8  # levels looked through for a table; LabOne's is the deepest known (/000/dev/demods/0/sample)

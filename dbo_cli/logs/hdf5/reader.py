@@ -1,8 +1,8 @@
 """HDF5 as a table of columns: datasets of a group, fields of a compound dataset, rows or columns of a matrix.
 
 MATLAB's v7.3 files are HDF5 with every matrix stored transposed; since the longer axis is taken as time, both
-read the same.  How programs arrange a table is in ``hdf5_layouts``, what a dataset's attributes mean in
-``hdf5_columns``.
+read the same.  How programs arrange a table is in ``hdf5.layouts``, what a dataset's attributes mean in
+``hdf5.columns``.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_table import ColumnSource, ColumnTable, brief
 from dbo_cli.logs.foreign_text import clean_text
-from dbo_cli.logs.hdf5_columns import columns_of, is_dataset, matlab_class, scalar_statements, statements_of
-from dbo_cli.logs.hdf5_layouts import columns_in, tables_below
+from dbo_cli.logs.hdf5.columns import columns_of, is_dataset, matlab_class, scalar_statements, statements_of
+from dbo_cli.logs.hdf5.layouts import columns_in, tables_below
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.stated_clock import Statement
 
@@ -43,7 +43,7 @@ def open_hdf5(address: Address, selectors: Sequence[str], options: ReadingOption
     InputError
         The file or the group is absent, damaged, or holds no columns of numbers.
     """
-    from dbo_cli.logs.hdf5_safety import open_safely
+    from dbo_cli.logs.hdf5.safety import open_safely
 
     if address.is_stream:
         raise InputError("standard input: HDF5 cannot be read from a pipe: give the file's name")
