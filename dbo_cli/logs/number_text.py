@@ -9,7 +9,7 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.libraries import keep_interrupts
 
 PLAIN_CELLS = (
     1 << 16

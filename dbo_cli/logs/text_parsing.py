@@ -28,7 +28,7 @@ from dbo_cli.logs.cell_grammar import (
 )
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.header_blocks import RepeatedHeader
-from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.number_text import are_measured
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock

@@ -25,7 +25,7 @@ from typing import IO
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import parse_address
-from dbo_cli.logs.interrupts import ending_signals_raise, signals_wait
+from dbo_cli.logs.libraries import host
 from dbo_cli.logs.output_files import check_output, check_outputs, descriptor_of, identity_of
 from dbo_cli.logs.partial_files import open_partial, partial_path, remove_orphans
 
@@ -167,7 +167,7 @@ class OutputSet:
     def _renamed(self) -> bool:
         """Prepare and rename everything; False where a file appeared meanwhile and it must be tried again."""
         exclusive = [self._prepared(one) for one in self._pending]
-        with signals_wait():
+        with host().signals_held():
             try:
                 for one, alone in zip(self._pending, exclusive, strict=True):
                     with _telling(one.path):
@@ -252,16 +252,15 @@ def all_or_none() -> Iterator[OutputSet]:
 @contextlib.contextmanager
 def _committed() -> Iterator[OutputSet]:
     outputs = OutputSet()
-    with ending_signals_raise():
-        try:
-            yield outputs
-            outputs.commit()
-        except BaseException:
-            with signals_wait():
-                outputs.give_up()
-            raise
-        finally:
-            outputs.close()
+    try:
+        yield outputs
+        outputs.commit()
+    except BaseException:
+        with host().signals_held():
+            outputs.give_up()
+        raise
+    finally:
+        outputs.close()
 
 
 @contextlib.contextmanager

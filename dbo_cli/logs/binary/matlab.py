@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source, brief
-from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+from dbo_cli.logs.column_table import (
+    MATLAB_OBJECTS,
+    ColumnSource,
+    ColumnTable,
+    Request,
+    matrix_sources,
+    number_in,
+    statements_in,
+    with_unit,
+    without_scalars,
+)
+from dbo_cli.logs.stated_clock import Statement
 
 _START_NAMES = ("tstart", "t0", "x0")
 _LABELS = ("Name", "name", "label", "Label", "title")
 _VALUES = ("Data", "data", "values", "value", "Values", "Y")
 _UNITS = ("Unit", "unit", "Units", "units")
-_OBJECTS = (
-    "MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
-    "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement')"
-)
 
 
-def open_matlab(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+def open_matlab(request: Request) -> ColumnTable:
     """Open a MATLAB file: vectors, columns of matrices, fields of structs (one struct, or ``FILE::struct``).
 
     Single values called ``fs``, ``Ts``, ``dt``, ``Tinterval`` and the like give the sample rate.
@@ -36,40 +40,37 @@ def open_matlab(address: Address, selectors: Sequence[str], options: ReadingOpti
     """
     import scipy.io
 
-    place = address.text
-    try:
-        stored = scipy.io.loadmat(address.path, simplify_cells=True)
-    except Exception as problem:  # scipy raises whatever the damaged bytes lead to
-        why = "it ends early" if isinstance(problem, IndexError | EOFError) else brief(problem)
-        raise InputError(f"{place}: damaged MATLAB file: {why}") from None
+    place = request.place
+    with request.reading("MATLAB file"):  # scipy raises whatever the damaged bytes lead to
+        try:
+            stored = scipy.io.loadmat(request.address.path, simplify_cells=True)
+        except (IndexError, EOFError):
+            raise ValueError("it ends early") from None
     variables = {name: value for name, value in stored.items() if not name.startswith("__")}
-    objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
-    group, trail = _struct(place, variables, address.group)
+    group, trail = _struct(place, variables, request.address.group)
     sources = _columns(group)
     if not sources:
-        inner = [
-            (name, found)
-            for name, value in group.items()
-            if isinstance(value, dict) and (found := _columns(value))
-        ]
-        if len(inner) == 1:
-            trail, sources = [*trail, group[inner[0][0]]], inner[0][1]
-        elif inner:
-            names = ", ".join(name for name, _ in inner)
-            raise InputError(f"{place}: columns in {len(inner)} structs, {names}: which one? "
-                             f"(write {address.path}::{inner[0][0]})")  # fmt: skip
-    sources += [source for path in selectors for source in _by_path(variables, path) if path not in group]
+        structs = {name: value for name, value in group.items() if isinstance(value, dict)}
+        inner = {name: found for name, value in structs.items() if (found := _columns(value))}
+        if len(inner) > 1:
+            first = next(iter(inner))
+            raise InputError(
+                f"{place}: columns in {len(inner)} structs, {', '.join(inner)}: which one? "
+                f"(write {request.address.path}::{first})"
+            )
+        for name in inner:
+            trail, sources = [*trail, structs[name]], inner[name]
+    for path in request.named:
+        if path not in group:
+            sources += _by_path(variables, path)
     if not sources:
-        listed = ", ".join(f"{name} ({_shape(value)})" for name, value in group.items()) or "nothing"
-        raise InputError(
-            f"{place}: no columns of numbers: it holds {listed}" + (f" ({_OBJECTS})" if objects else "")
-        )
-    clock = next((said for level in reversed(trail) if (said := list(_statements(level)))), [])
+        objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
+        held = (f"{name} ({_shape(value)})" for name, value in group.items())
+        raise request.no_columns(held, MATLAB_OBJECTS if objects else "")
+    clock = next((stated for level in reversed(trail) if (stated := _statements(level))), [])
     starts = [value for level in trail for name, value in level.items() if name.lower() in _START_NAMES]
-    start = (
-        float(starts[-1]) if starts and np.ndim(starts[-1]) == 0 and not isinstance(starts[-1], str) else 0.0
-    )
-    return ColumnTable(place, "MATLAB", sources, clock=clock, start=start)
+    start = number_in(starts[-1]) if starts and np.ndim(starts[-1]) == 0 else None
+    return ColumnTable(request, "MATLAB", sources, clock=clock, start=start or 0.0)
 
 
 def _struct(
@@ -90,26 +91,14 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
     sources: list[ColumnSource] = []
     for name, value in group.items():
         sources += _channels(name, value) if _is_channel_list(value) else _arrays(name, value)
-    if _is_channel(group) and not _is_channel_list(
-        group
-    ):  # Simulink's "structure with time": time beside signals
-        sources += [
-            source for source in _channels("", group) if source.label not in {s.label for s in sources}
-        ]
-    longest = max((source.length for source in sources), default=0)
-    sources = [source for source in sources if source.length > 1 or longest <= 1]
-    return [_with_unit(group, source) for source in sources]
+    if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
+        known = {source.label for source in sources}
+        sources += [source for source in _channels("", group) if source.label not in known]
+    return [with_unit(source, group.get) for source in without_scalars(sources)]
 
 
 def _arrays(name: str, value: Any) -> list[ColumnSource]:
-    """Take a variable apart: a vector is a column, and the longer axis of a matrix is time."""
-    array = np.asarray(value) if isinstance(value, np.ndarray) else None
-    if array is None or array.dtype.kind not in "fiub" or array.ndim not in (1, 2) or not array.size:
-        return []
-    if array.ndim == 1:
-        return [array_source(name, array)]
-    table = array if array.shape[0] >= array.shape[1] else array.T
-    return [array_source(f"{name}[{index + 1}]", table[:, index]) for index in range(table.shape[1])]
+    return matrix_sources(name, value) if isinstance(value, np.ndarray) else []
 
 
 def _is_channel(value: Any) -> bool:
@@ -138,14 +127,6 @@ def _first(struct: dict[str, Any], names: Sequence[str]) -> Any:
     return next((struct[name] for name in names if name in struct), None)
 
 
-def _with_unit(group: dict[str, Any], source: ColumnSource) -> ColumnSource:
-    """Take a unit from a text beside the column (``voltage_unit``) where it has none itself."""
-    if source.unit:
-        return source
-    texts = (group.get(f"{source.label}{end}") for end in ("_units", "_unit", "Unit"))
-    return replace(source, unit=next((text for text in texts if isinstance(text, str) and text), None))
-
-
 def _by_path(variables: dict[str, Any], path: str) -> list[ColumnSource]:
     """Find what the user named by a path through structs (``run.voltage``)."""
     value: Any = variables
@@ -154,13 +135,10 @@ def _by_path(variables: dict[str, Any], path: str) -> list[ColumnSource]:
     return _arrays(path, value)
 
 
-def _statements(level: dict[str, Any]) -> Iterator[Statement]:
-    for name, value in level.items():
-        if is_clock_name(name) and not isinstance(value, dict) and np.size(value) == 1:
-            unit = level.get(f"{name}_units", level.get(f"{name}_unit"))
-            found = read_statement(name, value, unit)
-            if found is not None:
-                yield found
+def _statements(level: Mapping[str, Any]) -> list[Statement]:
+    return statements_in(
+        {name: one for name, one in level.items() if not isinstance(one, dict) and np.size(one) == 1}
+    )
 
 
 def _is_object(value: Any) -> bool:

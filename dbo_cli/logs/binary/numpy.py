@@ -2,37 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source, brief
-from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.stated_clock import is_clock_name, read_statement
+from dbo_cli.logs.column_table import (
+    ColumnSource,
+    ColumnTable,
+    Fetch,
+    Request,
+    array_source,
+    matrix_sources,
+    statements_in,
+    without_scalars,
+)
+from dbo_cli.logs.stated_clock import is_clock_name
+
+_PIECE = 1 << 23  # bytes read at once: a matrix is read by whole rows, whatever its width
 
 
-def open_npy(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
-    """Open an array, mapped into memory: fields of a structured array, or a matrix's columns (by number).
+def open_npy(request: Request) -> ColumnTable:
+    """Open an array: fields of a structured array, or a matrix's columns (by number), read in blocks.
 
     Raises
     ------
     InputError
         The file is damaged, or holds no columns of numbers.
     """
-    try:
-        array = np.load(address.path, mmap_mode="r", allow_pickle=False)
-    except Exception as problem:  # numpy raises whatever the damaged bytes lead to
-        raise InputError(f"{address.text}: {_reason(problem)}") from None
-    sources = _columns("", array)
+    with request.reading("NumPy file"):
+        try:
+            # Mapped for its header alone: reading a map of a file that is cut meanwhile ends the process.
+            array = np.load(request.address.path, mmap_mode="r", allow_pickle=False)
+        except ValueError as problem:
+            if any(word in str(problem) for word in ("allow_pickle", "Object arrays", "Python objects")):
+                raise InputError(
+                    f"{request.place}: it holds pickled Python objects, which are not loaded: save arrays of "
+                    "numbers"
+                ) from None
+            raise
+        sources = list(_columns_in_file(request.address.path, array))
     if not sources:
-        raise InputError(f"{address.text}: no columns of numbers: it holds {_shape(array)}")
-    return ColumnTable(address.text, "NumPy array", sources)
+        raise request.no_columns([_shape(array)])
+    return ColumnTable(request, "NumPy array", sources)
 
 
-def open_npz(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+def open_npz(request: Request) -> ColumnTable:
     """Open an archive of arrays; single numbers called ``fs``, ``dt`` and the like give the sample rate.
 
     Raises
@@ -41,31 +57,20 @@ def open_npz(address: Address, selectors: Sequence[str], options: ReadingOptions
         The file is damaged, or holds no columns of numbers.
     """
     arrays: dict[str, Any] = {}
-    try:
-        with open(address.path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            for name in archive.files:
-                arrays[name] = _member(archive, name)
-    except Exception as problem:  # zipfile and numpy raise whatever the damaged bytes lead to
-        raise InputError(f"{address.text}: damaged NumPy archive: {brief(problem)}") from None
+    with (
+        request.reading("NumPy archive"),  # zipfile and numpy raise whatever the damaged bytes lead to
+        open(request.address.path, "rb") as stream,
+        np.load(stream, allow_pickle=False) as archive,
+    ):
+        for name in archive.files:
+            arrays[name] = _member(archive, name)
     readable = {name: array for name, array in arrays.items() if array is not None}
-    sources = [source for name, array in readable.items() for source in _columns(name, array)]
-    longest = max((source.length for source in sources), default=0)
-    sources = [source for source in sources if source.length > 1 or longest <= 1]
+    sources = without_scalars([one for name, array in readable.items() for one in _columns(name, array)])
     if not sources:
-        listed = ", ".join(f"{name} ({_shape(array)})" for name, array in arrays.items()) or "nothing"
-        raise InputError(f"{address.text}: no columns of numbers: it holds {listed}")
-    clock = []
-    for name, array in readable.items():
-        if is_clock_name(name) and array.size == 1:
-            statement = read_statement(name, array.ravel()[0], _text(readable, name))
-            clock += [statement] if statement is not None else []
-    return ColumnTable(address.text, "NumPy archive", sources, clock=clock)
-
-
-def _reason(problem: Exception) -> str:
-    if "allow_pickle" in str(problem) or "Object arrays" in str(problem) or "Python objects" in str(problem):
-        return "it holds pickled Python objects, which are not loaded: save arrays of numbers"
-    return f"damaged NumPy file: {brief(problem)}"
+        raise request.no_columns(f"{name} ({_shape(array)})" for name, array in arrays.items())
+    single = {name: array.ravel()[0] for name, array in readable.items() if array.size == 1}
+    stated = {name: value for name, value in single.items() if is_clock_name(name) or isinstance(value, str)}
+    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated))
 
 
 def _member(archive: Any, name: str) -> Any:
@@ -78,29 +83,48 @@ def _member(archive: Any, name: str) -> Any:
         raise
 
 
-def _text(arrays: dict[str, Any], name: str) -> str | None:
-    for other in (f"{name}_unit", f"{name}_units"):
-        if other in arrays and arrays[other].dtype.kind == "U" and arrays[other].size == 1:
-            return str(arrays[other].ravel()[0])
-    return None
-
-
 def _columns(name: str, array: Any) -> list[ColumnSource]:
     if array.dtype.names is not None and array.ndim == 1:
-        prefix = f"{name}/" if name else ""
-        fields = [field for field in array.dtype.names if array.dtype[field].kind in "fiub"]
-        return [array_source(f"{prefix}{field}", array[field]) for field in fields]
-    if array.dtype.kind not in "fiub" or not array.size:
-        return []
-    if array.ndim == 1:
-        return [array_source(name, array)]
-    if array.ndim != 2:
-        return []
-    table = array if array.shape[0] >= array.shape[1] else array.T
-    labels = [f"{name}[{index + 1}]" if name else "" for index in range(table.shape[1])]
-    if table.shape[1] == 1:
-        labels = [name]
-    return [array_source(label, table[:, index]) for index, label in enumerate(labels)]
+        return [array_source(f"{name}/{field}", array[field]) for field in _numbers_in(array.dtype)]
+    single = array.ndim == 2 and 1 in array.shape
+    return matrix_sources(name, array, "{name}" if single else "{name}[{number}]")
+
+
+def _numbers_in(kind: Any) -> list[str]:
+    return [field for field in kind.names if kind[field].kind in "fiub"]
+
+
+def _columns_in_file(path: str, array: Any) -> Iterator[ColumnSource]:
+    """List the columns of an array of which only the place in the file is used."""
+    kind, shape = array.dtype, array.shape
+    if kind.names is not None and array.ndim == 1:
+        for name in _numbers_in(kind):
+            yield ColumnSource(name, len(array), _stretches(path, kind, array.offset, name))
+    elif kind.kind in "fiub" and array.size and array.ndim in (1, 2):
+        length, width = (shape[0], 1) if array.ndim == 1 else (max(shape), min(shape))
+        by_rows = width > 1 and (shape[0] >= shape[1]) == array.flags.c_contiguous
+        row = np.dtype((kind, (width,)))
+        for index in range(width):
+            place = array.offset + index * length * kind.itemsize
+            own = _stretches(path, row, array.offset, (slice(None), index)) if by_rows else None
+            yield ColumnSource("", length, own or _stretches(path, kind, place, ...))
+
+
+def _stretches(path: str, record: Any, offset: int, column: Any) -> Fetch:
+    """Read stretches of consecutive records, in pieces; ``column`` is the index of what is wanted of them."""
+    most = max(1, _PIECE // record.itemsize)
+
+    def fetch(start: int, stop: int) -> Any:
+        pieces = []
+        for first in range(start, stop, most):
+            count = min(most, stop - first)
+            rows = np.fromfile(path, record, count, offset=offset + first * record.itemsize)
+            if len(rows) < count:
+                raise ValueError("it ends early")
+            pieces.append(rows[column])
+        return np.concatenate(pieces)
+
+    return fetch
 
 
 def _shape(array: Any) -> str:
