@@ -7,7 +7,6 @@ A reader of a format finds the columns, their units, scales and the clock; every
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.cell_grammar import SKIP_REMEDY
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import GAVE_UP
@@ -33,43 +33,6 @@ MATLAB_OBJECTS = (
     " (MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
     "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement'))"
 )
-CHANGED = "the file changed while it was read: read it when its writer is done, or read a copy"
-
-
-class FileWatch:
-    """The size and time of a file that is being read; a change in between is an error.
-
-    Parameters
-    ----------
-    place
-        How messages call the log.
-    path
-        The file; ``add`` takes further ones that its samples come from.
-    """
-
-    def __init__(self, place: str, path: str) -> None:
-        self._place = place
-        self._seen: dict[str, tuple[int, int, int] | None] = {}
-        self.add(path)
-
-    def add(self, path: str) -> None:
-        """Watch another file."""
-        self._seen.setdefault(path, _identity(path))
-
-    def check(self) -> None:
-        """Refuse what was read so far where a file is no longer what it was (InputError)."""
-        for path, before in self._seen.items():
-            now = _identity(path)
-            if now != before:
-                raise InputError(f"{self._place}: {CHANGED}")
-
-
-def _identity(path: str) -> tuple[int, int, int] | None:
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 @dataclass(frozen=True)
@@ -208,7 +171,7 @@ def statements_in(values: Mapping[str, Any]) -> list[Statement]:
 
 
 # What netCDF's library leaves where nothing was written (NC_FILL_DOUBLE, NC_FILL_FLOAT as stored).
-_NETCDF_FILL = (9.969209968386869e36, float(np.float32(9.969209968386869e36)))
+NETCDF_FILL = (9.969209968386869e36, float(np.float32(9.969209968386869e36)))
 
 
 def number_in(value: Any, index: int = 0) -> float | None:
@@ -241,7 +204,7 @@ def unpacked(
         source,
         scale=number("scale_factor") or 1.0,
         offset=number("add_offset") or 0.0,
-        missing=missing or (_NETCDF_FILL if filled else ()),
+        missing=missing or (NETCDF_FILL if filled else ()),
         problem=f"column '{source.label}' is stored as _Unsigned, which is not read" if unsigned else "",
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.logs.column_table import ColumnSource, Fetch, number_in, unpacked
+from dbo_cli.logs.column_table import NETCDF_FILL, ColumnSource, Fetch, number_in, unpacked
 from dbo_cli.logs.foreign_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
 
@@ -165,7 +165,7 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
         return number_in(attribute(dataset, name), index)
 
     unsigned = attribute_text(dataset, "_Unsigned").lower() == "true"
-    filled = dataset.dtype.kind == "f" and attribute(dataset, "_Netcdf4Dimid") is not None
+    filled = dataset.dtype.kind == "f" and float(dataset.fillvalue) in NETCDF_FILL
     source = unpacked(source, number, unsigned, filled)
     if source.problem:
         return source

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.column_table import FileWatch
+from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.plain_text import cleaned
 
 _MOST_HOPS = 16  # links to follow one after the other; HDF5's own limit for soft links is 16, too
