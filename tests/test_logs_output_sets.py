@@ -18,8 +18,13 @@ import pytest
 from dbo_cli.cli.process import CommandProcess
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import check_document
-from dbo_cli.logs.output_files import check_outputs, descriptor_of, identity_of
-from dbo_cli.logs.partial_files import partial_path, remove_orphans
+from dbo_cli.logs.output_files import (
+    check_outputs,
+    descriptor_of,
+    identity_of,
+    partial_path,
+    remove_orphans,
+)
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, replacing, write_whole
 

@@ -61,9 +61,13 @@ class FileWatch:
         """Watch another file."""
         self._seen.setdefault(path, _state_of(path))
 
+    def changed(self) -> bool:
+        """Tell whether a file is no longer what it was."""
+        return any(_state_of(path) != before for path, before in self._seen.items())
+
     def check(self) -> None:
-        """Refuse what was read so far where a file is no longer what it was (InputError)."""
-        if any(_state_of(path) != before for path, before in self._seen.items()):
+        """Refuse what was read so far where a file has changed (InputError)."""
+        if self.changed():
             raise InputError(f"{self._place}: {_CHANGED}")
 
 

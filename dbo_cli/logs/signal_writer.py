@@ -152,7 +152,7 @@ def _hdf5(
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
     store = StoreOutput(target.path, group_path(target.group))
     store.check()
-    with replacing(target.path, devices=False, prepare=store.publish) as path:
+    with replacing(target.path, devices=False, prepare=store.publishing) as path:
         writer = Hdf5Writer(path, store.group, columns, attributes)
         try:
             yield writer
