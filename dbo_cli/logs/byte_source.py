@@ -9,11 +9,15 @@ import stat
 import sys
 import zlib
 from collections.abc import Iterator
-from typing import IO, Any, cast
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
 
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Item = TypeVar("Item")
 HEAD_BYTES = 1 << 18
 LONGEST_LINE = 1 << 24
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
@@ -404,3 +408,17 @@ class LineBlocks:
             raise InputError(
                 f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
             )
+
+
+def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Give the items of an iterator, each made in a thread while the one before is worked on.
+
+    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An exception of the iterator is raised here, after the items before it.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        coming: Future[Item | None] = pool.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = pool.submit(next, items, None)
+            yield item

@@ -14,7 +14,7 @@ import secrets
 import stat
 import sys
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import IO
 
 from dbo_cli.errors import DboError, OutputError, UsageError
@@ -78,7 +78,7 @@ def identity_of(address: str | Address, *, reading: bool = False) -> FileIdentit
     reading
         Whether ``-`` is standard input.
     """
-    target = parse_address(address) if isinstance(address, str) else address
+    target = parse_address(address)
     descriptor = (0 if reading else 1) if target.is_stream else descriptor_of(target.path)
     try:
         found = os.stat(target.path) if descriptor is None else os.fstat(descriptor)
@@ -111,7 +111,7 @@ def _ignores_case(folder: str) -> bool:
         return False
 
 
-def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) -> None:
+def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str | Address] = ()) -> None:
     """Refuse outputs that cannot be written, are an input or each other, before any long work starts.
 
     Parameters
@@ -128,9 +128,9 @@ def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) 
     OutputError
         A folder is missing or not writable, an output is a folder, a name is too long.
     """
-    if list(inputs).count("-") > 1:
+    if sum(given == "-" or (isinstance(given, Address) and given.is_stream) for given in inputs) > 1:
         raise UsageError("two inputs are standard input, which can be read once: give one of them as a file")
-    targets = [parse_address(one) if isinstance(one, str) else one for one in outputs]
+    targets = [parse_address(one) for one in outputs]
     read = {identity_of(given, reading=True) for given in _readable(inputs)}
     written: dict[FileIdentity, Address] = {}
     for target in targets:
@@ -146,20 +146,16 @@ def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) 
         _check_place(target)
 
 
-def _readable(inputs: Sequence[str]) -> list[str]:
+def _readable(inputs: Sequence[str | Address]) -> Iterator[Address]:
     """Leave out what is no file: the name of a state, an empty word, what does not exist."""
-    good = []
     for given in inputs:
-        try:
+        with contextlib.suppress(DboError):
             target = parse_address(given)
-        except DboError:
-            continue
-        if target.is_stream or os.path.exists(target.path):
-            good.append(given)
-    return good
+            if target.is_stream or os.path.exists(target.path):
+                yield target
 
 
-def check_output(address: str | Address, protect: Sequence[str] = ()) -> None:
+def check_output(address: str | Address, protect: Sequence[str | Address] = ()) -> None:
     """Refuse one output that cannot be written or is an input; see :func:`check_outputs`."""
     check_outputs([address], protect)
 

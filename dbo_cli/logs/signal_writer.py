@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from typing import IO, Any, Protocol, cast
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import IO, TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import Address, parse_output
-from dbo_cli.logs.background_io import OneBehind
 from dbo_cli.logs.number_text import rows_as_text
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, unique_headers
 from dbo_cli.logs.output_files import descriptor_of
 from dbo_cli.logs.whole_output import check_output, opened, replacing
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 __all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
 
@@ -28,6 +30,32 @@ class SignalWriter(Protocol):
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows."""
+
+
+class OneBehind:
+    """Runs calls in a thread, one after the other; each waits for the one before and raises its exception."""
+
+    def __init__(self) -> None:
+        from concurrent.futures import ThreadPoolExecutor
+
+        self._pool = ThreadPoolExecutor(1)
+        self._running: Future[Any] | None = None
+
+    def run(self, call: Callable[..., object], *arguments: object) -> None:
+        """Start a call once the one before is done."""
+        if self._running is not None:
+            self._running.result()
+        self._running = self._pool.submit(call, *arguments)
+
+    def wait(self) -> None:
+        """Wait for the running call."""
+        if self._running is not None:
+            running, self._running = self._running, None
+            running.result()
+
+    def close(self) -> None:
+        """End the thread when its call is done, whatever came of it."""
+        self._pool.shutdown()
 
 
 class TextWriter:
@@ -87,13 +115,13 @@ class TextWriter:
 
 @contextlib.contextmanager
 def signal_writer(
-    address: str,
+    address: str | Address,
     columns: Sequence[OutColumn],
     *,
     format: str | None = None,
     attributes: Mapping[str, str | float] | None = None,
     flush: bool = False,
-    protect: Sequence[str] = (),
+    protect: Sequence[str | Address] = (),
 ) -> Iterator[SignalWriter]:
     """Open an output for signals; it appears when the block is left without an error, and not otherwise.
 
@@ -133,7 +161,7 @@ def signal_writer(
             and descriptor_of(target.path) is None
             and (os.path.isfile(target.path) or not os.path.exists(target.path))
         )
-        writer = TextWriter(stream, columns, _delimiter(target, format), flush, behind)
+        writer = TextWriter(stream, columns, target.delimiter, flush, behind)
         try:
             yield writer
             writer.finish()
@@ -160,11 +188,6 @@ def _hdf5(
         except BaseException:
             writer.abandon()
             raise
-
-
-def _delimiter(target: Address, format: str | None) -> str:
-    tabs = format == "tsv" or (format is None and target.path.lower().removesuffix(".gz").endswith(".tsv"))
-    return "\t" if tabs else ","
 
 
 @contextlib.contextmanager

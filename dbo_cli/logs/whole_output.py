@@ -26,7 +26,7 @@ from typing import IO
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs import output_files
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.output_files import (
     check_output,
@@ -352,7 +352,9 @@ def _bring_to_disk(path: str, flags: int) -> None:
         os.close(handle)
 
 
-def write_whole(address: str, data: bytes, *, protect: Sequence[str] = ()) -> None:
+def write_whole(
+    address: str | Address, data: bytes, *, protect: Sequence[str | Address] = ()
+) -> None:
     """Write a complete file at once (``-`` is standard output).
 
     Raises
@@ -362,10 +364,10 @@ def write_whole(address: str, data: bytes, *, protect: Sequence[str] = ()) -> No
     OutputError
         It cannot be written; what stood there is left as it was.
     """
-    check_output(address, protect)
     target = parse_address(address)
+    check_output(target, protect)
     if target.group is not None:
-        raise UsageError(f"{address}: '::' names a group of an HDF5 file, and this output is no signal")
+        raise UsageError(f"{target.text}: '::' names a group of an HDF5 file, and this output is no signal")
     with opened(target.path) as file:
         file.write(data)
 
