@@ -413,7 +413,8 @@ class LineBlocks:
 def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
     """Give the items of an iterator, each made in a thread while the one before is worked on.
 
-    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An exception of the iterator is raised here, after the items before it.
+    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An
+    exception of the iterator is raised here, after the items before it.
     """
     from concurrent.futures import ThreadPoolExecutor
 
