@@ -168,7 +168,7 @@ def test_identification_and_report(folder: Path) -> None:
         ("simulate model.json drive.csv -o .", 1, "this is a folder: give a file name"),
         ("simulate model.json drive.csv -o out.xlsx", 2, ".xlsx files are not written"),
         ("simulate drive.csv model.json", 2, "the model comes first, then the log"),
-        ("simulate model.json drive.csv --outside error --scale voltage=2", 1, "is outside the range of the model"),
+        ("simulate model.json drive.csv --outside error --scale voltage=2", 1, "is outside the range"),
     ],
 )
 def test_errors_are_one_line_and_write_nothing(folder: Path, words: str, code: int, message: str) -> None:
