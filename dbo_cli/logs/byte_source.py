@@ -138,8 +138,8 @@ class ByteSource:
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
         self._file: IO[bytes] | None = None
-        self._begun: os.stat_result | None = None  # of a regular file: when it was opened
-        self._largest = 0
+        self._begun: os.stat_result | None = None  # how a regular file was when it was opened
+        self._largest = 0  # bytes that it has had since
         self._live = live
         self._hash = _new_digest() if digest else None
         self._owned: list[IO[bytes]] = []
@@ -246,6 +246,7 @@ class ByteSource:
             self._owned.append(stream)
         self._file = stream
         self._begun = self._now()
+        self._largest = 0 if self._begun is None else self._begun.st_size
         if self._hash is not None:
             stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
         try:

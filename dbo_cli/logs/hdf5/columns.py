@@ -77,7 +77,7 @@ def columns_of(dataset: Any, name: str) -> list[ColumnSource]:
     names = _column_names(dataset, width) if width > 1 else None
     labels = names or ([own] if width == 1 else [f"{own}[{number}]" for number in range(1, width + 1)])
     return [
-        _described(ColumnSource(label, shape[axis], _slicer(dataset, axis, index)), dataset, index)
+        _described(ColumnSource(label, shape[axis], slicer(dataset, axis, index)), dataset, index)
         for index, label in enumerate(labels)
     ]
 
@@ -100,7 +100,8 @@ def _time_axis(dataset: Any) -> int:
     return 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not matlab_class(dataset)) else 1
 
 
-def _slicer(dataset: Any, axis: int, index: int) -> Fetch:
+def slicer(dataset: Any, axis: int, index: int) -> Fetch:
+    """Read a vector, or column ``index`` of a matrix whose axis ``axis`` is time."""
     if len(dataset.shape) == 1:
         return lambda start, stop: dataset[start:stop]
     if axis == 0:
@@ -109,26 +110,29 @@ def _slicer(dataset: Any, axis: int, index: int) -> Fetch:
 
 
 def _fields_of(dataset: Any, name: str) -> list[ColumnSource]:
-    sources = []
+    found = []
     for number, field in enumerate(dataset.dtype.names):
-        kind = dataset.dtype[field]
         label = f"{name}/{clean_text(field)}" if name else clean_text(field)
-        length = dataset.shape[0]
-        if kind.subdtype is not None and len(kind.shape) == 1 and kind.base.kind in "fiub":
-            for index in range(kind.shape[0]):
-                source = ColumnSource(f"{label}[{index + 1}]", length, field_slicer(dataset, field, index))
-                sources.append(_described(source, dataset, number))
-        elif kind.kind in "fiub":
-            source = ColumnSource(label, length, field_slicer(dataset, field))
-            sources.append(_described(source, dataset, number))
-    return sources
+        found += [_described(one, dataset, number) for one in field_sources(dataset, field, label, None)]
+    return found
 
 
-def field_slicer(dataset: Any, field: str, index: int | None = None) -> Fetch:
-    """Read one field of a compound dataset (or one place of a field that is an array)."""
-    if index is None:
-        return lambda start, stop: dataset[start:stop][field]
-    return lambda start, stop: dataset[start:stop][field][:, index]
+def field_sources(dataset: Any, field: str, label: str, names: list[str] | None) -> list[ColumnSource]:
+    """Make a column of a field of a compound dataset, or one of each place (``names``) of an array in it."""
+    kind, length = dataset.dtype[field], dataset.shape[0]
+    if kind.subdtype is not None and len(kind.shape) == 1 and kind.base.kind in "fiub":
+        width = kind.shape[0]
+        if names is None or len(names) != width:
+            names = [f"{label}[{number}]" for number in range(1, width + 1)]
+        return [
+            ColumnSource(one, length, _field(dataset, field, (slice(None), index)))
+            for index, one in enumerate(names)
+        ]
+    return [ColumnSource(label, length, _field(dataset, field, ...))] if kind.kind in "fiub" else []
+
+
+def _field(dataset: Any, field: str, place: Any) -> Fetch:
+    return lambda start, stop: dataset[start:stop][field][place]
 
 
 def _column_names(dataset: Any, width: int) -> list[str] | None:

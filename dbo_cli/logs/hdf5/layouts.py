@@ -16,9 +16,10 @@ from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,
     columns_of,
-    field_slicer,
+    field_sources,
     is_dataset,
     is_group,
+    slicer,
     stored_text,
 )
 from dbo_cli.logs.stated_clock import is_clock_name
@@ -223,60 +224,41 @@ def pandas_columns(group: Any) -> list[ColumnSource]:
 
 def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
     sources: list[ColumnSource] = []
-    length = table.shape[0]
     info = _harmless(attribute(group, "info"))
     for field in table.dtype.names:
-        kind = table.dtype[field]
-        named = [clean_text(name) for name in _harmless(attribute(table, f"{field}_kind")) or ()]
         if field == "index":
             name = info.get("index", {}).get("index_name") if isinstance(info, dict) else None
-            source = ColumnSource(clean_text(name or ""), length, field_slicer(table, field))
-            sources += _as_index(source, attribute_text(table, "index_kind"))
-        elif kind.subdtype is not None and len(kind.shape) == 1 and kind.base.kind in "fiub":
-            names = (
-                named if len(named) == kind.shape[0] else [f"{field}[{n + 1}]" for n in range(kind.shape[0])]
-            )
-            stamped = attribute_text(table, f"{field}_dtype")
-            for index, name in enumerate(names):
-                source = ColumnSource(name, length, field_slicer(table, field, index))
-                sources.append(_from_stamps(source, stamped) or source)
-        elif kind.kind in "fiub":
-            source = ColumnSource(clean_text(field), length, field_slicer(table, field))
+            for source in field_sources(table, field, clean_text(name or ""), None):
+                sources += _as_index(source, attribute_text(table, "index_kind"))
+            continue
+        names = [clean_text(name) for name in _harmless(attribute(table, f"{field}_kind")) or ()]
+        for source in field_sources(table, field, clean_text(field), names):
             sources.append(_from_stamps(source, attribute_text(table, f"{field}_dtype")) or source)
     return sources
 
 
 def _pandas_blocks(group: Any) -> list[ColumnSource]:
     sources = _index(group["axis1"])
-    order = (
-        [clean_text(name) for name in group["axis0"][()].ravel()] if is_dataset(group.get("axis0")) else []
-    )
+    order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
     found: dict[str, ColumnSource] = {}
     for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
         values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
-        if not (
-            is_dataset(values)
-            and is_dataset(items)
-            and len(values.shape) == 2
-            and values.dtype.kind in "fiub"
-        ):
+        if not (is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub"):
+            continue
+        if len(values.shape) != 2:
             continue
         for index, name in enumerate(map(clean_text, items[()].ravel())):
-            source = ColumnSource(name, values.shape[0], _column_slicer(values, index))
+            source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
             found[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
-    return sources + [found[name] for name in order if name in found]
-
-
-def _column_slicer(values: Any, index: int) -> Any:
-    return lambda start, stop: values[start:stop, index]
+    return sources + [found[name] for name in map(clean_text, order) if name in found]
 
 
 def _index(axis: Any) -> list[ColumnSource]:
     if not is_dataset(axis) or axis.dtype.kind not in "fiu" or len(axis.shape) != 1:
         return []
     name = attribute_text(axis, "name")
-    source = ColumnSource("" if name in ("N.", "") else _unpickled_text(name), axis.shape[0],
-                          lambda start, stop: axis[start:stop])  # fmt: skip
+    label = "" if name in ("N.", "") else _unpickled_text(name)
+    source = ColumnSource(label, axis.shape[0], slicer(axis, 0, 0))
     return _as_index(source, attribute_text(axis, "kind"))
 
 
@@ -323,6 +305,6 @@ def _harmless(value: Any) -> Any:
 
 def _unpickled_text(name: str) -> str:
     plain = _harmless(name.encode())
-    return (
-        clean_text(plain) if isinstance(plain, str) else "" if plain is None and name.endswith(".") else name
-    )
+    if isinstance(plain, str):
+        return clean_text(plain)
+    return "" if plain is None and name.endswith(".") else name

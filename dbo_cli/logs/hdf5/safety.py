@@ -148,8 +148,7 @@ def _through(here: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> Any
 
 
 def _name_of(file: Any) -> str:
-    name = file.filename
-    return cleaned(name.decode("utf-8", "surrogateescape") if isinstance(name, bytes) else name)
+    return cleaned(_text(file.filename))
 
 
 def _file_named(name: str, beside: str) -> str | None:
@@ -215,11 +214,11 @@ def _stored_share(dataset: Any) -> float:
 
 
 def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tuple[str, str], ...]) -> None:
-    own = (os.path.realpath(_name_of_file(dataset)), dataset.name)
+    own = (os.path.realpath(_text(dataset.file.filename)), dataset.name)
     if own in above or len(above) > _MOST_HOPS:
         raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
     for file_name, name in _sources(dataset):
-        source = _file_named(file_name, _name_of_file(dataset)) if file_name != "." else own[0]
+        source = _file_named(file_name, _text(dataset.file.filename)) if file_name != "." else own[0]
         if "%" in file_name + name:
             raise InputError(f"{place} is a virtual one of numbered files: join them into one file first")
         said = f"'{cleaned(name)}'" + (f" in '{cleaned(file_name)}'" if file_name != "." else "")
@@ -240,11 +239,6 @@ def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tupl
                     raise InputError(f"{place} is a virtual one, and its source {said} is stored elsewhere")
         except OSError:
             raise InputError(f"{missing}: it cannot be opened") from None
-
-
-def _name_of_file(dataset: Any) -> str:
-    name = dataset.file.filename
-    return name.decode("utf-8", "surrogateescape") if isinstance(name, bytes) else str(name)
 
 
 def _resolved_link(file: Any, name: str) -> Any:
