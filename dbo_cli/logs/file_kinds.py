@@ -45,11 +45,11 @@ def open_table(
     InputError
         The file cannot be read, or a library that reads it is not installed.
     """
-    from dbo_cli.logs.column_table import Request
-
     reader = _reader_by_content(address) or (("hdf5.reader", "open_hdf5") if address.kind == "hdf5" else None)
     if reader is None:
         return TextTable(address, options, live=live, digest=digest)
+    from dbo_cli.logs.column_table import Request
+
     module, function = reader
     read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
     opened: Table = read(Request(address, named, options))
