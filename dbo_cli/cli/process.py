@@ -35,9 +35,6 @@ def _end(number: int, frame: FrameType | None) -> None:
 class CommandProcess(Host):
     """A process that runs one command: nobody else's handlers or output are at stake."""
 
-    def __init__(self) -> None:
-        self._imported: set[str] = set()
-
     def imported(self, module: str) -> None:
         """Undo what a library has done to the process when it was imported.
 
@@ -45,9 +42,6 @@ class CommandProcess(Host):
         restarted, so that a command waiting on standard input would hear Ctrl-C only when the next row
         arrives. npTDMS writes its doubts to the terminal.
         """
-        if module in self._imported:
-            return
-        self._imported.add(module)
         if module == "polars" and hasattr(signal, "siginterrupt"):
             with contextlib.suppress(ValueError, OSError):
                 signal.siginterrupt(signal.SIGINT, True)

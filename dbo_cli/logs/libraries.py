@@ -9,6 +9,7 @@ process sets one of its own (``cli.process``).
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 from typing import Any
 
@@ -39,6 +40,7 @@ def set_host(chosen: Host) -> Host:
     """Choose what is done about libraries in this process; returns what was chosen before."""
     global _host
     before, _host = _host, chosen
+    keep_interrupts.cache_clear()
     return before
 
 
@@ -47,8 +49,9 @@ def host() -> Host:
     return _host
 
 
+@functools.cache
 def keep_interrupts() -> None:
-    """Tell the host that polars has been imported."""
+    """Tell the host that polars has been imported; only the first call counts."""
     _host.imported("polars")
 
 
