@@ -161,9 +161,9 @@ class OutputSet:
         """Prepare an output and bring it to the disk: no rename shows an empty file after a power failure."""
         with _telling(one.path):
             alone = prepared.enter_context(one.prepare(one.temporary))
+            _bring_to_disk(one.temporary, os.O_RDWR)
             with contextlib.suppress(OSError):  # the permissions of the file that it replaces
                 os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))
-            _bring_to_disk(one.temporary, os.O_RDWR)
         return alone
 
     def _renamed(self, alone: Sequence[bool]) -> bool:
