@@ -22,6 +22,7 @@ HEAD_BYTES = 1 << 18
 LONGEST_LINE = 1 << 24
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 _PIPE_BYTES = 1 << 18
+_UNREADABLE = (EOFError, zlib.error, OSError)
 _GZIP_MAGIC = b"\x1f\x8b"
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 _AS_FILE = ", not through a pipe or compressed"
@@ -185,13 +186,22 @@ class ByteSource:
                 data: bytes = self._stream.read1(size)  # type: ignore[attr-defined]
             else:
                 data = self._stream.read(size) if self.is_regular else self._patiently(size)
-        except (EOFError, zlib.error, OSError) as problem:
-            self._refuse_change(ended=True)
-            if not isinstance(problem, OSError) or problem.errno is None:  # gzip's own complaint
-                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
-            raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
+        except _UNREADABLE as problem:
+            raise self._why_unreadable(problem) from None
         self._refuse_change(ended=not data)
         return data
+
+    def _why_unreadable(self, problem: BaseException) -> InputError:
+        self._refuse_change(ended=True)
+        if not isinstance(problem, OSError) or problem.errno is None:  # gzip's own complaint
+            return InputError(f"{self.name}: the gzip data are damaged or end early")
+        return InputError(f"{self.name}: cannot be read: {problem.strerror or problem}")
+
+    def _first_bytes(self, stream: IO[bytes]) -> bytes:
+        try:
+            return cast(bytes, stream.peek(64)[:64])  # type: ignore[attr-defined]
+        except _UNREADABLE as problem:
+            raise self._why_unreadable(problem) from None
 
     def _refuse_change(self, ended: bool) -> None:
         """Refuse a file that was cut or written over; one that a recorder appends to is read on."""
@@ -249,10 +259,7 @@ class ByteSource:
         self._largest = 0 if self._begun is None else self._begun.st_size
         if self._hash is not None:
             stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
-        try:
-            start = stream.peek(64)[:64]  # type: ignore[attr-defined]
-        except OSError as problem:
-            raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
+        start = self._first_bytes(stream)
         if start.startswith(_GZIP_MAGIC):
             import gzip
 
@@ -260,18 +267,12 @@ class ByteSource:
             unpacked = gzip.GzipFile(fileobj=stream, mode="rb")
             self._owned.append(cast(IO[bytes], unpacked))
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
-            try:
-                start = stream.peek(64)[:64]  # type: ignore[attr-defined]
-            except (EOFError, zlib.error, OSError):
-                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
-        self._refuse_foreign(start)
-        self._start = start
-        return stream
-
-    def _refuse_foreign(self, start: bytes) -> None:
+            start = self._first_bytes(stream)
         for magic, remedy in _FOREIGN.items():
             if start.startswith(magic):
                 raise InputError(f"{self.name}: this is not a text log but {remedy}")
+        self._start = start
+        return stream
 
     def _decoder(self, encoding: str | None) -> Any:
         start = self._start

@@ -55,6 +55,12 @@ def descriptor_of(path: str) -> int | None:
     return None
 
 
+def is_replaceable(path: str) -> bool:
+    """Tell whether an output is a file to be renamed to: no stream, device or open descriptor."""
+    regular = path != "-" and (os.path.isfile(path) or not os.path.exists(path))
+    return regular and descriptor_of(path) is None
+
+
 def _plain_folder(folder: str) -> str:
     """Resolve links in a folder, but keep /dev/fd and /proc/self/fd in their short spelling."""
     absolute = os.path.abspath(folder or ".")

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import IO, TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import Address, parse_output
 from dbo_cli.logs.number_text import rows_as_text
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, unique_headers
-from dbo_cli.logs.output_files import descriptor_of
+from dbo_cli.logs.output_files import descriptor_of, is_replaceable
 from dbo_cli.logs.whole_output import check_output, opened, replacing
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 __all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
 
@@ -30,32 +29,6 @@ class SignalWriter(Protocol):
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows."""
-
-
-class OneBehind:
-    """Runs calls in a thread, one after the other; each waits for the one before and raises its exception."""
-
-    def __init__(self) -> None:
-        from concurrent.futures import ThreadPoolExecutor
-
-        self._pool = ThreadPoolExecutor(1)
-        self._running: Future[Any] | None = None
-
-    def run(self, call: Callable[..., object], *arguments: object) -> None:
-        """Start a call once the one before is done."""
-        if self._running is not None:
-            self._running.result()
-        self._running = self._pool.submit(call, *arguments)
-
-    def wait(self) -> None:
-        """Wait for the running call."""
-        if self._running is not None:
-            running, self._running = self._running, None
-            running.result()
-
-    def close(self) -> None:
-        """End the thread when its call is done, whatever came of it."""
-        self._pool.shutdown()
 
 
 class TextWriter:
@@ -72,7 +45,8 @@ class TextWriter:
         self._delimiter = delimiter
         self._flush = flush
         self._may_lag = behind
-        self._behind: OneBehind | None = None
+        self._pool: ThreadPoolExecutor | None = None
+        self._running: Future[None] | None = None
         self._headers = unique_headers(columns)
         cells = [header_cell(header, delimiter) for header in self._headers]
         stream.write((delimiter.join(cells) + "\n").encode())
@@ -81,15 +55,23 @@ class TextWriter:
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
+        self._wait()
         if self._may_lag and np.size(arrays[0]) >= _WORTH_A_THREAD:
-            self._behind = self._behind or OneBehind()
-            self._behind.run(self._append, arrays)
+            if self._pool is None:
+                from concurrent.futures import ThreadPoolExecutor
+
+                self._pool = ThreadPoolExecutor(1)
+            self._running = self._pool.submit(self._append, arrays)
             return
-        if self._behind is not None:
-            self._behind.wait()
         self._append(arrays)
         if self._flush:
             self._stream.flush()
+
+    def _wait(self) -> None:
+        """Wait for the rows before, and raise what went wrong with them."""
+        running, self._running = self._running, None
+        if running is not None:
+            running.result()
 
     def finish(self) -> None:
         """Wait until everything is handed to the stream.
@@ -99,13 +81,12 @@ class TextWriter:
         OSError
             The last rows could not be written.
         """
-        if self._behind is not None:
-            self._behind.wait()
+        self._wait()
 
     def close(self) -> None:
         """End the thread; called whether or not the writing succeeded."""
-        if self._behind is not None:
-            self._behind.close()
+        if self._pool is not None:
+            self._pool.shutdown()
 
     def _append(self, arrays: Sequence[ArrayLike]) -> None:
         if np.size(arrays[0]):
@@ -155,12 +136,7 @@ def signal_writer(
             yield hdf5
         return
     with _text_stream(target) as stream:
-        behind = (
-            not flush
-            and not target.is_stream
-            and descriptor_of(target.path) is None
-            and (os.path.isfile(target.path) or not os.path.exists(target.path))
-        )
+        behind = not flush and is_replaceable(target.path)
         writer = TextWriter(stream, columns, target.delimiter, flush, behind)
         try:
             yield writer
@@ -180,7 +156,9 @@ def _hdf5(
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
     store = StoreOutput(target.path, group_path(target.group))
     store.check()
-    with replacing(target.path, devices=False, prepare=store.publishing) as path:
+    if not is_replaceable(target.path):
+        raise OutputError(f"{target.path}: this is no regular file: name a file")
+    with replacing(target.path, store.publishing) as path:
         writer = Hdf5Writer(path, store.group, columns, attributes)
         try:
             yield writer

@@ -33,6 +33,7 @@ from dbo_cli.logs.output_files import (
     check_outputs,
     descriptor_of,
     identity_of,
+    is_replaceable,
     open_partial,
     partial_path,
     remove_orphans,
@@ -258,20 +259,18 @@ def _committed() -> Iterator[OutputSet]:
 
 
 @contextlib.contextmanager
-def replacing(path: str, *, devices: bool = True, prepare: Prepare = _unprepared) -> Iterator[str]:
+def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` at the end, or remove it.
 
     Inside :func:`all_or_none` the rename waits for the other outputs. A device or named pipe cannot be
-    replaced and is given as it is, unless ``devices`` is False; so is a path such as ``/dev/fd/3``.
+    replaced and is given as it is; so is a path such as ``/dev/fd/3``.
 
     Raises
     ------
     OutputError
         Writing failed (disk full, folder gone, no permission).
     """
-    if descriptor_of(path) is not None or (os.path.exists(path) and not os.path.isfile(path)):
-        if not devices:
-            raise OutputError(f"{path}: this is no regular file: name a file")
+    if not is_replaceable(path):
         with _telling(path):
             yield path
         return
