@@ -408,3 +408,21 @@ def test_headers_are_harmless(tmp_path: Path, name: str, cell: str) -> None:
     assert (tmp_path / "out.csv").read_text(encoding="utf-8") == f"{cell}\n1.0\n"
     with signal_writer(str(tmp_path / "out.h5"), [OutColumn(name, name)], attributes={"command": name}) as h5:
         h5.write([1.0])
+
+
+def test_a_rename_that_fails_leaves_no_second_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All were there before, so each has a second name while the others are renamed."""
+    real = os.replace
+
+    def replace(source: str, target: str) -> None:
+        if target.endswith("c.json") and source.endswith(".partial") and Path(source).read_bytes() == b"new":
+            raise PermissionError(13, "Permission denied")
+        real(source, target)
+
+    for name in "abc":
+        (tmp_path / f"{name}.json").write_bytes(b"old")
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(OutputError, match=r"c\.json: cannot be written: Permission denied"), all_or_none():
+        for name in "abc":
+            write_whole(str(tmp_path / f"{name}.json"), b"new")
+    assert content(tmp_path) == {f"{name}.json": b"old" for name in "abc"}

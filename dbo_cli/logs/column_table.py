@@ -170,8 +170,8 @@ def statements_in(values: Mapping[str, Any]) -> list[Statement]:
     return found
 
 
-# What netCDF's library leaves where nothing was written (NC_FILL_DOUBLE, NC_FILL_FLOAT as stored).
-NETCDF_FILL = (9.969209968386869e36, float(np.float32(9.969209968386869e36)))
+# What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and NC_FILL_DOUBLE, one number.
+NETCDF_FILL = 9.969209968386869e36
 
 
 def number_in(value: Any, index: int = 0) -> float | None:
@@ -204,7 +204,7 @@ def unpacked(
         source,
         scale=number("scale_factor") or 1.0,
         offset=number("add_offset") or 0.0,
-        missing=missing or (NETCDF_FILL if filled else ()),
+        missing=missing or ((NETCDF_FILL,) if filled else ()),
         problem=f"column '{source.label}' is stored as _Unsigned, which is not read" if unsigned else "",
     )
 

@@ -169,7 +169,7 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
         return number_in(attribute(dataset, name), index)
 
     unsigned = attribute_text(dataset, "_Unsigned").lower() == "true"
-    filled = dataset.dtype.kind == "f" and float(dataset.fillvalue) in NETCDF_FILL
+    filled = dataset.dtype.kind == "f" and dataset.fillvalue == NETCDF_FILL
     source = unpacked(source, number, unsigned, filled)
     if source.problem:
         return source
