@@ -54,9 +54,7 @@ class Request:
         return self.address.text
 
     @contextlib.contextmanager
-    def reading(
-        self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)
-    ) -> Iterator[None]:
+    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
         """Turn whatever a library raises at damaged bytes into one line (InputError).
 
         ``kind`` is what the file should be, as messages say it (``Parquet``).

@@ -351,9 +351,7 @@ def _bring_to_disk(path: str, flags: int) -> None:
         os.close(handle)
 
 
-def write_whole(
-    address: str | Address, data: bytes, *, protect: Sequence[str | Address] = ()
-) -> None:
+def write_whole(address: str | Address, data: bytes, *, protect: Sequence[str | Address] = ()) -> None:
     """Write a complete file at once (``-`` is standard output).
 
     Raises

@@ -139,4 +139,3 @@ def _pandas_attributes(metadata: dict[str, str]) -> dict[str, Any]:
     except ValueError:
         return {}
     return found if isinstance(found, dict) else {}
-
