@@ -153,7 +153,9 @@ def forked(words: Sequence[str], limit: int | None = None) -> int:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
         from dbo_cli.cli.app import main
+        from dbo_cli.cli.process import prepare_process
 
+        prepare_process()
         code = main(list(words))
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 1
