@@ -41,8 +41,8 @@ def test_a_drive_within_its_limits_passes(bench: Any) -> None:
     ("words", "problem"),
     [
         ("--v-max 89", "row 44: 89.0366705 is outside -inf to 89 (30 rows in all)"),
-        ("--max-slew 1000", "row 2: from 50 to 51.2564304 in one row is faster than 1000 per second (167 rows "
-         "in all)"),
+        ("--max-slew 1000", "row 2: from 50 to 51.2564304 in one row is faster than 1000 per second (167 "
+         "rows in all)"),
         ("--from 0 --max-slew 2000", "row 1: from 0 to 50 in one row is faster than 2000 per second"),
         ("--rows 1:250 --loop", "from the last row, 89.9803, to the first, 50, is a step of 40 where the "
          "largest inside is 1.26: the loop does not close"),

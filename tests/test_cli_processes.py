@@ -213,3 +213,18 @@ def test_two_interrupts_end_like_one(folder: Path) -> None:
         "app.run()\n"
     )
     assert scripted(script, folder) == (130, b"", b"dbo: interrupted\n")
+
+
+@posix
+@pytest.mark.parametrize("piped", [("model",), ("log",), ("model", "log")])
+def test_a_model_and_a_log_through_named_descriptors(folder: Path, piped: tuple[str, ...]) -> None:
+    """What a shell writes as ``<(cat model.json)``: a pipe can be read once, from its beginning."""
+    (folder / "drive.csv").write_text("voltage_V\n0\n5\n10\n")
+    names = {"model": "model.json", "log": "drive.csv"}
+    words = [f"<(cat {name})" if what in piped else name for what, name in names.items()]
+    line = " ".join([*(f"'{word}'" for word in DBO), "simulate", *words])
+    done = subprocess.run(
+        ["bash", "-c", line], cwd=folder, env=environment(), capture_output=True, check=False, timeout=60
+    )
+    assert done.stdout == b"voltage_V,displacement_um\n0.0,1.0\n5.0,4.2\n10.0,9.0\n"
+    assert done.returncode == 0

@@ -169,3 +169,25 @@ def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
         + " or ".join(str(n + 1) for n in range(20))
         + " or … (30 in all))"
     )
+@pytest.mark.parametrize(
+    ("text", "format", "path", "group", "kind", "delimiter"),
+    [
+        ("run.csv", None, "run.csv", None, "text", ","),
+        ("RUN.TSV.GZ", None, "RUN.TSV.GZ", None, "text", "\t"),
+        ("run.txt", "tsv", "run.txt", None, "text", "\t"),
+        ("xtsv", None, "xtsv", None, None, ","),
+        ("run", "csv", "run", None, "text", ","),
+        ("-", "h5", "-", None, "hdf5", ","),
+        ("store.h5::", None, "store.h5", "/", "hdf5", ","),
+        ("store::/run/1", None, "store", "/run/1", "hdf5", ","),
+    ],
+)
+def test_an_address_is_taken_apart_once(
+    text: str, format: str | None, path: str, group: str | None, kind: str | None, delimiter: str
+) -> None:
+    address = parse_address(text, format)
+    assert (address.path, address.group, address.kind, address.delimiter) == (path, group, kind, delimiter)
+    assert parse_address(address) is address
+    assert parse_address(address, format) is address
+    assert address.is_stream == (text == "-")
+    assert parse_address(address, "h5").kind == "hdf5"

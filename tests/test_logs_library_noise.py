@@ -13,9 +13,9 @@ import openpyxl
 import polars
 import pytest
 
+from dbo_cli.cli.process import CommandProcess
 from dbo_cli.errors import InputError
-from dbo_cli.logs.column_table import GAVE_UP
-from dbo_cli.logs.library_noise import contained
+from dbo_cli.logs.libraries import GAVE_UP
 
 PATH = {"PYTHONPATH": str(Path(__file__).parent.parent)}
 
@@ -34,6 +34,8 @@ def test_no_byte_of_a_parquet_file_brings_the_library_to_the_terminal(tmp_path: 
         "from dbo_cli.errors import InputError\n"
         "from dbo_cli.logs.column_names import wish\n"
         "from dbo_cli.logs.signal_log import open_log\n"
+        "from dbo_cli.cli.process import prepare_process\n"
+        "prepare_process()\n"
         "want = {'voltage': wish('voltage'), 'displacement': wish('displacement')}\n"
         "good = Path('good.parquet').read_bytes()\n"
         "for at in range(len(good) - 700, len(good) - 8, 3):\n"  # the footer: a byte leads furthest astray
@@ -53,7 +55,8 @@ def test_a_library_that_panics_and_one_that_aborts(tmp_path: Path) -> None:
     """In a process of its own, which the abort ends."""
     script = (
         "import os, sys\n"
-        "from dbo_cli.logs.library_noise import contained\n"
+        "from dbo_cli.cli.process import CommandProcess\n"
+        "contained = CommandProcess().contained\n"
         "try:\n"
         "    with contained('a', 'Parquet'):\n"
         "        os.write(2, b'panicked')\n"
@@ -94,7 +97,8 @@ def test_a_workbook_that_asks_for_all_memory(tmp_path: Path) -> None:
 def test_nothing_is_held_back_where_standard_error_is_closed() -> None:
     script = (
         "import os\n"
-        "from dbo_cli.logs.library_noise import contained\n"
+        "from dbo_cli.cli.process import CommandProcess\n"
+        "contained = CommandProcess().contained\n"
         "os.close(2)\n"
         "with contained('a', 'Parquet'):\n"
         "    print('read')\n"
@@ -104,5 +108,5 @@ def test_nothing_is_held_back_where_standard_error_is_closed() -> None:
 
 
 def test_errors_of_this_program_come_through() -> None:
-    with pytest.raises(InputError, match="mine"), contained("a", "Parquet"):
+    with pytest.raises(InputError, match="mine"), CommandProcess().contained("a", "Parquet"):
         raise InputError("mine")

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from types import FrameType
 
 import pytest
 
+from dbo_cli.cli.process import CommandProcess
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import check_document
-from dbo_cli.logs.output_files import check_outputs, descriptor_of, identity_of
-from dbo_cli.logs.partial_files import partial_path, remove_orphans
+from dbo_cli.logs.output_files import (
+    check_outputs,
+    descriptor_of,
+    identity_of,
+    partial_path,
+    remove_orphans,
+)
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, replacing, write_whole
 
@@ -91,7 +100,9 @@ def hearing(number: int) -> None:
 def test_a_signal_takes_everything_back(tmp_path: Path, number: int) -> None:
     script = (
         "import sys, time\n"
+        "from dbo_cli.cli.process import prepare_process\n"
         "from dbo_cli.logs.whole_output import all_or_none, write_whole\n"
+        "prepare_process()\n"
         "with all_or_none() as outputs:\n"
         "    outputs.make_folder('figures')\n"
         "    write_whole('figures/a.png', b'x')\n"
@@ -118,6 +129,20 @@ def test_a_signal_takes_everything_back(tmp_path: Path, number: int) -> None:
     assert content(tmp_path) == {"b.json": b"old"}
 
 
+@contextlib.contextmanager
+def ended_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM unwind the stack, as a process of ``dbo`` does."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 @posix
 def test_a_signal_among_the_renames_waits_until_all_are_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -130,7 +155,8 @@ def test_a_signal_among_the_renames_waits_until_all_are_done(
         time.sleep(0.01)
 
     monkeypatch.setattr(os, "replace", replace)
-    with pytest.raises(SystemExit) as raised, all_or_none():
+    monkeypatch.setattr("dbo_cli.logs.libraries._host", CommandProcess())
+    with ended_by_sigterm(), pytest.raises(SystemExit) as raised, all_or_none():
         for name in "ab":
             (tmp_path / f"{name}.json").write_bytes(b"old")
             write_whole(str(tmp_path / f"{name}.json"), b"new")
@@ -382,3 +408,21 @@ def test_headers_are_harmless(tmp_path: Path, name: str, cell: str) -> None:
     assert (tmp_path / "out.csv").read_text(encoding="utf-8") == f"{cell}\n1.0\n"
     with signal_writer(str(tmp_path / "out.h5"), [OutColumn(name, name)], attributes={"command": name}) as h5:
         h5.write([1.0])
+
+
+def test_a_rename_that_fails_leaves_no_second_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All were there before, so each has a second name while the others are renamed."""
+    real = os.replace
+
+    def replace(source: str, target: str) -> None:
+        if target.endswith("c.json") and source.endswith(".partial") and Path(source).read_bytes() == b"new":
+            raise PermissionError(13, "Permission denied")
+        real(source, target)
+
+    for name in "abc":
+        (tmp_path / f"{name}.json").write_bytes(b"old")
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(OutputError, match=r"c\.json: cannot be written: Permission denied"), all_or_none():
+        for name in "abc":
+            write_whole(str(tmp_path / f"{name}.json"), b"new")
+    assert content(tmp_path) == {f"{name}.json": b"old" for name in "abc"}

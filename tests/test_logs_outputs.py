@@ -16,7 +16,7 @@ import pytest
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.whole_output import check_output, reason_of, replacing, write_whole
+from dbo_cli.logs.whole_output import check_output, reason_of, write_whole
 
 COLUMNS = [OutColumn("time", "s"), OutColumn("voltage", "V")]
 
@@ -39,6 +39,8 @@ def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_
     path.write_bytes(b"as it was")
     script = (
         "import sys, time, numpy\n"
+        "from dbo_cli.cli.process import prepare_process\n"
+        "prepare_process()\n"
         "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
         "with signal_writer(sys.argv[1], [OutColumn('voltage', 'V')]) as writer:\n"
         "    writer.write(numpy.zeros(100_000))\n"
@@ -183,13 +185,6 @@ def test_permissions_are_kept_and_made_by_the_umask(tmp_path: Path) -> None:
     finally:
         os.umask(before)
     assert (tmp_path / "new.json").stat().st_mode & 0o777 == 0o640
-
-
-def test_signal_handlers_are_put_back(tmp_path: Path) -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    with replacing(str(tmp_path / "x")) as temporary:
-        Path(temporary).write_bytes(b"")
-    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_several_writers_in_one_folder_do_not_disturb_each_other(tmp_path: Path) -> None:

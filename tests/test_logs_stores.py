@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.logs.hdf5 import store
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX locks")
@@ -36,9 +37,9 @@ with h5py.File(sys.argv[1], "a", locking={locking}) as file:
 APPENDER = """
 import sys, numpy
 from dbo_cli.errors import OutputError
-from dbo_cli.logs import hdf5_store
+from dbo_cli.logs.hdf5 import store
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-hdf5_store._PATIENCE = hdf5_store._QUEUE = 1e9  # on a busy machine another may hold the lock for long
+store._PATIENCE = store._QUEUE = 1e9  # on a busy machine another may hold the lock for long
 sys.stdin.readline()
 with signal_writer(sys.argv[1], [OutColumn("time", "s")]) as writer:
     writer.write(numpy.full(1000, float(sys.argv[2])))
@@ -47,7 +48,7 @@ with signal_writer(sys.argv[1], [OutColumn("time", "s")]) as writer:
 
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dbo_cli.logs.hdf5_store._PATIENCE", 0.1)
+    monkeypatch.setattr("dbo_cli.logs.hdf5.store._PATIENCE", 0.1)
 
 
 def write(address: str, value: float = 1.0) -> None:
@@ -179,3 +180,31 @@ def test_columns_of_one_name_and_with_slashes(tmp_path: Path) -> None:
         assert {name: file[name][0] for name in file} == {
             "time_s": 1.0, "time_s_2": 2.0, "rate (V_s)": 3.0, "column_4": 4.0,
         }  # fmt: skip
+
+
+@posix
+@pytest.mark.parametrize("mode", [0o604, 0o640, 0o666])
+def test_a_store_keeps_its_permissions(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "store.h5"
+    with h5py.File(path, "w") as file:
+        file["mine"] = np.arange(3.0)
+    path.chmod(mode)
+    write(f"{path}::/added")
+    assert path.stat().st_mode & 0o777 == mode
+
+
+@posix
+@pytest.mark.parametrize("turn", [1, -1])
+def test_who_waits_asks_all_writers_beside_a_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turn: int
+) -> None:
+    """One that was killed does not hide one that lives, in whichever order the folder lists them."""
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    alive = process("import sys; sys.stdin.read()")
+    names = [f".store.h5.{one.pid}-01234567.partial" for one in (gone, alive)][::turn]
+    monkeypatch.setattr(os, "listdir", lambda folder: names)
+    assert store._is_being_added_to(str(tmp_path / "store.h5"))
+    alive.communicate("")
+    assert not store._is_being_added_to(str(tmp_path / "store.h5"))
+    assert not store._is_being_added_to(str(tmp_path / "other.h5"))

@@ -153,7 +153,9 @@ def forked(words: Sequence[str], limit: int | None = None) -> int:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
         from dbo_cli.cli.app import main
+        from dbo_cli.cli.process import prepare_process
 
+        prepare_process()
         code = main(list(words))
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else 1
@@ -171,7 +173,7 @@ def loaded() -> None:
         __import__(f"dbo_cli.cli.{name}")
     for name in ("files", "reporting"):
         __import__(f"dbo_cli.runs.{name}")
-    for name in ("hdf5_writer", "hdf5_store", "signal_writer", "text.text_table"):
+    for name in ("hdf5.writer", "hdf5.store", "signal_writer", "text.text_table"):
         __import__(f"dbo_cli.logs.{name}")
 
 

@@ -63,11 +63,14 @@ def _run_process() -> int:
     """Prepare the process, run the command line and write out what is still held back."""
     import gc
 
+    from dbo_cli.cli.process import prepare_process
+
     # Many small factorisations: threads only wait for each other there (measured: up to 20 times slower), and
     # one thread gives the same bytes on every machine of a kind and leaves the others to `make -j`.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000, 50, 50)
     _open_closed_streams()
+    prepare_process()
     if "--debug" not in sys.argv:
         import warnings
 

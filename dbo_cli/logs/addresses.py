@@ -10,7 +10,6 @@ from dbo_cli.errors import UsageError
 
 TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".prn", ".log")
 HDF5_ENDINGS = (".h5", ".hdf5", ".hdf", ".he5", ".mat", ".nxs")
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Endings of files that hold something else; a signal under such a name would not be what it is called.
 _NOT_WRITTEN = {
     ".mat": "MATLAB's own files are not written: call it .h5, and MATLAB's h5read reads it",
@@ -38,16 +37,17 @@ FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hd
 
 @dataclass(frozen=True)
 class Address:
-    """A parsed address.
+    """What the text of a file's name means; made once, by :func:`parse_address`.
 
-    ``path`` is ``-`` for a standard stream, ``group`` what stands after ``::``; ``kind`` is ``text`` or
-    ``hdf5`` by the name or by ``format``, or None where only the content can tell.
+    ``path`` is ``-`` for a standard stream, ``group`` what stands after ``::``; ``format`` was asked for
+    beside the name, and ``kind`` is ``text`` or ``hdf5`` by either, or None where only the content can tell.
     """
 
     text: str
     path: str
     group: str | None
     kind: str | None
+    format: str | None = None
 
     @property
     def is_stream(self) -> bool:
@@ -64,15 +64,40 @@ class Address:
         """The name shown in messages."""
         return "standard input" if self.is_stream else self.text
 
+    @property
+    def delimiter(self) -> str:
+        """The delimiter of text that is written there."""
+        tabs = _plain(self.path).endswith(".tsv") if self.format is None else self.format == "tsv"
+        return "\t" if tabs else ","
 
-def parse_address(text: str, format: str | None = None) -> Address:
-    """Take an address apart.
+    def contradicts(self, format: str) -> bool:
+        """Tell whether the name says another format; a name that says nothing does not."""
+        own, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(format, "::")
+        return own is not None and (own != FORMATS[format] or _plain(self.path).endswith(unlike))
+
+
+def _plain(path: str) -> str:
+    return path.lower().removesuffix(".gz")
+
+
+def _kind_by_name(path: str) -> str | None:
+    if _plain(path).endswith(HDF5_ENDINGS):
+        return "hdf5"
+    return "text" if _plain(path).endswith(TEXT_ENDINGS) else None
+
+
+def parse_address(text: str | Address, format: str | None = None) -> Address:
+    """Take the text of a name apart; an address is returned as it is.
 
     Raises
     ------
     UsageError
-        The address is empty, the format is unknown, or a group is asked of a text file.
+        The text is empty, the format is unknown, or a group is asked of a text file.
     """
+    if isinstance(text, Address):
+        if format in (None, text.format):
+            return text
+        text = text.text
     if not text:
         raise UsageError("an empty file name was given")
     if format is not None and format not in FORMATS:
@@ -80,16 +105,16 @@ def parse_address(text: str, format: str | None = None) -> Address:
     path, separator, group = text.partition("::")
     if separator and os.path.exists(text):
         path, separator, group = text, "", ""  # a file whose name holds the separator
-    kind = _kind(path, format)
-    if separator and kind is None:
-        kind = "hdf5"
-    if separator and kind == "text":
+    kind = _kind_by_name(path) if format is None else FORMATS[format]
+    if not separator:
+        return Address(text, path, None, kind, format)
+    if kind == "text":
         raise UsageError(f"{text}: '::' names a group of an HDF5 file, and this is a text file")
-    return Address(text, path, (group or "/") if separator else None, kind)
+    return Address(text, path, group or "/", kind or "hdf5", format)
 
 
-def parse_output(text: str, format: str | None = None) -> Address:
-    """Take the address of a signal to be written apart; it is written as what its name says.
+def parse_output(text: str | Address, format: str | None = None) -> Address:
+    """Take the name of a signal to be written apart; it is written as what its name says.
 
     Raises
     ------
@@ -102,12 +127,12 @@ def parse_output(text: str, format: str | None = None) -> Address:
     for ending, reason in _NOT_WRITTEN.items():
         if lower.endswith((ending, ending + ".gz")):
             raise UsageError(f"{target.path}: {reason}")
-    if format is not None and contradicts(text, format):
-        raise UsageError(f"{target.path}: `format` {format} contradicts this name: leave one of them out")
+    if target.format is not None:
+        _refuse_contradiction(target.path, target, target.format)
     return target
 
 
-def check_document(address: str, what: str, form: str) -> None:
+def check_document(address: str | Address, what: str, form: str) -> None:
     """Refuse a name that says another format than that of a model, a state or a report.
 
     Parameters
@@ -127,41 +152,21 @@ def check_document(address: str, what: str, form: str) -> None:
     own = _DOCUMENTS[form]
     path = parse_address(address).path
     known = {".csv", ".tsv", ".gz", *HDF5_ENDINGS, *_NOT_WRITTEN} - set(own)
-    said = _longest_ending(path, known)
-    if said:
+    named = _longest_ending(path, known)
+    if named:
         stem = path
         while ending := _longest_ending(stem, known | {*own, ".txt"}):
             stem = stem[: -len(ending)]
         kind = "text" if form == "text" else form.upper()
         better = stem + (own[0] if own else ".txt")
-        raise UsageError(f"{path}: {what} is written as {kind}, not as {said}: call it {better}")
+        raise UsageError(f"{path}: {what} is written as {kind}, not as {named}: call it {better}")
 
 
 def _longest_ending(path: str, endings: Collection[str]) -> str:
     return max((one for one in endings if path.lower().endswith(one)), key=len, default="")
 
 
-def contradicts(text: str, format: str) -> bool:
-    """Tell whether a file's name says another format than ``format``; a name that says nothing does not."""
-    path = text if text == "-" or os.path.exists(text) else text.partition("::")[0]
-    named = _kind(path, None)
-    if named is None:
-        return False
-    tabs = path.lower().removesuffix(".gz").endswith(".tsv")
-    commas = path.lower().removesuffix(".gz").endswith(".csv")
-    return named != FORMATS[format] or (tabs and format == "csv") or (commas and format == "tsv")
-
-
-def _kind(path: str, format: str | None) -> str | None:
-    if format is not None:
-        return FORMATS[format]
-    lower = path.lower().removesuffix(".gz")
-    if lower.endswith(HDF5_ENDINGS):
-        return "hdf5"
-    return "text" if lower.endswith(TEXT_ENDINGS) else None
-
-
-def check_format(named: str | None, addresses: Sequence[str]) -> None:
+def check_format(named: str | None, addresses: Sequence[str | Address]) -> None:
     """Refuse a format that no address can take and that contradicts the name of one.
 
     Raises
@@ -169,14 +174,18 @@ def check_format(named: str | None, addresses: Sequence[str]) -> None:
     UsageError
         Every name tells its own format, and one of them another than ``named``.
     """
-    if named is None or any(parse_address(one).kind is None for one in addresses):
-        return
-    for one in addresses:
-        if contradicts(one, named):
-            raise UsageError(f"{one}: `format` {named} contradicts this name: leave one of them out")
+    parsed = [parse_address(one) for one in addresses] if named is not None else []
+    if all(one.kind is not None for one in parsed):
+        for one in parsed:
+            _refuse_contradiction(one.text, one, str(named))
 
 
-def format_for(address: str, named: str | None) -> str | None:
+def _refuse_contradiction(shown: str, address: Address, format: str) -> None:
+    if address.contradicts(format):
+        raise UsageError(f"{shown}: `format` {format} contradicts this name: leave one of them out")
+
+
+def format_for(address: str | Address, named: str | None) -> str | None:
     """Return the format that was asked for where an address's own name does not tell it, else None."""
     return named if named is not None and parse_address(address).kind is None else None
 

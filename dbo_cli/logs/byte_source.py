@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import codecs
-import contextlib
 import io
 import os
 import stat
 import sys
 import zlib
 from collections.abc import Iterator
-from typing import IO, Any, cast
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
 
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Item = TypeVar("Item")
 HEAD_BYTES = 1 << 18
 LONGEST_LINE = 1 << 24
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 _PIPE_BYTES = 1 << 18
+_UNREADABLE = (EOFError, zlib.error, OSError)
 _GZIP_MAGIC = b"\x1f\x8b"
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 _AS_FILE = ", not through a pipe or compressed"
@@ -37,6 +41,47 @@ _FOREIGN = {
     b"7z\xbc\xaf": "a 7z archive: unpack it, or compress it with gzip",
     b"%PDF": "a PDF document: give the measured data as CSV",
 }
+
+
+_CHANGED = "the file changed while it was read: read it when its writer is done, or read a copy"
+
+
+class FileWatch:
+    """The size and time of files that are read in pieces: a change in between is an error.
+
+    Parameters
+    ----------
+    place
+        How messages call the log.
+    path
+        The file; ``add`` takes further ones that its samples come from.
+    """
+
+    def __init__(self, place: str, path: str) -> None:
+        self._place = place
+        self._seen: dict[str, tuple[int, int, int] | None] = {}
+        self.add(path)
+
+    def add(self, path: str) -> None:
+        """Watch another file."""
+        self._seen.setdefault(path, _state_of(path))
+
+    def changed(self) -> bool:
+        """Tell whether a file is no longer what it was."""
+        return any(_state_of(path) != before for path, before in self._seen.items())
+
+    def check(self) -> None:
+        """Refuse what was read so far where a file has changed (InputError)."""
+        if self.changed():
+            raise InputError(f"{self._place}: {_CHANGED}")
+
+
+def _state_of(path: str) -> tuple[int, int, int] | None:
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 class _Hashing(io.RawIOBase):
@@ -94,7 +139,8 @@ class ByteSource:
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
         self._file: IO[bytes] | None = None
-        self._size = 0
+        self._begun: os.stat_result | None = None  # how a regular file was when it was opened
+        self._largest = 0  # bytes that it has had since
         self._live = live
         self._hash = _new_digest() if digest else None
         self._owned: list[IO[bytes]] = []
@@ -137,14 +183,43 @@ class ByteSource:
         """Read bytes as they are stored."""
         try:
             if self._live:
-                return self._stream.read1(size)  # type: ignore[attr-defined, no-any-return]
-            return self._stream.read(size) if self.is_regular else self._patiently(size)
-        except (EOFError, zlib.error):
-            raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
-        except OSError as problem:
-            if problem.errno is None:  # gzip's own complaint
-                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
-            raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
+                data: bytes = self._stream.read1(size)  # type: ignore[attr-defined]
+            else:
+                data = self._stream.read(size) if self.is_regular else self._patiently(size)
+        except _UNREADABLE as problem:
+            raise self._why_unreadable(problem) from None
+        self._refuse_change(ended=not data)
+        return data
+
+    def _why_unreadable(self, problem: BaseException) -> InputError:
+        self._refuse_change(ended=True)
+        if not isinstance(problem, OSError) or problem.errno is None:  # gzip's own complaint
+            return InputError(f"{self.name}: the gzip data are damaged or end early")
+        return InputError(f"{self.name}: cannot be read: {problem.strerror or problem}")
+
+    def _first_bytes(self, stream: IO[bytes]) -> bytes:
+        try:
+            return cast(bytes, stream.peek(64)[:64])  # type: ignore[attr-defined]
+        except _UNREADABLE as problem:
+            raise self._why_unreadable(problem) from None
+
+    def _refuse_change(self, ended: bool) -> None:
+        """Refuse a file that was cut or written over; one that a recorder appends to is read on."""
+        now = self._now()
+        if now is None or self._begun is None:
+            return
+        same = now.st_size == self._begun.st_size
+        if now.st_size < self._largest or (ended and same and now.st_mtime_ns != self._begun.st_mtime_ns):
+            raise InputError(f"{self.name}: {_CHANGED}")
+        self._largest = now.st_size
+
+    def _now(self) -> os.stat_result | None:
+        """Look at the open file; None for a stream and for text in memory."""
+        try:
+            found = os.fstat(self._file.fileno()) if self._file is not None else None
+        except (OSError, ValueError):
+            return None
+        return found if found is not None and stat.S_ISREG(found.st_mode) else None
 
     def _patiently(self, size: int) -> bytes:
         """Read a full block from a pipe in pieces: Python hears an interrupt only between them."""
@@ -161,13 +236,10 @@ class ByteSource:
         """Say why a last line without its end must be taken for a cut record; None where it need not be."""
         if self.is_compressed:
             return "in compressed data"
-        try:
-            found = os.fstat(self._file.fileno()) if self._file is not None else None
-        except (OSError, ValueError):
-            found = None
-        if found is None or not stat.S_ISREG(found.st_mode):
+        now = self._now()
+        if now is None or self._begun is None:
             return "in a stream"
-        return "in a file that is still growing" if found.st_size != self._size else None
+        return "in a file that is still growing" if now.st_size != self._begun.st_size else None
 
     def close(self) -> None:
         """Close what was opened here (never standard input)."""
@@ -183,14 +255,11 @@ class ByteSource:
         if not address.is_stream:
             self._owned.append(stream)
         self._file = stream
-        with contextlib.suppress(OSError, ValueError):
-            self._size = os.fstat(stream.fileno()).st_size
+        self._begun = self._now()
+        self._largest = 0 if self._begun is None else self._begun.st_size
         if self._hash is not None:
             stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
-        try:
-            start = stream.peek(64)[:64]  # type: ignore[attr-defined]
-        except OSError as problem:
-            raise InputError(f"{self.name}: cannot be read: {problem.strerror or problem}") from None
+        start = self._first_bytes(stream)
         if start.startswith(_GZIP_MAGIC):
             import gzip
 
@@ -198,18 +267,12 @@ class ByteSource:
             unpacked = gzip.GzipFile(fileobj=stream, mode="rb")
             self._owned.append(cast(IO[bytes], unpacked))
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
-            try:
-                start = stream.peek(64)[:64]  # type: ignore[attr-defined]
-            except (EOFError, zlib.error, OSError):
-                raise InputError(f"{self.name}: the gzip data are damaged or end early") from None
-        self._refuse_foreign(start)
-        self._start = start
-        return stream
-
-    def _refuse_foreign(self, start: bytes) -> None:
+            start = self._first_bytes(stream)
         for magic, remedy in _FOREIGN.items():
             if start.startswith(magic):
                 raise InputError(f"{self.name}: this is not a text log but {remedy}")
+        self._start = start
+        return stream
 
     def _decoder(self, encoding: str | None) -> Any:
         start = self._start
@@ -347,3 +410,18 @@ class LineBlocks:
             raise InputError(
                 f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
             )
+
+
+def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Give the items of an iterator, each made in a thread while the one before is worked on.
+
+    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An
+    exception of the iterator is raised here, after the items before it.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        coming: Future[Item | None] = pool.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = pool.submit(next, items, None)
+            yield item

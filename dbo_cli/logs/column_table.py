@@ -1,27 +1,76 @@
 """A log as a list of columns that can be sliced: what every format but text comes down to.
 
 A reader of a format finds the columns, their units, scales and the clock; everything a user meets afterwards
-(blocks, bad values, unequal lengths, conflicting rates) is here, once.
+(blocks, bad values, unequal lengths, conflicting rates, a file that changes) is here, once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import contextlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import DboError, InputError
+from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.reading_options import SKIP_REMEDY, Rows
+from dbo_cli.logs.libraries import GAVE_UP
+from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured, dropped_note
-from dbo_cli.logs.stated_clock import Statement, agreed_rate
+from dbo_cli.logs.stated_clock import Statement, agreed_rate, is_clock_name, read_statement
 
 Fetch = Callable[[int, int], Any]
 """Gives the stored values of rows start..stop (from 0, stop not included)."""
 
-GAVE_UP = "the library that reads it gave up"
+
+# Of two formats: before and since version 7.3.
+MATLAB_OBJECTS = (
+    " (MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
+    "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement'))"
+)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a reader is given: the address, the columns that the user named, the options of reading."""
+
+    address: Address
+    named: Sequence[str]
+    options: ReadingOptions
+    watch: FileWatch = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Watch the file from now on."""
+        object.__setattr__(self, "watch", FileWatch(self.place, self.address.path))
+
+    @property
+    def place(self) -> str:
+        """How messages call the log."""
+        return self.address.text
+
+    @contextlib.contextmanager
+    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
+        """Turn whatever a library raises at damaged bytes into one line (InputError).
+
+        ``kind`` is what the file should be, as messages say it (``Parquet``).
+        """
+        try:
+            yield
+            self.watch.check()
+        except (DboError, KeyboardInterrupt, SystemExit):
+            raise
+        except errors as problem:
+            self.watch.check()
+            raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
+
+    def no_columns(self, held: Iterable[str], remedy: str = "") -> InputError:
+        """Return the error for a file without columns of numbers; ``held`` is what it has instead."""
+        return InputError(
+            f"{self.place}: no columns of numbers: it holds {', '.join(held) or 'nothing'}{remedy}"
+        )
 
 
 @dataclass(frozen=True)
@@ -78,8 +127,82 @@ class ColumnSource:
 
 
 def array_source(label: str, values: Any, unit: str | None = None) -> ColumnSource:
-    """Make a column of an array in memory (or mapped into it)."""
+    """Make a column of an array in memory."""
     return ColumnSource(label, len(values), lambda start, stop: values[start:stop], unit)
+
+
+def matrix_sources(name: str, array: Any, column: str = "{name}[{number}]") -> list[ColumnSource]:
+    """Make columns of a vector or a matrix, whose longer axis is time; none of what holds no numbers."""
+    if array.dtype.kind not in "fiub" or array.ndim not in (1, 2) or not array.size:
+        return []
+    if array.ndim == 1:
+        return [array_source(name, array)]
+    table = array if array.shape[0] >= array.shape[1] else array.T
+    labels = [column.format(name=name, number=index) for index in range(1, table.shape[1] + 1)]
+    return [array_source(label, table[:, index]) for index, label in enumerate(labels)]
+
+
+def without_scalars(sources: Sequence[ColumnSource]) -> list[ColumnSource]:
+    """Leave out single values (a sample rate, a remark) beside columns of more rows."""
+    longest = max((source.length for source in sources), default=0)
+    return [source for source in sources if source.length > 1 or longest <= 1]
+
+
+def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSource:
+    """Take a unit from a text beside the column (``voltage_unit``) where it has none itself."""
+    if source.unit:
+        return source
+    texts = (member(f"{source.label}{ending}") for ending in ("_units", "_unit", "Unit"))
+    return replace(source, unit=next((text for text in texts if isinstance(text, str) and text), None))
+
+
+def statements_in(values: Mapping[str, Any]) -> list[Statement]:
+    """Read what named values say of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
+    found = []
+    for name, value in values.items():
+        if is_clock_name(name):
+            statement = read_statement(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
+            found += [statement] if statement is not None else []
+    return found
+
+
+# What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and NC_FILL_DOUBLE, one number.
+NETCDF_FILL = 9.969209968386869e36
+
+
+def number_in(value: Any, index: int = 0) -> float | None:
+    """Give a stored number, or number ``index`` of a list; None for text and for what is absent."""
+    values = np.ravel(value)
+    if values.dtype.kind not in "fiu" or not (values.size == 1 or index < values.size):
+        return None
+    return float(values[index if values.size > 1 else 0])
+
+
+def unpacked(
+    source: ColumnSource, number: Callable[[str], float | None], unsigned: bool, filled: bool
+) -> ColumnSource:
+    """Apply netCDF's conventions: packed values, values that stand for none.
+
+    Parameters
+    ----------
+    source
+        The column as it is stored.
+    number
+        Gives the number that an attribute holds, or None.
+    unsigned
+        Whether the attribute ``_Unsigned`` is true, which is not read.
+    filled
+        Whether netCDF's library fills with its own value where the file names none.
+    """
+    values = (number("_FillValue"), number("missing_value"))
+    missing = tuple(value for value in values if value is not None and value == value)
+    return replace(
+        source,
+        scale=number("scale_factor") or 1.0,
+        offset=number("add_offset") or 0.0,
+        missing=missing or ((NETCDF_FILL,) if filled else ()),
+        problem=f"column '{source.label}' is stored as _Unsigned, which is not read" if unsigned else "",
+    )
 
 
 class ColumnTable:
@@ -87,8 +210,8 @@ class ColumnTable:
 
     Parameters
     ----------
-    place
-        How messages call the log.
+    request
+        What was asked for.
     kind
         What kind of file it is, as messages call it (``HDF5``).
     sources
@@ -107,7 +230,7 @@ class ColumnTable:
 
     def __init__(
         self,
-        place: str,
+        request: Request,
         kind: str,
         sources: Sequence[ColumnSource],
         *,
@@ -115,9 +238,10 @@ class ColumnTable:
         start: float = 0.0,
         where: str = "",
         close: Callable[[], object] | None = None,
-        damaged: tuple[type[Exception], ...] = (OSError, RuntimeError, TypeError, ValueError),
+        damaged: tuple[type[BaseException], ...] = (OSError, RuntimeError, TypeError, ValueError),
     ) -> None:
-        self.place = place
+        self.place = request.place
+        self._request = request
         self.notes: list[str] = []
         self._kind = kind
         self._where = where
@@ -164,7 +288,8 @@ class ColumnTable:
         Raises
         ------
         InputError
-            The columns are of unequal length, or a value is not finite (unless ``skip_bad``).
+            The columns are of unequal length, a value is not finite (unless ``skip_bad``), or the file
+            changes while it is read.
         """
         sources = [self._sources[pick.number - 1] for pick in picks.values()]
         for source in sources:
@@ -199,12 +324,8 @@ class ColumnTable:
         return None
 
     def _block(self, roles: list[str], sources: list[ColumnSource], start: int, stop: int) -> SampleBlock:
-        try:
+        with self._request.reading(self._kind, self._damaged):
             arrays = {role: source.read(start, stop) for role, source in zip(roles, sources, strict=True)}
-        except DboError:
-            raise
-        except self._damaged as problem:
-            raise InputError(f"{self.place}: damaged {self._kind}: {brief(problem)}") from None
         return SampleBlock(range(start + 1, stop + 1), None, None, arrays)
 
     def _common_length(self, sources: Sequence[ColumnSource]) -> int:

@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 # First bytes, and the module and function that read such a file; a library is imported only then.
 _SIGNATURES = {
-    b"\x89HDF\r\n\x1a\n": ("hdf5_logs", "open_hdf5"),
-    b"MATLAB 5.0 MAT-file": ("matlab_logs", "open_matlab"),
-    b"\x93NUMPY": ("numpy_logs", "open_npy"),
-    b"PAR1": ("arrow_logs", "open_parquet"),
-    b"ARROW1": ("arrow_logs", "open_feather"),
-    b"FEA1": ("arrow_logs", "open_old_feather"),
-    b"TDSm": ("tdms_logs", "open_tdms"),
-    b"CDF\x01": ("netcdf_logs", "open_netcdf"),
-    b"CDF\x02": ("netcdf_logs", "open_netcdf"),
-    b"\xd0\xcf\x11\xe0": ("excel_logs", "open_excel"),
+    b"\x89HDF\r\n\x1a\n": ("hdf5.reader", "open_hdf5"),
+    b"MATLAB 5.0 MAT-file": ("binary.matlab", "open_matlab"),
+    b"\x93NUMPY": ("binary.numpy", "open_npy"),
+    b"PAR1": ("binary.arrow", "open_parquet"),
+    b"ARROW1": ("binary.arrow", "open_feather"),
+    b"FEA1": ("binary.arrow", "open_old_feather"),
+    b"TDSm": ("binary.tdms", "open_tdms"),
+    b"CDF\x01": ("binary.netcdf", "open_netcdf"),
+    b"CDF\x02": ("binary.netcdf", "open_netcdf"),
+    b"\xd0\xcf\x11\xe0": ("binary.excel", "open_excel"),
 }
 _ZIP = b"PK\x03\x04"
-_ZIP_ENDINGS = {".npz": ("numpy_logs", "open_npz")}
+_ZIP_ENDINGS = {".npz": ("binary.numpy", "open_npz")}
 _WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".ods")
 _USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
 
@@ -45,13 +45,14 @@ def open_table(
     InputError
         The file cannot be read, or a library that reads it is not installed.
     """
-    reader = _reader_by_content(address) or (("hdf5_logs", "open_hdf5") if address.kind == "hdf5" else None)
+    reader = _reader_by_content(address) or (("hdf5.reader", "open_hdf5") if address.kind == "hdf5" else None)
     if reader is None:
         return TextTable(address, options, live=live, digest=digest)
+    from dbo_cli.logs.column_table import Request
+
     module, function = reader
-    opened: Table = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)(
-        address, named, options
-    )
+    read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
+    opened: Table = read(Request(address, named, options))
     return opened
 
 
@@ -64,16 +65,16 @@ def _reader_by_content(address: Address) -> tuple[str, str] | None:
     _refuse_own(address.text, head)
     for signature, reader in _SIGNATURES.items():
         if head.startswith(signature):
-            if reader[0] == "matlab_logs" and _is_hdf5(head):
-                return "hdf5_logs", "open_hdf5"
+            if reader[0] == "binary.matlab" and _is_hdf5(head):
+                return "hdf5.reader", "open_hdf5"
             return reader
     if head.startswith(_ZIP):
         ending = os.path.splitext(lower)[1]
-        return _ZIP_ENDINGS.get(ending) or (("excel_logs", "open_excel") if ending in _WORKBOOKS else None)
+        return _ZIP_ENDINGS.get(ending) or (("binary.excel", "open_excel") if ending in _WORKBOOKS else None)
     if _is_hdf5(head):
-        return "hdf5_logs", "open_hdf5"
+        return "hdf5.reader", "open_hdf5"
     if lower.endswith(".mat") and _is_matlab_4(head):
-        return "matlab_logs", "open_matlab"
+        return "binary.matlab", "open_matlab"
     return None
 
 

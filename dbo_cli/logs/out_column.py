@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError
 from dbo_cli.logs.columns import split_header
-from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.units import is_known_unit
 

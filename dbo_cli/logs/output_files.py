@@ -1,19 +1,33 @@
-"""Which file an output is, whatever it is called: so that no output overwrites an input or another output."""
+"""Which file an output is, and the temporary name that it is written under.
+
+No output overwrites an input or another output, whatever they are called; what a killed process left behind
+is cleaned up by the next one.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
+import secrets
 import stat
 import sys
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import IO
 
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.logs.addresses import Address, parse_address
 
 _DESCRIPTOR = re.compile(r"/(?:dev/fd|proc/(?:self|thread-self|\d+)/fd)/(\d{1,9})")
+_PARTIAL = re.compile(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
+_NAME_BYTES = 100  # of the output's own name; most file systems allow 255 bytes for all of it
+WINDOWS = os.name == "nt"
+# Names that Windows gives to devices, with any ending, and names that it cannot give to a file at all.
+_NO_FILE = re.compile(
+    r"(con|prn|aux|com[0-9]|lpt[0-9])(\..*)?|nul\..*|.*[<>:\"|?*].*|.*[. ]", re.IGNORECASE | re.DOTALL
+)
 _MOST_LINKS = 40  # a longer chain of symbolic links is a circle; the kernel's own limit
 
 FileIdentity = tuple[object, ...]
@@ -41,6 +55,12 @@ def descriptor_of(path: str) -> int | None:
     return None
 
 
+def is_replaceable(path: str) -> bool:
+    """Tell whether an output is a file to be renamed to: no stream, device or open descriptor."""
+    regular = path != "-" and (os.path.isfile(path) or not os.path.exists(path))
+    return regular and descriptor_of(path) is None
+
+
 def _plain_folder(folder: str) -> str:
     """Resolve links in a folder, but keep /dev/fd and /proc/self/fd in their short spelling."""
     absolute = os.path.abspath(folder or ".")
@@ -64,7 +84,7 @@ def identity_of(address: str | Address, *, reading: bool = False) -> FileIdentit
     reading
         Whether ``-`` is standard input.
     """
-    target = parse_address(address) if isinstance(address, str) else address
+    target = parse_address(address)
     descriptor = (0 if reading else 1) if target.is_stream else descriptor_of(target.path)
     try:
         found = os.stat(target.path) if descriptor is None else os.fstat(descriptor)
@@ -97,7 +117,7 @@ def _ignores_case(folder: str) -> bool:
         return False
 
 
-def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) -> None:
+def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str | Address] = ()) -> None:
     """Refuse outputs that cannot be written, are an input or each other, before any long work starts.
 
     Parameters
@@ -114,9 +134,9 @@ def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) 
     OutputError
         A folder is missing or not writable, an output is a folder, a name is too long.
     """
-    if list(inputs).count("-") > 1:
+    if sum(given == "-" or (isinstance(given, Address) and given.is_stream) for given in inputs) > 1:
         raise UsageError("two inputs are standard input, which can be read once: give one of them as a file")
-    targets = [parse_address(one) if isinstance(one, str) else one for one in outputs]
+    targets = [parse_address(one) for one in outputs]
     read = {identity_of(given, reading=True) for given in _readable(inputs)}
     written: dict[FileIdentity, Address] = {}
     for target in targets:
@@ -132,20 +152,16 @@ def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str] = ()) 
         _check_place(target)
 
 
-def _readable(inputs: Sequence[str]) -> list[str]:
+def _readable(inputs: Sequence[str | Address]) -> Iterator[Address]:
     """Leave out what is no file: the name of a state, an empty word, what does not exist."""
-    good = []
     for given in inputs:
-        try:
+        with contextlib.suppress(DboError):
             target = parse_address(given)
-        except DboError:
-            continue
-        if target.is_stream or os.path.exists(target.path):
-            good.append(given)
-    return good
+            if target.is_stream or os.path.exists(target.path):
+                yield target
 
 
-def check_output(address: str | Address, protect: Sequence[str] = ()) -> None:
+def check_output(address: str | Address, protect: Sequence[str | Address] = ()) -> None:
     """Refuse one output that cannot be written or is an input; see :func:`check_outputs`."""
     check_outputs([address], protect)
 
@@ -158,6 +174,8 @@ def _check_place(target: Address) -> None:
     if target.is_stream:
         return
     path = target.path
+    if WINDOWS and _NO_FILE.fullmatch(os.path.basename(os.path.splitdrive(path)[1])):
+        raise OutputError(f"{path}: Windows has no file of this name: give another one")
     descriptor = descriptor_of(path)
     if descriptor is not None:
         _check_descriptor(path, descriptor)
@@ -172,6 +190,10 @@ def _check_place(target: Address) -> None:
         kind = 0
     if stat.S_ISDIR(kind):
         raise OutputError(f"{path}: this is a folder: give a file name")
+    _check_access(path, kind)
+
+
+def _check_access(path: str, kind: int) -> None:
     folder = os.path.dirname(os.path.realpath(path) if os.path.islink(path) else path) or "."
     if not os.path.isdir(folder):
         raise OutputError(f"{path}: there is no folder '{folder}': create it first")
@@ -193,3 +215,80 @@ def _check_descriptor(path: str, descriptor: int) -> None:
         raise OutputError(f"{path}: file descriptor {descriptor} is not open for writing")
     if descriptor == 1 and sys.stdout is not None:
         sys.stdout.flush()
+
+
+# --- temporary names ------------------------------------------------------------------------------
+
+
+def partial_path(target: str) -> str:
+    """Return a name beside ``target`` that nobody else uses: hidden, with the writer's process id in it."""
+    folder, name = os.path.split(target)
+    short = os.fsencode(name)[:_NAME_BYTES].decode("utf-8", "ignore")
+    return os.path.join(folder, f".{short}.{os.getpid()}-{secrets.token_hex(4)}.partial")
+
+
+def open_partial(path: str, buffering: int = -1) -> IO[bytes]:
+    """Open a temporary file for writing and lock it for as long as it is open.
+
+    The lock tells the clean-up of a process that cannot see this one (another container, another machine
+    on the same network drive) that its writer lives. HDF5 locks its files by itself.
+    """
+    file = open(path, "wb", buffering)
+    try_lock(file.fileno())
+    return file
+
+
+def try_lock(handle: int) -> bool:
+    """Lock an open file against other processes; False where one of them has locked it.
+
+    True without a lock on systems and file systems that have none: HDF5 does without there, too.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as problem:
+        return problem.errno not in (errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK)
+    return True
+
+
+def writers_in(folder: str, start: str = "") -> dict[str, int]:
+    """Give the temporary files in a folder whose names begin with ``start``, and their writers' ids."""
+    try:
+        names = os.listdir(folder or ".")
+    except OSError:
+        return {}  # a folder that may be written but not listed
+    found = ((name, _PARTIAL.fullmatch(name)) for name in names if name.startswith(start))
+    return {name: int(match[1]) for name, match in found if match is not None}
+
+
+def is_running(process: int) -> bool:
+    """Tell whether a process is there; where that cannot be asked without harm, it is taken to be."""
+    if os.name != "posix":
+        return True  # os.kill(..., 0) would end it
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        pass
+    return True
+
+
+def remove_orphans(folder: str) -> None:
+    """Remove the temporary files in a folder whose writers are gone (killed, or the power failed)."""
+    for name, process in writers_in(folder).items():
+        path = os.path.join(folder, name)
+        with contextlib.suppress(OSError):
+            if not is_running(process) and not _is_locked(path):
+                os.unlink(path)
+
+
+def _is_locked(path: str) -> bool:
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        return not try_lock(handle)
+    finally:
+        os.close(handle)

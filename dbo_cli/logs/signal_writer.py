@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import IO, Any, Protocol, cast
+from typing import IO, TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import Address, parse_output
-from dbo_cli.logs.background_io import OneBehind
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
-from dbo_cli.logs.output_files import descriptor_of
+from dbo_cli.logs.output_files import descriptor_of, is_replaceable
 from dbo_cli.logs.whole_output import check_output, opened, replacing
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 __all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
 
@@ -43,7 +44,8 @@ class TextWriter:
         self._delimiter = delimiter
         self._flush = flush
         self._may_lag = behind
-        self._behind: OneBehind | None = None
+        self._pool: ThreadPoolExecutor | None = None
+        self._running: Future[None] | None = None
         self._headers = unique_headers(columns)
         cells = [header_cell(header, delimiter) for header in self._headers]
         stream.write((delimiter.join(cells) + "\n").encode())
@@ -52,15 +54,23 @@ class TextWriter:
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
+        self._wait()
         if self._may_lag and np.size(arrays[0]) >= _WORTH_A_THREAD:
-            self._behind = self._behind or OneBehind()
-            self._behind.run(self._append, arrays)
+            if self._pool is None:
+                from concurrent.futures import ThreadPoolExecutor
+
+                self._pool = ThreadPoolExecutor(1)
+            self._running = self._pool.submit(self._append, arrays)
             return
-        if self._behind is not None:
-            self._behind.wait()
         self._append(arrays)
         if self._flush:
             self._stream.flush()
+
+    def _wait(self) -> None:
+        """Wait for the rows before, and raise what went wrong with them."""
+        running, self._running = self._running, None
+        if running is not None:
+            running.result()
 
     def finish(self) -> None:
         """Wait until everything is handed to the stream.
@@ -70,13 +80,12 @@ class TextWriter:
         OSError
             The last rows could not be written.
         """
-        if self._behind is not None:
-            self._behind.wait()
+        self._wait()
 
     def close(self) -> None:
         """End the thread; called whether or not the writing succeeded."""
-        if self._behind is not None:
-            self._behind.close()
+        if self._pool is not None:
+            self._pool.shutdown()
 
     def _append(self, arrays: Sequence[ArrayLike]) -> None:
         if np.size(arrays[0]):
@@ -86,13 +95,13 @@ class TextWriter:
 
 @contextlib.contextmanager
 def signal_writer(
-    address: str,
+    address: str | Address,
     columns: Sequence[OutColumn],
     *,
     format: str | None = None,
     attributes: Mapping[str, str | float] | None = None,
     flush: bool = False,
-    protect: Sequence[str] = (),
+    protect: Sequence[str | Address] = (),
 ) -> Iterator[SignalWriter]:
     """Open an output for signals; it appears when the block is left without an error, and not otherwise.
 
@@ -126,13 +135,8 @@ def signal_writer(
             yield hdf5
         return
     with _text_stream(target) as stream:
-        behind = (
-            not flush
-            and not target.is_stream
-            and descriptor_of(target.path) is None
-            and (os.path.isfile(target.path) or not os.path.exists(target.path))
-        )
-        writer = TextWriter(stream, columns, _delimiter(target, format), flush, behind)
+        behind = not flush and is_replaceable(target.path)
+        writer = TextWriter(stream, columns, target.delimiter, flush, behind)
         try:
             yield writer
             writer.finish()
@@ -144,14 +148,16 @@ def signal_writer(
 def _hdf5(
     target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
 ) -> Iterator[SignalWriter]:
-    from dbo_cli.logs.hdf5_store import StoreOutput, group_path
-    from dbo_cli.logs.hdf5_writer import Hdf5Writer
+    from dbo_cli.logs.hdf5.store import StoreOutput, group_path
+    from dbo_cli.logs.hdf5.writer import Hdf5Writer
 
     if target.is_stream or descriptor_of(target.path) is not None:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
     store = StoreOutput(target.path, group_path(target.group))
     store.check()
-    with replacing(target.path, devices=False, prepare=store.publish) as path:
+    if not is_replaceable(target.path):
+        raise OutputError(f"{target.path}: this is no regular file: name a file")
+    with replacing(target.path, store.publishing) as path:
         writer = Hdf5Writer(path, store.group, columns, attributes)
         try:
             yield writer
@@ -159,11 +165,6 @@ def _hdf5(
         except BaseException:
             writer.abandon()
             raise
-
-
-def _delimiter(target: Address, format: str | None) -> str:
-    tabs = format == "tsv" or (format is None and target.path.lower().removesuffix(".gz").endswith(".tsv"))
-    return "\t" if tabs else ","
 
 
 @contextlib.contextmanager

@@ -19,15 +19,25 @@ import re
 import stat
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import IO
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.addresses import parse_address
-from dbo_cli.logs.interrupts import ending_signals_raise, signals_wait
-from dbo_cli.logs.output_files import check_output, check_outputs, descriptor_of, identity_of
-from dbo_cli.logs.partial_files import open_partial, partial_path, remove_orphans
+from dbo_cli.logs import output_files
+from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.libraries import host
+from dbo_cli.logs.output_files import (
+    check_output,
+    check_outputs,
+    descriptor_of,
+    identity_of,
+    is_replaceable,
+    open_partial,
+    partial_path,
+    remove_orphans,
+)
 
 __all__ = [
     "OutputSet", "all_or_none", "check_output", "check_outputs", "make_folder", "opened", "reason_of",
@@ -36,38 +46,31 @@ __all__ = [
 
 _HDF5_ERRNO = re.compile(r"errno = (\d+)")
 
+Prepare = Callable[[str], AbstractContextManager[bool]]
+"""Takes the temporary name right before the renames, and is left after them: it may hold a lock meanwhile.
 
-Release = Callable[[], object]
-# Takes the temporary name, and a function to hand a lock's release to: it is held until the rename is done.
-# Returns whether there must be no file of the output's name by then.
-Prepare = Callable[[str, Callable[[Release], None]], bool]
+Gives whether there was no file of the output's own name.
+"""
 
 
 @dataclass
 class _Pending:
-    """An output that is complete under its temporary name.
-
-    ``prepare`` is called before the renames: an HDF5 file that others use is locked and copied then.
-    """
+    """An output that is complete under its temporary name."""
 
     path: str
     target: str
     temporary: str
-    prepare: Prepare | None = None
+    prepare: Prepare
     backup: str | None = None
     renamed: bool = False
-
-    def finish(self) -> None:
-        """Bring the bytes to the disk, so that a rename never shows an empty file after a power failure."""
-        handle = os.open(self.temporary, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 class _AppearedMeanwhile(Exception):
     """A file that was not there has been made by somebody else."""
+
+
+def _unprepared(temporary: str) -> AbstractContextManager[bool]:
+    return contextlib.nullcontext(False)
 
 
 class OutputSet:
@@ -76,7 +79,6 @@ class OutputSet:
     def __init__(self) -> None:
         self._pending: list[_Pending] = []
         self._folders: list[str] = []
-        self._after = contextlib.ExitStack()
 
     def make_folder(self, path: str) -> None:
         """Make a folder and what is missing above it; removed again where the outputs are given up.
@@ -102,11 +104,10 @@ class OutputSet:
                     self._folders.append(folder)
 
     @contextlib.contextmanager
-    def replacing(self, path: str, prepare: Prepare | None = None) -> Iterator[str]:
+    def replacing(self, path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
         """Give a temporary name to write ``path`` under; it is renamed with the others.
 
-        ``prepare`` is called right before the renames; where it found no file called ``path`` and there is
-        one after all, it is called again.
+        Where ``prepare`` found no file called ``path`` and there is one after all, it is called again.
 
         Raises
         ------
@@ -122,7 +123,6 @@ class OutputSet:
         with _telling(path):
             try:
                 yield pending.temporary
-                pending.finish()
             except BaseException:
                 _remove(pending.temporary)
                 raise
@@ -136,15 +136,14 @@ class OutputSet:
         OutputError
             A rename failed, or ``prepare`` refused.
         """
+        with contextlib.ExitStack() as prepared:
+            while not self._renamed([self._made_ready(one, prepared) for one in self._pending]):
+                prepared.close()
         for one in self._pending:
-            _adopt_mode(one.target, one.temporary)
-        while not self._renamed():
-            self._after.close()
-        for one in self._pending:
-            if one.backup is not None:
-                _remove(one.backup)
+            _remove(one.backup)
         for folder in {os.path.dirname(one.target) for one in self._pending}:
-            _sync_folder(folder)
+            with contextlib.suppress(OSError):  # Windows, some network drives
+                _bring_to_disk(folder, os.O_RDONLY)
         self._pending.clear()
         self._folders.clear()
 
@@ -152,59 +151,56 @@ class OutputSet:
         """Remove everything that was written and not renamed, and the folders made for it."""
         for one in self._pending:
             _remove(one.temporary)
-            if one.backup is not None:  # a signal came when everything was renamed
-                _remove(one.backup)
+            _remove(one.backup)  # a signal came when everything was renamed
         for folder in reversed(self._folders):
             with contextlib.suppress(OSError):
                 os.rmdir(folder)
         self._pending.clear()
         self._folders.clear()
 
-    def close(self) -> None:
-        """Release what was held until now."""
-        self._after.close()
+    def _made_ready(self, one: _Pending, prepared: contextlib.ExitStack) -> bool:
+        """Prepare an output and bring it to the disk: no rename shows an empty file after a power failure."""
+        with _telling(one.path):
+            alone = prepared.enter_context(one.prepare(one.temporary))
+            _bring_to_disk(one.temporary, os.O_RDWR)
+            with contextlib.suppress(OSError):  # the permissions of the file that it replaces
+                os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))
+        return alone
 
-    def _renamed(self) -> bool:
-        """Prepare and rename everything; False where a file appeared meanwhile and it must be tried again."""
-        exclusive = [self._prepared(one) for one in self._pending]
-        with signals_wait():
+    def _renamed(self, alone: Sequence[bool]) -> bool:
+        """Rename everything; False where a file appeared meanwhile and it must be tried again."""
+        with host().signals_held():
             try:
-                for one, alone in zip(self._pending, exclusive, strict=True):
+                for one, exclusive in zip(self._pending, alone, strict=True):
                     with _telling(one.path):
-                        self._rename(one, alone)
-            except _AppearedMeanwhile:
+                        self._rename(one, exclusive)
+            except BaseException as problem:
                 self._take_back()
-                return False
-            except BaseException:
-                self._take_back()
+                if isinstance(problem, _AppearedMeanwhile):
+                    return False
                 raise
         return True
 
-    def _hold(self, release: Release) -> None:
-        self._after.callback(release)
-
-    def _prepared(self, one: _Pending) -> bool:
-        with _telling(one.path):
-            return one.prepare is not None and one.prepare(one.temporary, self._hold)
-
-    def _rename(self, one: _Pending, alone: bool) -> None:
-        if alone:
+    def _rename(self, one: _Pending, exclusive: bool) -> None:
+        if exclusive:
             try:
                 os.link(one.temporary, one.target)
+                _remove(one.temporary)
             except FileExistsError:
                 raise _AppearedMeanwhile from None
             except OSError:  # a file system without hard links: the best that it can do
                 os.replace(one.temporary, one.target)
-            else:
-                os.unlink(one.temporary)
-            one.renamed = True
-            return
-        if len(self._pending) > 1 and os.path.exists(one.target):
-            backup = partial_path(one.target)
-            with contextlib.suppress(OSError):
-                os.link(one.target, backup)
-                one.backup = backup
-        os.replace(one.temporary, one.target)
+        else:
+            if len(self._pending) > 1 and os.path.exists(one.target):
+                backup = partial_path(one.target)
+                if output_files.WINDOWS:  # a link to a file that is open could not be removed again
+                    os.replace(one.target, backup)
+                    one.backup = backup
+                else:
+                    with contextlib.suppress(OSError):
+                        os.link(one.target, backup)
+                        one.backup = backup
+            os.replace(one.temporary, one.target)
         one.renamed = True
 
     def _take_back(self) -> None:
@@ -215,6 +211,7 @@ class OutputSet:
                     os.replace(one.target, one.temporary)
                 if one.backup is not None:
                     os.replace(one.backup, one.target)
+            _remove(one.backup)  # still there where nothing had been renamed: both names were one file's
             one.renamed, one.backup = False, None
 
 
@@ -229,7 +226,7 @@ def all_or_none() -> Iterator[OutputSet]:
     are called (in the same thread); an inner block joins the outer one. Standard output, pipes and devices
     are written at once: what has gone there cannot be taken back.
 
-    After a failure, an interrupt, SIGTERM or SIGHUP everything is as it was. Only a process that is killed
+    After a failure or whatever else unwinds the stack everything is as it was. Only a process that is killed
     (or a power failure) between the renames, some microseconds apart, can leave a part of them.
 
     Raises
@@ -252,33 +249,28 @@ def all_or_none() -> Iterator[OutputSet]:
 @contextlib.contextmanager
 def _committed() -> Iterator[OutputSet]:
     outputs = OutputSet()
-    with ending_signals_raise():
-        try:
-            yield outputs
-            outputs.commit()
-        except BaseException:
-            with signals_wait():
-                outputs.give_up()
-            raise
-        finally:
-            outputs.close()
+    try:
+        yield outputs
+        outputs.commit()
+    except BaseException:
+        with host().signals_held():
+            outputs.give_up()
+        raise
 
 
 @contextlib.contextmanager
-def replacing(path: str, *, devices: bool = True, prepare: Prepare | None = None) -> Iterator[str]:
+def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` at the end, or remove it.
 
     Inside :func:`all_or_none` the rename waits for the other outputs. A device or named pipe cannot be
-    replaced and is given as it is, unless ``devices`` is False; so is a path such as ``/dev/fd/3``.
+    replaced and is given as it is; so is a path such as ``/dev/fd/3``.
 
     Raises
     ------
     OutputError
         Writing failed (disk full, folder gone, no permission).
     """
-    if descriptor_of(path) is not None or (os.path.exists(path) and not os.path.isfile(path)):
-        if not devices:
-            raise OutputError(f"{path}: this is no regular file: name a file")
+    if not is_replaceable(path):
         with _telling(path):
             yield path
         return
@@ -344,28 +336,22 @@ def reason_of(problem: OSError) -> str:
     return f"cannot be written: {os.strerror(number) if number else str(problem).splitlines()[0]}"
 
 
-def _remove(path: str) -> None:
-    with contextlib.suppress(OSError):
-        os.unlink(path)
+def _remove(path: str | None) -> None:
+    if path is not None:
+        with contextlib.suppress(OSError):
+            os.unlink(path)
 
 
-def _adopt_mode(target: str, temporary: str) -> None:
-    """Give the new file the permissions of the one it replaces."""
-    with contextlib.suppress(OSError):
-        os.chmod(temporary, stat.S_IMODE(os.stat(target).st_mode))
+def _bring_to_disk(path: str, flags: int) -> None:
+    """Wait until a file or folder is stored; Windows wants a handle that may write."""
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
-def _sync_folder(folder: str) -> None:
-    """Bring a rename to the disk; a system that cannot (Windows, some network drives) does without."""
-    with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def write_whole(address: str, data: bytes, *, protect: Sequence[str] = ()) -> None:
+def write_whole(address: str | Address, data: bytes, *, protect: Sequence[str | Address] = ()) -> None:
     """Write a complete file at once (``-`` is standard output).
 
     Raises
@@ -375,10 +361,10 @@ def write_whole(address: str, data: bytes, *, protect: Sequence[str] = ()) -> No
     OutputError
         It cannot be written; what stood there is left as it was.
     """
-    check_output(address, protect)
     target = parse_address(address)
+    check_output(target, protect)
     if target.group is not None:
-        raise UsageError(f"{address}: '::' names a group of an HDF5 file, and this output is no signal")
+        raise UsageError(f"{target.text}: '::' names a group of an HDF5 file, and this output is no signal")
     with opened(target.path) as file:
         file.write(data)
 

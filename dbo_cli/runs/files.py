@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any, NamedTuple
@@ -220,7 +221,9 @@ def check_order(model_file: str, log_file: str) -> None:
 
 
 def _is_model(path: str) -> bool:
-    """Tell whether a file begins as a model does."""
+    """Tell whether a file begins as a model does; a pipe is not looked into: it could not be read again."""
+    if not os.path.isfile(path):
+        return False
     try:
         with open(path, "rb") as file:
             return file.read(1) == b"{" and b'"dbo-model"' in file.read(400)

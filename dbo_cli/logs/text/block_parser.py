@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.interrupts import keep_interrupts
+from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, SKIP_REMEDY, Rows
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.background_io import one_ahead
-from dbo_cli.logs.byte_source import ByteSource, LineBlocks
+from dbo_cli.logs.byte_source import ByteSource, LineBlocks, one_ahead
 from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ReadingOptions, Rows

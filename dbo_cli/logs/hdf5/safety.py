@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.plain_text import cleaned
 
 _MOST_HOPS = 16  # links to follow one after the other; HDF5's own limit for soft links is 16, too
@@ -24,10 +25,11 @@ _HARMLESS_BYTES = 100_000_000  # an empty place kept for something else does not
 _LEAST_STORED = 0.001  # of the claimed samples: less than that is no recording with a gap
 
 
-def open_safely(path: str) -> Any:
+def open_safely(path: str, watch: FileWatch) -> Any:
     """Open an HDF5 file for reading; what is got from it by name is checked before it is handed out.
 
-    Links that lead nowhere or in a circle are as if they were not there (``get`` gives None).
+    Links that lead nowhere or in a circle are as if they were not there (``get`` gives None). Files behind
+    links are closed with it, and watched like it.
 
     Raises
     ------
@@ -38,48 +40,60 @@ def open_safely(path: str) -> Any:
     """
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise InputError(f"{path}: this is no regular file, and HDF5 needs one")
-    return _SafeFile(path)
+    return _SafeFile(path, watch)
 
 
 class _SafeGroup(h5py.Group):  # type: ignore[misc]
-    """A group whose members are looked at before they are opened."""
+    """A group whose members are looked at before they are opened.
 
+    ``root`` is the file that was asked for, ``hops`` the number of links on the way here.
+    """
+
+    root: _SafeFile
     hops = 0
 
     def get(self, name: Any, default: Any = None, getclass: bool = False, getlink: bool = False) -> Any:
         """Return a member, or ``default``."""
         if getclass or getlink:
             return super().get(name, default, getclass, getlink)
-        node = _resolved(self, name, self.hops)
+        node = _resolved(self, name, self.root, self.hops)
         return default if node is None else node
 
     def __getitem__(self, name: Any) -> Any:
         """Return a member (KeyError where there is none)."""
         if not isinstance(name, str | bytes):
             return super().__getitem__(name)
-        node = _resolved(self, name, self.hops)
+        node = _resolved(self, name, self.root, self.hops)
         if node is None:
             raise KeyError(f"there is no '{cleaned(_text(name))}', or it is a link that leads nowhere")
         return node
 
     def __contains__(self, name: Any) -> bool:
         """Tell whether there is a member that can be opened."""
-        return _resolved(self, name, self.hops) is not None
+        return _resolved(self, name, self.root, self.hops) is not None
 
 
 class _SafeFile(_SafeGroup, h5py.File):  # type: ignore[misc]
     """A file opened with care."""
 
-    def __init__(self, path: str, hops: int = 0) -> None:
+    def __init__(self, path: str, watch: FileWatch) -> None:
+        watch.add(path)
         h5py.File.__init__(self, path, "r")
-        self.hops = hops
+        self.watch = watch
+        self.root = self
+        self.behind_links: list[h5py.File] = []
+
+    def close(self) -> None:
+        """Close the file and those behind its links."""
+        for other in (*self.behind_links, self):
+            h5py.File.close(other)
 
 
 def _text(name: str | bytes) -> str:
     return name.decode("utf-8", "surrogateescape") if isinstance(name, bytes) else name
 
 
-def _resolved(group: Any, name: str | bytes, hops: int) -> Any:
+def _resolved(group: Any, name: str | bytes, root: _SafeFile, hops: int) -> Any:
     """Follow a path link by link; None where it leads nowhere."""
     # a plain group: its own methods must not come back here
     here = h5py.Group(h5py.h5g.open(group.id, b"/" if _text(name).startswith("/") else b"."))
@@ -94,7 +108,7 @@ def _resolved(group: Any, name: str | bytes, hops: int) -> Any:
         if isinstance(link, h5py.SoftLink | h5py.ExternalLink):
             if hops >= _MOST_HOPS:
                 return None
-            return _through(here, link, "/".join(parts[number + 1 :]), hops + 1)
+            return _through(here, link, "/".join(parts[number + 1 :]), root, hops + 1)
         if link is None:
             return None
         try:
@@ -102,20 +116,20 @@ def _resolved(group: Any, name: str | bytes, hops: int) -> Any:
         except (KeyError, OSError, RuntimeError):
             return None
     if isinstance(here, h5py.Dataset):
-        check_dataset(here)
+        check_dataset(here, root.watch)
         return here
     if not isinstance(here, h5py.Group):
         return here
     safe = _SafeGroup(here.id)
-    safe.hops = hops
+    safe.root, safe.hops = root, hops
     return safe
 
 
-def _through(here: Any, link: Any, rest: str, hops: int) -> Any:
+def _through(here: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> Any:
     """Go on behind a link, in this file or another."""
     path = f"{link.path}/{rest}" if rest else link.path
     if isinstance(link, h5py.SoftLink):
-        return _resolved(here, path, hops)
+        return _resolved(here, path, root, hops)
     target = _file_named(link.filename, here.file.filename)
     if target is None:
         return None
@@ -124,20 +138,17 @@ def _through(here: Any, link: Any, rest: str, hops: int) -> Any:
             f"{_name_of(here.file)}: a link in '{here.name}' leads to '{cleaned(link.filename)}', which is "
             "no regular file: take the link out, or read another file"
         )
+    root.watch.add(target)
     try:
-        other = _SafeFile(target, hops)
+        other = h5py.File(target, "r")
     except OSError:
         return None
-    _BEHIND_LINKS.append(other)
-    return _resolved(other, "/" + path.lstrip("/"), hops)
-
-
-_BEHIND_LINKS: list[Any] = []  # these files stay open as long as the process: datasets of theirs are read
+    root.behind_links.append(other)
+    return _resolved(other, "/" + path.lstrip("/"), root, hops)
 
 
 def _name_of(file: Any) -> str:
-    name = file.filename
-    return cleaned(name.decode("utf-8", "surrogateescape") if isinstance(name, bytes) else name)
+    return cleaned(_text(file.filename))
 
 
 def _file_named(name: str, beside: str) -> str | None:
@@ -149,7 +160,7 @@ def _file_named(name: str, beside: str) -> str | None:
     return None
 
 
-def check_dataset(dataset: Any) -> None:
+def check_dataset(dataset: Any, watch: FileWatch) -> None:
     """Refuse a dataset that claims what it does not hold, or that takes its samples from elsewhere.
 
     Raises
@@ -168,7 +179,7 @@ def check_dataset(dataset: Any) -> None:
             "any file could be: put them into this one (h5repack)"
         )
     if dataset.is_virtual:
-        _check_virtual(dataset, place, ())
+        _check_virtual(dataset, place, watch, ())
         return
     if dataset.chunks is not None and _bytes(dataset.chunks, dataset) > _MOST_CHUNK_BYTES:
         raise InputError(
@@ -202,12 +213,12 @@ def _stored_share(dataset: Any) -> float:
     return float(min(1.0, pieces * _bytes(dataset.chunks, dataset) / claimed))
 
 
-def _check_virtual(dataset: Any, place: str, above: tuple[tuple[str, str], ...]) -> None:
-    own = (os.path.realpath(_name_of_file(dataset)), dataset.name)
+def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tuple[str, str], ...]) -> None:
+    own = (os.path.realpath(_text(dataset.file.filename)), dataset.name)
     if own in above or len(above) > _MOST_HOPS:
         raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
     for file_name, name in _sources(dataset):
-        source = _file_named(file_name, _name_of_file(dataset)) if file_name != "." else own[0]
+        source = _file_named(file_name, _text(dataset.file.filename)) if file_name != "." else own[0]
         if "%" in file_name + name:
             raise InputError(f"{place} is a virtual one of numbered files: join them into one file first")
         said = f"'{cleaned(name)}'" + (f" in '{cleaned(file_name)}'" if file_name != "." else "")
@@ -216,22 +227,18 @@ def _check_virtual(dataset: Any, place: str, above: tuple[tuple[str, str], ...])
             raise InputError(f"{missing}: put the file beside this one")
         if (os.path.realpath(source), "/" + name.strip("/")) in (*above, own):
             raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
+        watch.add(source)
         try:
             with h5py.File(source, "r") as file:
                 node = _resolved_link(file, name)
                 if node is None:
                     raise InputError(f"{missing} there")
                 if node.is_virtual:
-                    _check_virtual(node, place, (*above, own))
+                    _check_virtual(node, place, watch, (*above, own))
                 elif node.external:
                     raise InputError(f"{place} is a virtual one, and its source {said} is stored elsewhere")
         except OSError:
             raise InputError(f"{missing}: it cannot be opened") from None
-
-
-def _name_of_file(dataset: Any) -> str:
-    name = dataset.file.filename
-    return name.decode("utf-8", "surrogateescape") if isinstance(name, bytes) else str(name)
 
 
 def _resolved_link(file: Any, name: str) -> Any:

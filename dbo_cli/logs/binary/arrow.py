@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, brief
-from dbo_cli.logs.interrupts import keep_interrupts
-from dbo_cli.logs.library_noise import contained
-from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, statements_in
+from dbo_cli.logs.libraries import host, keep_interrupts
 
 _ROWS = 1 << 20  # read at once: a row group is decoded whole, and pandas writes a million rows into one
+_INDEX = "__index_level_0__"  # what pandas calls an index without a name
 
 
-def open_parquet(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+def open_parquet(request: Request) -> ColumnTable:
     """Open a Parquet file.
 
     Raises
@@ -30,48 +27,38 @@ def open_parquet(address: Address, selectors: Sequence[str], options: ReadingOpt
     """
     import polars
 
-    return _open(address, "Parquet", polars.scan_parquet, _parquet_metadata)
+    return _open(request, "Parquet", polars.scan_parquet, _parquet_metadata)
 
 
-def open_feather(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
-    """Open a Feather (Arrow) file.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or holds no columns of numbers.
-    """
+def open_feather(request: Request) -> ColumnTable:
+    """Open a Feather (Arrow) file; see :func:`open_parquet`."""
     import polars
 
-    return _open(address, "Feather", polars.scan_ipc, lambda path: {})
+    return _open(request, "Feather", polars.scan_ipc, lambda path: {})
 
 
-def open_old_feather(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+def open_old_feather(request: Request) -> ColumnTable:
     """Refuse the first version of Feather, which nothing at hand reads (InputError)."""
     raise InputError(
-        f"{address.text}: Feather version 1 is not read: write it again with version 2, or as Parquet"
+        f"{request.place}: Feather version 1 is not read: write it again with version 2, or as Parquet"
     )
 
 
 def _open(
-    address: Address, kind: str, scan: Callable[..., Any], metadata_of: Callable[[str], dict[str, str]]
+    request: Request, kind: str, scan: Callable[..., Any], metadata_of: Callable[[str], dict[str, str]]
 ) -> ColumnTable:
     import polars
 
     keep_interrupts()
-    place = address.text
     damaged = (polars.exceptions.PolarsError, polars.exceptions.PanicException, OSError, ValueError)
-    try:
-        with contained(place, kind):
-            metadata = metadata_of(address.path)
-            frame = scan(address.path)
-            schema = frame.collect_schema()
-            length = int(frame.select(polars.len()).collect().item())
-    except damaged as problem:
-        raise InputError(f"{place}: damaged {kind}: {brief(problem)}") from None
+    with request.reading(kind, damaged), host().contained(request.place, kind):
+        metadata = metadata_of(request.address.path)
+        frame = scan(request.address.path)
+        schema = frame.collect_schema()
+        length = int(frame.select(polars.len()).collect().item())
     attributes = _pandas_attributes(metadata)
     units = attributes.get("units")
-    reader = _Reader(frame, place, kind)
+    reader = _Reader(frame, request.place, kind)
     sources = []
     for name, kind_of in schema.items():
         source = _column(reader, name, kind_of, length)
@@ -79,9 +66,9 @@ def _open(
             unit = units.get(name) if isinstance(units, dict) else None
             sources.append(replace(source, unit=source.unit or (str(unit) if unit else None)))
     if not sources:
-        listed = ", ".join(f"{name} ({kind_of})" for name, kind_of in schema.items()) or "nothing"
-        raise InputError(f"{place}: no columns of numbers: it holds {listed}")
-    return ColumnTable(place, kind, sources, clock=_statements(metadata, attributes), damaged=damaged)
+        raise request.no_columns(f"{name} ({kind_of})" for name, kind_of in schema.items())
+    clock = statements_in(metadata) + statements_in(attributes)
+    return ColumnTable(request, kind, sources, clock=clock, damaged=damaged)
 
 
 class _Reader:
@@ -112,18 +99,18 @@ class _Reader:
         column = polars.col(name)
         kind = self._frame.collect_schema()[name]
         physical = column.to_physical() if kind.is_temporal() else column.cast(polars.Float64)
-        with contained(self._place, self._kind):
+        with host().contained(self._place, self._kind):
             return self._frame.slice(base, _ROWS).select(physical).collect().to_series().to_numpy()
 
 
 def _column(reader: _Reader, name: str, kind: Any, length: int) -> ColumnSource | None:
     source = ColumnSource(name, length, lambda start, stop: reader.fetch(name, start, stop))
     if kind.is_numeric() or str(kind) == "Boolean":
-        return None if name == "__index_level_0__" and kind.is_integer() else source
+        return None if name == _INDEX and kind.is_integer() else source
     per_second = {"ms": 1000, "us": 10**6, "ns": 10**9}.get(getattr(kind, "time_unit", None) or "")
     if per_second is None or not length:
         return None
-    label = "time" if name == "__index_level_0__" else name
+    label = "time" if name == _INDEX else name
     first: list[int] = []
 
     def fetch(start: int, stop: int) -> Any:
@@ -152,13 +139,3 @@ def _pandas_attributes(metadata: dict[str, str]) -> dict[str, Any]:
     except ValueError:
         return {}
     return found if isinstance(found, dict) else {}
-
-
-def _statements(*levels: dict[str, Any]) -> list[Statement]:
-    found = []
-    for level in levels:
-        for name, value in level.items():
-            if is_clock_name(name):
-                statement = read_statement(name, value, level.get(f"{name}_unit", level.get(f"{name}_units")))
-                found += [statement] if statement is not None else []
-    return found

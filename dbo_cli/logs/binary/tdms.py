@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Sequence
+import contextlib
 from typing import Any
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source, brief
-from dbo_cli.logs.extras import import_extra
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, array_source
+from dbo_cli.logs.libraries import import_extra
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
 
 
-def open_tdms(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+def open_tdms(request: Request) -> ColumnTable:
     """Open a TDMS file; the channels of several groups are called ``group/channel``.
 
     Raises
@@ -23,51 +20,34 @@ def open_tdms(address: Address, selectors: Sequence[str], options: ReadingOption
     InputError
         npTDMS is not installed, the file is damaged, or holds no channels of numbers.
     """
-    nptdms = import_extra("nptdms", "tdms", address.text)
-    nptdms.log.log_manager.set_level(logging.CRITICAL)  # it would write its doubts to the terminal
-    stream = open(address.path, "rb")  # its own: npTDMS leaves a damaged file open
-    try:
-        file = nptdms.TdmsFile.open(stream)
-    except Exception as problem:  # npTDMS raises whatever the damaged bytes lead to
-        stream.close()
-        raise InputError(f"{address.text}: damaged TDMS: {brief(problem)}") from None
-    try:
-        groups = _groups(address, file)
-        several = sum(any(_is_numeric(channel) for channel in group.channels()) for group in groups) > 1
-        sources = [
-            _column(group, channel, several)
-            for group in groups
-            for channel in group.channels()
-            if _is_numeric(channel)
-        ]
+    nptdms = import_extra("nptdms", "tdms", request.place)
+    with contextlib.ExitStack() as opened:
+        # A stream of its own: npTDMS leaves a damaged file open.
+        stream = opened.enter_context(open(request.address.path, "rb"))
+        with request.reading("TDMS"):  # npTDMS raises whatever the damaged bytes lead to
+            file = nptdms.TdmsFile.open(stream)
+        groups = _groups(request, file)
+        numeric = [(group, one) for group in groups for one in group.channels() if _is_numeric(one)]
+        several = len({group.name for group, _ in numeric}) > 1
+        sources = [_column(group, channel, several) for group, channel in numeric]
         if not sources:
             listed = ", ".join(f"{g.name}/{c.name}" for g in groups for c in g.channels()) or "nothing"
-            raise InputError(f"{address.text}: no channels of numbers: it holds {listed}")
-        clock = [
-            found for level in (*(groups if len(groups) == 1 else ()), file) if (found := _statements(level))
-        ]
-        return ColumnTable(
-            address.text,
-            "TDMS",
-            sources,
-            clock=clock[0] if clock else (),
-            close=stream.close,
-            damaged=(Exception,),
-        )
-    except BaseException:
-        stream.close()
-        raise
+            raise InputError(f"{request.place}: no channels of numbers: it holds {listed}")
+        levels = [*(groups if len(groups) == 1 else ()), file]
+        clock = next((found for level in levels if (found := _statements(level))), [])
+        close = opened.pop_all().close
+    return ColumnTable(request, "TDMS", sources, clock=clock, close=close, damaged=(Exception,))
 
 
-def _groups(address: Address, file: Any) -> list[Any]:
+def _groups(request: Request, file: Any) -> list[Any]:
     groups = list(file.groups())
-    wanted = (address.group or "").strip("/")
+    wanted = (request.address.group or "").strip("/")
     if not wanted:
         return groups
     found = [group for group in groups if group.name == wanted]
     if not found:
         names = ", ".join(f"'{group.name}'" for group in groups) or "none"
-        raise InputError(f"{address.text}: there is no group '{wanted}': the groups are: {names}")
+        raise InputError(f"{request.place}: there is no group '{wanted}': the groups are: {names}")
     return found
 
 

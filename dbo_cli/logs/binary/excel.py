@@ -6,17 +6,13 @@ follow the same rules, and the line numbers of messages are the sheet's row numb
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import brief
-from dbo_cli.logs.extras import import_extra
-from dbo_cli.logs.interrupts import keep_interrupts
-from dbo_cli.logs.library_noise import contained
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.column_table import Request
+from dbo_cli.logs.libraries import host, import_extra, keep_interrupts
 from dbo_cli.logs.text.cells import is_number
 from dbo_cli.logs.text.text_table import TextTable
 
@@ -25,7 +21,7 @@ _DATE = r"^\d{4}-\d\d-\d\d"
 _DAY_ZERO = r"^1899-12-3[01] "  # before a time of day without a date
 
 
-def open_excel(address: Address, selectors: Sequence[str], options: ReadingOptions) -> TextTable:
+def open_excel(request: Request) -> TextTable:
     """Open a workbook's only sheet with numbers, or the one that ``FILE::SHEET`` names.
 
     Raises
@@ -33,37 +29,31 @@ def open_excel(address: Address, selectors: Sequence[str], options: ReadingOptio
     InputError
         fastexcel is not installed, the workbook is damaged, or which sheet is meant is not clear.
     """
-    place = address.text
+    place, address = request.place, request.address
     fastexcel = import_extra("fastexcel", "excel", place)
-    try:
-        with contained(place, "workbook"):
-            book = fastexcel.read_excel(address.path)
-            name = _choose(place, address, book)
-            content = _as_text(book, name)
-    except (InputError, KeyboardInterrupt, SystemExit):
-        raise
-    except BaseException as problem:  # whatever the damaged bytes lead to; a panic is no Exception
-        raise InputError(f"{place}: damaged workbook: {brief(problem)}") from None
-    plain = replace(options, delimiter="tab", encoding=None)
+    # BaseException: whatever the damaged bytes lead to; a panic is no Exception
+    with request.reading("workbook", (BaseException,)), host().contained(place, "workbook"):
+        book = fastexcel.read_excel(address.path)
+        content = _as_text(book, _choose(place, address, book))
+    plain = replace(request.options, delimiter="tab", encoding=None)
     return TextTable(address, plain, content=content)
 
 
 def _choose(place: str, address: Address, book: Any) -> str:
     wanted = (address.group or "").strip("/")
     names = [str(name) for name in book.sheet_names]
-    if wanted:
-        if wanted not in names:
-            listed = ", ".join(f"'{name}'" for name in names)
-            raise InputError(f"{place}: there is no sheet '{wanted}': the sheets are: {listed}")
-        return wanted
-    found = [name for name in names if _has_numbers(book, name)]
-    if len(found) == 1:
-        return found[0]
+    found = names if wanted else [name for name in names if _has_numbers(book, name)]
+    listed = ", ".join(f"'{name}'" for name in found)
+    if wanted and wanted not in names:
+        raise InputError(f"{place}: there is no sheet '{wanted}': the sheets are: {listed}")
     if not found:
         raise InputError(f"{place}: no sheet holds rows of numbers")
-    listed = ", ".join(f"'{name}'" for name in found)
-    raise InputError(f"{place}: {len(found)} sheets hold numbers, {listed}: which one? "
-                     f"(write {address.path}::{found[0]})")  # fmt: skip
+    if not wanted and len(found) > 1:
+        raise InputError(
+            f"{place}: {len(found)} sheets hold numbers, {listed}: which one? "
+            f"(write {address.path}::{found[0]})"
+        )
+    return wanted or found[0]
 
 
 def _has_numbers(book: Any, name: str) -> bool:

@@ -12,19 +12,20 @@ import contextlib
 import errno
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.partial_files import is_running, partial_path, writer_of
+from dbo_cli.logs import output_files
+from dbo_cli.logs.byte_source import FileWatch
+from dbo_cli.logs.output_files import is_running, partial_path, try_lock, writers_in
 from dbo_cli.logs.plain_text import cleaned
 
 MARK = "dbo_columns"
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
 _COPY_BYTES = 1 << 23  # at a time, so that an interrupt is heard
-_BUSY = (errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK)
 
 
 def group_path(group: str | None) -> str:
@@ -56,11 +57,11 @@ class StoreOutput:
                 pass  # not held while the file is looked at: that takes time, and others wait
             self._refuse_foreign()
 
-    def publish(self, temporary: str, keep_open: Callable[[Callable[[], object]], None]) -> bool:
-        """Make the finished file ready to take the place of the old one, right before it is renamed.
+    @contextlib.contextmanager
+    def publishing(self, temporary: str) -> Iterator[bool]:
+        """Make the finished file ready to take the place of the old one, which is locked until that is done.
 
-        ``keep_open`` takes a call that releases the lock once the rename is done. Returned is whether there
-        is no old file, so that the rename must fail where there is one after all.
+        Gives whether there is no old file, so that the rename must fail where there is one after all.
 
         Raises
         ------
@@ -68,20 +69,19 @@ class StoreOutput:
             As for ``check``.
         """
         if not os.path.exists(self.path):
-            return True
-        lock = contextlib.ExitStack()
-        keep_open(lock.close)
-        lock.enter_context(_locked(self.path))
-        self._refuse_foreign()
-        if self.group != "/":
-            self._merge(temporary)
-        return False
+            yield True
+            return
+        with _locked(self.path):
+            self._refuse_foreign()
+            if self.group != "/":
+                self._merge(temporary)
+            yield False
 
     def _merge(self, temporary: str) -> None:
         """Make the temporary file a copy of the store with the new group in it."""
         import h5py
 
-        before = os.stat(self.path)
+        watch = FileWatch(self.path, self.path)
         merged = partial_path(os.path.realpath(self.path))
         try:
             _copy(self.path, merged)
@@ -90,12 +90,8 @@ class StoreOutput:
                     del store[self.group]
                 parent = store.require_group(self.group.rpartition("/")[0] or "/")
                 new.copy(new[self.group], parent, name=self.group.rpartition("/")[2])
-            with open(merged, "rb") as file:
-                os.fsync(file.fileno())
-            now = os.stat(self.path)
-            if (before.st_size, before.st_mtime_ns) != (now.st_size, now.st_mtime_ns):
+            if watch.changed():
                 raise OutputError(_in_use(self.path))
-            os.chmod(merged, before.st_mode & 0o7777)
             os.replace(merged, temporary)
         except BaseException:
             with contextlib.suppress(OSError):
@@ -162,37 +158,22 @@ def _in_use(path: str) -> str:
 @contextlib.contextmanager
 def _locked(path: str) -> Iterator[None]:
     """Hold HDF5's lock on a file; OutputError where somebody else has it open for writing."""
-    handle = _lock(path)
-    try:
+    if output_files.WINDOWS:  # no locks of this kind there, and a file that is open cannot be replaced
         yield
-    finally:
-        os.close(handle)
-
-
-def _lock(path: str) -> int:
+        return
     start = time.monotonic()
     while True:
         handle = os.open(path, os.O_RDONLY)
-        if _try_lock(handle) and _is_still(handle, path):
-            return handle
-        os.close(handle)
+        try:
+            if try_lock(handle) and not _is_open_for_writing(handle) and _is_still(handle, path):
+                yield
+                return
+        finally:
+            os.close(handle)
         waited = time.monotonic() - start
         if waited > _QUEUE or (waited > _PATIENCE and not _is_being_added_to(path)):
             raise OutputError(_in_use(path))
         time.sleep(0.02)
-
-
-def _try_lock(handle: int) -> bool:
-    try:
-        import fcntl
-    except ImportError:
-        return True
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as problem:
-        if problem.errno in _BUSY:
-            return False  # other errors: a file system without locks, where HDF5 does without, too
-    return not _is_open_for_writing(handle)
 
 
 def _is_open_for_writing(handle: int) -> bool:
@@ -223,12 +204,8 @@ def _is_still(handle: int, path: str) -> bool:
 def _is_being_added_to(path: str) -> bool:
     """Tell whether a living process of this program is writing beside the file, in all likelihood into it."""
     folder, name = os.path.split(os.path.realpath(path))
-    with contextlib.suppress(OSError):
-        for other in os.listdir(folder):
-            process = writer_of(other)
-            if other.startswith(f".{name[:30]}") and process not in (None, os.getpid()):
-                return is_running(process or 0)
-    return False
+    writers = writers_in(folder, f".{name[:30]}").values()
+    return any(process != os.getpid() and is_running(process) for process in writers)
 
 
 def _copy(source: str, copy: str) -> None:

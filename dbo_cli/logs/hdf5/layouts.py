@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import io
+import pickle
 import re
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dbo_cli.logs.column_table import ColumnSource
-from dbo_cli.logs.hdf5_columns import (
+from dbo_cli.logs.column_table import ColumnSource, number_in, with_unit, without_scalars
+from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,
     columns_of,
+    field_sources,
     is_dataset,
     is_group,
-    with_unit_fields,
+    slicer,
+    stored_text,
 )
-from dbo_cli.logs.hdf5_pandas import pandas_columns
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import is_clock_name
 
@@ -68,9 +71,9 @@ def _plain_columns(group: Any) -> list[ColumnSource]:
         node = group.get(name)
         if is_dataset(node) and not (node.size == 1 and is_clock_name(clean_text(name))):
             sources += columns_of(node, clean_text(name))
-    longest = max((source.length for source in sources), default=0)
-    sources = [source for source in sources if source.length > 1 or longest <= 1]
-    sources = with_unit_fields(group, sources)
+    sources = [
+        with_unit(source, lambda name: stored_text(group.get(name))) for source in without_scalars(sources)
+    ]
     if attribute_text(group, "NX_class") in ("NXdata", "NXlog"):
         sources = _nexus_scaled(group, sources)
     return [_in_seconds(group, source) for source in sources]
@@ -119,9 +122,7 @@ def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]
 
 
 def _single(node: Any) -> float | None:
-    if not is_dataset(node) or node.size != 1 or node.dtype.kind not in "fiu":
-        return None
-    return float(np.ravel(node[()])[0])
+    return number_in(node[()]) if is_dataset(node) and node.size == 1 else None
 
 
 # --- one group per signal (Bluesky, NXlog, LabOne's plotter) --------------------------------------
@@ -194,11 +195,116 @@ def _clock_base(group: Any) -> float | None:
     for _ in range(_DEEPEST):
         found = _single(node.get("clockbase"))
         if found is None:
-            value = attribute(node, "clockbase")
-            found = float(np.ravel(value)[0]) if isinstance(value, np.ndarray | np.number) else None
+            found = number_in(attribute(node, "clockbase"))
         if found is not None and found > 0.0:
             return found
         if node.name == "/":
             return None
         node = node.parent
     return None
+
+
+# --- pandas, through PyTables: tables, with data columns or not, and blocks -------------------------
+
+
+def pandas_columns(group: Any) -> list[ColumnSource]:
+    """Read what ``DataFrame.to_hdf`` writes, in either of its formats."""
+    kind = attribute_text(group, "pandas_type")
+    if kind in ("frame_table", "appendable_frame", "series_table") and is_dataset(group.get("table")):
+        return _pandas_table(group, group["table"])
+    if kind == "frame" and is_dataset(group.get("axis1")):
+        return _pandas_blocks(group)
+    if kind == "series" and is_dataset(group.get("values")):
+        return [
+            *_index(group.get("index")),
+            *columns_of(group["values"], attribute_text(group, "name") or "values"),
+        ]
+    return []
+
+
+def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
+    sources: list[ColumnSource] = []
+    info = _harmless(attribute(group, "info"))
+    for field in table.dtype.names:
+        if field == "index":
+            name = info.get("index", {}).get("index_name") if isinstance(info, dict) else None
+            for source in field_sources(table, field, clean_text(name or ""), None):
+                sources += _as_index(source, attribute_text(table, "index_kind"))
+            continue
+        names = [clean_text(name) for name in _harmless(attribute(table, f"{field}_kind")) or ()]
+        for source in field_sources(table, field, clean_text(field), names):
+            sources.append(_from_stamps(source, attribute_text(table, f"{field}_dtype")) or source)
+    return sources
+
+
+def _pandas_blocks(group: Any) -> list[ColumnSource]:
+    sources = _index(group["axis1"])
+    order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
+    found: dict[str, ColumnSource] = {}
+    for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
+        values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
+        if not (is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub"):
+            continue
+        if len(values.shape) != 2:
+            continue
+        for index, name in enumerate(map(clean_text, items[()].ravel())):
+            source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
+            found[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
+    return sources + [found[name] for name in map(clean_text, order) if name in found]
+
+
+def _index(axis: Any) -> list[ColumnSource]:
+    if not is_dataset(axis) or axis.dtype.kind not in "fiu" or len(axis.shape) != 1:
+        return []
+    name = attribute_text(axis, "name")
+    label = "" if name in ("N.", "") else _unpickled_text(name)
+    source = ColumnSource(label, axis.shape[0], slicer(axis, 0, 0))
+    return _as_index(source, attribute_text(axis, "kind"))
+
+
+def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
+    """Keep an index that says something: a name, stamps of time, fractions; not pandas' own row numbers."""
+    stamped = _from_stamps(source, kind)
+    if stamped is not None:
+        return [replace(stamped, label=source.label or "time")]
+    if source.label or kind == "float":
+        return [replace(source, label=source.label or "index")]
+    return []
+
+
+def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
+    """Turn dates (and durations) stored as counts into seconds from the first row on."""
+    found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
+    if found is None or not source.length:
+        return None
+    per_second = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}[found[1] or "ns"]
+    first = np.asarray(source.fetch(0, 1), dtype=np.int64)[0]
+
+    def fetch(start: int, stop: int) -> Any:
+        return (np.asarray(source.fetch(start, stop), dtype=np.int64) - first) / per_second
+
+    return replace(source, fetch=fetch, unit="s")
+
+
+class _NoCode(pickle.Unpickler):
+    """Reads pickled lists, tuples, dicts, texts and numbers; anything that would run code is refused."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        raise pickle.UnpicklingError(f"{module}.{name}")
+
+
+def _harmless(value: Any) -> Any:
+    """Read the column names that PyTables pickles into attributes, without ever running what is in them."""
+    if value is None or not isinstance(value, bytes | np.bytes_):
+        return None
+    try:
+        return _NoCode(io.BytesIO(bytes(value))).load()
+    except Exception:
+        return None  # whatever is no plain list of names: the columns then go by numbers
+
+
+def _unpickled_text(name: str) -> str:
+    plain = _harmless(name.encode())
+    if isinstance(plain, str):
+        return clean_text(plain)
+    return "" if plain is None and name.endswith(".") else name

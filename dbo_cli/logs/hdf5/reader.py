@@ -1,8 +1,8 @@
 """HDF5 as a table of columns: datasets of a group, fields of a compound dataset, rows or columns of a matrix.
 
 MATLAB's v7.3 files are HDF5 with every matrix stored transposed; since the longer axis is taken as time, both
-read the same.  How programs arrange a table is in ``hdf5_layouts``, what a dataset's attributes mean in
-``hdf5_columns``.
+read the same.  How programs arrange a table is in ``hdf5.layouts``, what a dataset's attributes mean in
+``hdf5.columns``.
 """
 
 from __future__ import annotations
@@ -14,37 +14,28 @@ from typing import Any
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, brief
-from dbo_cli.logs.hdf5_columns import columns_of, is_dataset, matlab_class, scalar_statements, statements_of
-from dbo_cli.logs.hdf5_layouts import columns_in, tables_below
+from dbo_cli.logs.column_table import MATLAB_OBJECTS, ColumnSource, ColumnTable, Request, brief
+from dbo_cli.logs.hdf5.columns import columns_of, is_dataset, matlab_class, scalar_statements, statements_of
+from dbo_cli.logs.hdf5.layouts import columns_in, tables_below
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.stated_clock import Statement
 
 _DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError, IndexError)
-_OBJECTS = (
-    "MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
-    "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement')"
-)
 
 
-def open_hdf5(address: Address, selectors: Sequence[str], options: ReadingOptions) -> ColumnTable:
+def open_hdf5(request: Request) -> ColumnTable:
     """Open an HDF5 log: its columns at once, their rows in blocks.
 
-    Parameters
-    ----------
-    address
-        The file and, after ``::``, a group or dataset in it.
-    selectors
-        What the user named; a path to a dataset outside the group becomes a column too.
+    A path to a dataset outside the group, which the user named, becomes a column too.
 
     Raises
     ------
     InputError
         The file or the group is absent, damaged, or holds no columns of numbers.
     """
-    from dbo_cli.logs.hdf5_safety import open_safely
+    from dbo_cli.logs.hdf5.safety import open_safely
 
+    address = request.address
     if address.is_stream:
         raise InputError("standard input: HDF5 cannot be read from a pipe: give the file's name")
     if not os.path.exists(address.path):
@@ -52,26 +43,17 @@ def open_hdf5(address: Address, selectors: Sequence[str], options: ReadingOption
     if os.path.isdir(address.path):
         raise InputError(f"{address.path}: this is a folder, not a log")
     try:
-        file = open_safely(address.path)
+        file = open_safely(address.path, request.watch)
     except OSError as problem:
         raise InputError(f"{address.path}: cannot be read as HDF5: {brief(problem)}") from None
     try:
-        node, sources = _find_columns(file, address, selectors)
-        return ColumnTable(
-            address.text,
-            "HDF5",
-            sources,
-            clock=_nearest_clock(node),
-            where=f" in {node.name}",
-            close=file.close,
-            damaged=_DAMAGED,
-        )
-    except _DAMAGED as problem:
-        file.close()
-        raise InputError(f"{address.text}: damaged HDF5: {brief(problem)}") from None
+        with request.reading("HDF5", _DAMAGED):
+            node, sources = _find_columns(file, address, request.named)
+            clock, where = _nearest_clock(node), f" in {node.name}"
     except BaseException:
         file.close()
         raise
+    return ColumnTable(request, "HDF5", sources, clock=clock, where=where, close=file.close, damaged=_DAMAGED)
 
 
 def _find_columns(file: Any, address: Address, selectors: Sequence[str]) -> tuple[Any, list[ColumnSource]]:
@@ -129,7 +111,7 @@ def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[Co
         first = clean_text(tables[0][0].name)
         return f"{text} (write {address.path}::{first} for the first of {len(tables)} tables)"
     objects = file.get("#subsystem#") is not None
-    return f"{text} ({_OBJECTS})" if objects or any(map(_is_object, _members(file))) else text
+    return f"{text}{MATLAB_OBJECTS}" if objects or any(map(_is_object, _members(file))) else text
 
 
 def _members(file: Any) -> Iterator[Any]:

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dbo_cli.logs.column_table import ColumnSource, Fetch
+from dbo_cli.logs.column_table import NETCDF_FILL, ColumnSource, Fetch, number_in, unpacked
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
 
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")
 _NAME_ATTRIBUTES = ("columns", "column_names", "names", "channels", "channel_names", "labels", "fields")
-_UNUSED_FACTORS = (
-    "gain",
-    "factor",
-    "multiplier",
-    "sensitivity",
-    "calibration",
-    "conversion",
-    "conversion_factor",
-)
-# What netCDF's library leaves where nothing was written (NC_FILL_DOUBLE, NC_FILL_FLOAT).
-_NETCDF_FILL = 9.969209968386869e36
+_UNUSED_FACTORS = ("gain", "factor", "multiplier", "sensitivity", "calibration", "conversion",
+                   "conversion_factor")  # fmt: skip
 _MATLAB_NUMBERS = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
@@ -86,7 +77,7 @@ def columns_of(dataset: Any, name: str) -> list[ColumnSource]:
     names = _column_names(dataset, width) if width > 1 else None
     labels = names or ([own] if width == 1 else [f"{own}[{number}]" for number in range(1, width + 1)])
     return [
-        _described(ColumnSource(label, shape[axis], _slicer(dataset, axis, index)), dataset, index)
+        _described(ColumnSource(label, shape[axis], slicer(dataset, axis, index)), dataset, index)
         for index, label in enumerate(labels)
     ]
 
@@ -109,7 +100,8 @@ def _time_axis(dataset: Any) -> int:
     return 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not matlab_class(dataset)) else 1
 
 
-def _slicer(dataset: Any, axis: int, index: int) -> Fetch:
+def slicer(dataset: Any, axis: int, index: int) -> Fetch:
+    """Read a vector, or column ``index`` of a matrix whose axis ``axis`` is time."""
     if len(dataset.shape) == 1:
         return lambda start, stop: dataset[start:stop]
     if axis == 0:
@@ -118,26 +110,29 @@ def _slicer(dataset: Any, axis: int, index: int) -> Fetch:
 
 
 def _fields_of(dataset: Any, name: str) -> list[ColumnSource]:
-    sources = []
+    found = []
     for number, field in enumerate(dataset.dtype.names):
-        kind = dataset.dtype[field]
         label = f"{name}/{clean_text(field)}" if name else clean_text(field)
-        length = dataset.shape[0]
-        if kind.subdtype is not None and len(kind.shape) == 1 and kind.base.kind in "fiub":
-            for index in range(kind.shape[0]):
-                source = ColumnSource(f"{label}[{index + 1}]", length, field_slicer(dataset, field, index))
-                sources.append(_described(source, dataset, number))
-        elif kind.kind in "fiub":
-            source = ColumnSource(label, length, field_slicer(dataset, field))
-            sources.append(_described(source, dataset, number))
-    return sources
+        found += [_described(one, dataset, number) for one in field_sources(dataset, field, label, None)]
+    return found
 
 
-def field_slicer(dataset: Any, field: str, index: int | None = None) -> Fetch:
-    """Read one field of a compound dataset (or one place of a field that is an array)."""
-    if index is None:
-        return lambda start, stop: dataset[start:stop][field]
-    return lambda start, stop: dataset[start:stop][field][:, index]
+def field_sources(dataset: Any, field: str, label: str, names: list[str] | None) -> list[ColumnSource]:
+    """Make a column of a field of a compound dataset, or one of each place (``names``) of an array in it."""
+    kind, length = dataset.dtype[field], dataset.shape[0]
+    if kind.subdtype is not None and len(kind.shape) == 1 and kind.base.kind in "fiub":
+        width = kind.shape[0]
+        if names is None or len(names) != width:
+            names = [f"{label}[{number}]" for number in range(1, width + 1)]
+        return [
+            ColumnSource(one, length, _field(dataset, field, (slice(None), index)))
+            for index, one in enumerate(names)
+        ]
+    return [ColumnSource(label, length, _field(dataset, field, ...))] if kind.kind in "fiub" else []
+
+
+def _field(dataset: Any, field: str, place: Any) -> Fetch:
+    return lambda start, stop: dataset[start:stop][field][place]
 
 
 def _column_names(dataset: Any, width: int) -> list[str] | None:
@@ -169,21 +164,19 @@ def _unit_of(dataset: Any, index: int) -> str:
 
 def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     """Apply netCDF's conventions and a plain ``scale``; say what looks like a factor and is not used."""
-    factor, addend = (_number(dataset, name, index) for name in ("scale_factor", "add_offset"))
-    missing = tuple(
-        value
-        for value in (_number(dataset, name, 0) for name in ("_FillValue", "missing_value"))
-        if value is not None and value == value
-    )
-    if not missing and dataset.dtype.kind == "f" and attribute(dataset, "_Netcdf4Dimid") is not None:
-        missing = (_NETCDF_FILL, float(np.float32(_NETCDF_FILL)))
-    source = replace(source, scale=factor or 1.0, offset=addend or 0.0, missing=missing)
-    if attribute_text(dataset, "_Unsigned").lower() == "true":
-        return replace(source, problem=f"column '{source.label}' is stored as _Unsigned, which is not read")
+
+    def number(name: str) -> float | None:
+        return number_in(attribute(dataset, name), index)
+
+    unsigned = attribute_text(dataset, "_Unsigned").lower() == "true"
+    filled = dataset.dtype.kind == "f" and dataset.fillvalue == NETCDF_FILL
+    source = unpacked(source, number, unsigned, filled)
+    if source.problem:
+        return source
     remarks = []
-    scale, shift = _number(dataset, "scale", index), _number(dataset, "offset", index)
-    scale = _number(dataset, "scaling_factor", index) if scale is None else scale
-    if scale is not None and scale not in (0.0, 1.0) and factor is None:
+    scale, shift = number("scale"), number("offset")
+    scale = number("scaling_factor") if scale is None else scale
+    if scale is not None and scale not in (0.0, 1.0) and number("scale_factor") is None:
         if shift:
             text = (
                 f"column '{source.label}' has the attributes scale {scale:g} and offset {shift:g}, and "
@@ -193,10 +186,10 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
             return replace(source, problem=text)
         source = replace(source, scale=scale)
         remarks.append(f"column '{source.label}' is multiplied by its attribute scale, {scale:g}")
-    elif shift and addend is None:
+    elif shift and number("add_offset") is None:
         remarks.append(f"column '{source.label}' has an attribute offset, {shift:g}, which is not applied")
     for name in _UNUSED_FACTORS:
-        value = _number(dataset, name, index)
+        value = number(name)
         if value is not None and value != 1.0:
             remarks.append(
                 f"column '{source.label}' has an attribute {name}, {value:g}, which is not applied"
@@ -204,26 +197,12 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     return replace(source, remarks=tuple(remarks))
 
 
-def _number(dataset: Any, name: str, index: int) -> float | None:
-    value = attribute(dataset, name)
-    if value is None or not isinstance(value, np.ndarray | np.generic | int | float):
-        return None
-    values = np.atleast_1d(value).ravel()
-    if not values.size or values.dtype.kind not in "fiu":
-        return None
-    return (
-        float(values[0] if values.size == 1 else values[index])
-        if index < values.size or values.size == 1
-        else None
-    )
-
-
 def statements_of(node: Any) -> Iterator[Statement]:
     """Read what the attributes of a dataset or group say of the sample rate."""
-    for name in node.attrs:
-        if is_clock_name(clean_text(name)):
+    for name in map(clean_text, node.attrs):
+        if is_clock_name(name):
             unit = attribute(node, f"{name}_units", f"{name}_unit")
-            found = read_statement(clean_text(name), node.attrs[name], unit)
+            found = read_statement(name, attribute(node, name), unit)
             if found is not None:
                 yield found
 
@@ -247,15 +226,3 @@ def stored_text(dataset: Any) -> str:
     if matlab_class(dataset) == "char":
         return "".join(chr(int(code)) for code in values)
     return clean_text(values[0]) if values.size == 1 and isinstance(values[0], str | bytes) else ""
-
-
-def with_unit_fields(group: Any, sources: Sequence[ColumnSource]) -> list[ColumnSource]:
-    """Take a unit from a text beside the column (``voltage_unit``) where the column has none itself."""
-    found = []
-    for source in sources:
-        texts = (
-            () if source.unit else (group.get(f"{source.label}{end}") for end in ("_units", "_unit", "Unit"))
-        )
-        units = [text for text in map(stored_text, (node for node in texts if node is not None)) if text]
-        found.append(replace(source, unit=units[0]) if units else source)
-    return found

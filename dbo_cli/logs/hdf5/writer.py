@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.logs.clock import JITTER
-from dbo_cli.logs.hdf5_store import MARK
+from dbo_cli.logs.hdf5.store import MARK
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
@@ -73,19 +73,11 @@ class Hdf5Writer:
             self._steps.feed(parts[self._clock])
         self._kept_rows += len(parts[0])
         if self._kept_rows >= CHUNK_ROWS:
-            self._write_chunks(self._kept_rows // CHUNK_ROWS)
+            self._store(CHUNK_ROWS)
 
     def finish(self) -> None:
         """Write what is left and close the file; only now is it whole."""
-        if self._kept_rows or not self._datasets:
-            chunk = CHUNK_ROWS if self._datasets else max(1, self._kept_rows)
-            self._make_datasets(chunk)
-            if self._kept_rows:
-                rows = self._kept_rows
-                for dataset, kept in zip(self._datasets, self._kept, strict=True):
-                    rest = np.concatenate(kept)
-                    _write_chunk(dataset, self._rows, np.append(rest, np.zeros(chunk - rows)))
-                self._rows += rows
+        self._store(CHUNK_ROWS if self._datasets else max(1, self._kept_rows), last=True)
         for dataset in self._datasets:
             dataset.resize((self._rows,))
         rate = self._steps.rate()
@@ -100,31 +92,30 @@ class Hdf5Writer:
         except (OSError, RuntimeError, ValueError):
             pass  # the error that led here is the one to be told
 
-    def _write_chunks(self, count: int) -> None:
-        self._make_datasets(CHUNK_ROWS)
-        for number, (dataset, kept) in enumerate(zip(self._datasets, self._kept, strict=True)):
-            whole = np.concatenate(kept) if len(kept) > 1 else kept[0]
-            for chunk in range(count):
-                start = chunk * CHUNK_ROWS
-                _write_chunk(dataset, self._rows + start, whole[start : start + CHUNK_ROWS])
-            self._kept[number] = [whole[count * CHUNK_ROWS :].copy()]
-        self._rows += count * CHUNK_ROWS
-        self._kept_rows -= count * CHUNK_ROWS
+    def _store(self, chunk: int, last: bool = False) -> None:
+        """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""
+        self._make_datasets(chunk)
+        rows = self._kept_rows if last else self._kept_rows // chunk * chunk
+        if not rows:
+            return
+        for number, dataset in enumerate(self._datasets):
+            values = np.concatenate([*self._kept[number], np.zeros(-rows % chunk if last else 0)])
+            for start in range(0, rows, chunk):
+                dataset.resize((self._rows + start + chunk,))
+                encoded = shuffled_deflated(values[start : start + chunk])
+                dataset.id.write_direct_chunk((self._rows + start,), encoded)
+            self._kept[number] = [values[rows:]]
+        self._rows += rows
+        self._kept_rows -= rows
 
     def _make_datasets(self, chunk: int) -> None:
         if self._datasets:
             return
         for name, column in zip(self._names, self._columns, strict=True):
             dataset = self._group.create_dataset(
-                name,
-                shape=(0,),
-                maxshape=(None,),
-                chunks=(chunk,),
-                dtype="<f8",
-                compression="gzip",
-                compression_opts=1,
+                name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
                 shuffle=True,
-            )
+            )  # fmt: skip
             if column.unit:
                 dataset.attrs["units"] = cleaned(column.unit)
             dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
@@ -164,11 +155,6 @@ class _Steps:
         if self._most - self._least > JITTER * step:
             return None
         return float(f"{1.0 / step:.12g}")  # 2000, not 1999.9999999999998
-
-
-def _write_chunk(dataset: Any, start: int, values: FloatArray) -> None:
-    dataset.resize((start + len(values),))
-    dataset.id.write_direct_chunk((start,), shuffled_deflated(values))
 
 
 def shuffled_deflated(values: FloatArray) -> bytes:

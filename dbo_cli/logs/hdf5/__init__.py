@@ -1,0 +1,1 @@
+"""HDF5: reading whatever programs have put there, and writing columns that every program reads."""
