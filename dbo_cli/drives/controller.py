@@ -124,8 +124,7 @@ class Controller:
             if self._after:
                 volts = self._bent(volts)
         if self._dac is not None:
-            if self._last is not None:
-                self._most = self._dac.most(self._last)
+            self._most = self._dac.most(self._last)
             code = self._dac.code(volts, self._last, self._most)
             self.planned, volts = code, self._dac.curve[code]
         else:
@@ -156,7 +155,7 @@ class Controller:
                 volts = self._dac.volts(applied) if self._dac is not None else float(applied)
             self._apply(volts)
         if self._dac is not None and self._last is not None:
-            self._dac.commit(abs(volts - self._last), self._dac.most(self._last))
+            self._dac.commit(abs(volts - self._last), self._most)
         self._last = volts
         self.clipped += self._clipped_now
         self._clipped_now = False
@@ -303,6 +302,7 @@ class Converter:
             )
         self._step, self._saved = most, 0.0
         gaps: list[float] = [b - a for a, b in itertools.pairwise(self.curve)]
+        self._widest = max(gaps)
         self._gaps: list[float] = [max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])]
 
     def volts(self, code: int | float) -> float:
@@ -311,27 +311,29 @@ class Converter:
             raise InputError(f"code {code} is not one of the converter's, 0 to {len(self.curve) - 1}")
         return self.curve[int(code)]
 
-    def most(self, last: float) -> float | None:
+    def most(self, last: float | None) -> float | None:
         """Return the largest change that is allowed now, V; None where any is."""
-        if self._step is None:
+        step = self._step
+        if step is None or last is None:
             return None
-        gap = self._gaps[min(bisect.bisect_left(self.curve, last), len(self._gaps) - 1)]
-        return min(self._saved + self._step, max(self._step, gap))
+        if step < self._widest:
+            gap = self._gaps[min(bisect.bisect_left(self.curve, last), len(self._gaps) - 1)]
+            return min(self._saved + step, max(step, gap))
+        return step
 
     def code(self, volts: float, last: float | None, most: float | None) -> int:
         """Return the code nearest to a voltage, of those within range and slew; the last one, if none is."""
         curve, low, high = self.curve, self._low, self._high
-        if most is not None and last is not None:
-            low = max(low, bisect.bisect_left(curve, last - most))
-            high = min(high, bisect.bisect_right(curve, last + most) - 1)
-            if low > high:  # from outside the range, or between two codes
-                return min(max(bisect.bisect_left(curve, last), self._low), self._high)
         after = bisect.bisect_left(curve, volts)
-        if after <= low:
-            return low
-        if after > high:
-            return high
-        return after if curve[after] - volts < volts - curve[after - 1] else after - 1
+        near = after - (0 < after < len(curve) and curve[after] - volts >= volts - curve[after - 1])
+        near = low if near < low else high if near > high else near
+        if most is None or last is None or -most <= curve[near] - last <= most:
+            return near
+        low = max(low, bisect.bisect_left(curve, last - most))
+        high = min(high, bisect.bisect_right(curve, last + most) - 1)
+        if low > high:  # from outside the range, or between two codes
+            return min(max(bisect.bisect_left(curve, last), self._low), self._high)
+        return low if near < low else high
 
     def commit(self, change: float, most: float | None) -> None:
         """Take what a change used off what was saved up."""
