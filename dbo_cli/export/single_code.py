@@ -52,6 +52,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     values: dict[str, str | bool] = {
         "counts": q31, "inverse": plan.direction == "inverse", "terms": bool(t.terms), "spare": bool(spare),
         "delay": bool(delay), "tables": tables, "delay_line": delay,
+        "SPARE_WORDS": str(len(spare or ())),
         "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.covered),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,

@@ -17,7 +17,7 @@ void NAME_init(NAME_state *state) {
 /*: counts */
 /*: terms */
 /*? spare */
-    for (uint32_t k = 0U; k < WORDSU; k++) state->words[k] = spare[k];
+    for (uint32_t k = 0U; k < SPARE_WORDSU; k++) state->words[k] = spare[k];
 /*: spare */
     state->gears.words = state->words;
     state->gears.memory = MEMORY;
