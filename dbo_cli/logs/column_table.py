@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.addresses import Address
@@ -303,10 +304,12 @@ class ColumnTable:
             block = self._block(list(picks), sources, start, min(end, start + block_rows))
             good = np.logical_and.reduce([are_measured(array) for array in block.values.values()])
             if not good.all():
-                message = self._complaint(picks, block, int(np.flatnonzero(~good)[0]))
-                if not skip_bad:
-                    raise InputError(f"{message} {SKIP_REMEDY}")
-                dropped, first = dropped + int((~good).sum()), first or message
+                bad = np.logical_or.reduce([_bad(block.values[role], pick) for role, pick in picks.items()])
+                if bad.any():
+                    message = self._complaint(picks, block, int(np.flatnonzero(bad)[0]))
+                    if not skip_bad:
+                        raise InputError(f"{message} {SKIP_REMEDY}")
+                    dropped, first = dropped + int(bad.sum()), first or message
                 kept = {role: array[good] for role, array in block.values.items()}
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
             yield block
@@ -338,10 +341,16 @@ class ColumnTable:
     def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int) -> str:
         for role, pick in picks.items():
             array = block.values[role]
-            if not are_measured(array[index : index + 1])[0]:
+            if _bad(array[index : index + 1], pick)[0]:
                 value = repr(str(float(array[index])))
                 return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
         raise AssertionError("a row without a bad value was complained about")
+
+
+def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:
+    """Tell which values of a column are refused: NaN is none where the column may be blank."""
+    bad = ~are_measured(values)
+    return bad & ~np.isnan(values) if pick.may_be_blank else bad
 
 
 def describe_column(source: ColumnSource, number: int) -> ColumnInfo:

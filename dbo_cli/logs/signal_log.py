@@ -94,7 +94,8 @@ class SignalLog:
         """Samples a second (Hz) where they are evenly spaced by definition: resampled, or without a clock."""
         if self._options.resample is not None:
             return self._options.resample
-        return None if self._options.skip_bad else self.sample_rate
+        gaps = self._options.skip_bad or any(column.may_be_blank for column in self._picks.values())
+        return None if gaps else self.sample_rate
 
     @property
     def stated_rate(self) -> float | None:
