@@ -21,7 +21,7 @@ from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import GAVE_UP
 from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured, dropped_note
-from dbo_cli.logs.stated_clock import Statement, agreed_rate, is_clock_name, read_statement
+from dbo_cli.logs.stated_clock import Statement, agreed_rate, read_statements
 
 Fetch = Callable[[int, int], Any]
 """Gives the stored values of rows start..stop (from 0, stop not included)."""
@@ -159,12 +159,11 @@ def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSourc
 
 def statements_in(values: Mapping[str, Any]) -> list[Statement]:
     """Read what named values say of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
-    found = []
-    for name, value in values.items():
-        if is_clock_name(name):
-            statement = read_statement(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
-            found += [statement] if statement is not None else []
-    return found
+    return [
+        statement
+        for name, value in values.items()
+        for statement in read_statements(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
+    ]
 
 
 # What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and NC_FILL_DOUBLE, one number.

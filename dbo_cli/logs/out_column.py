@@ -52,9 +52,7 @@ def unique_headers(columns: Sequence[OutColumn]) -> list[str]:
     return headers
 
 
-def require_finite(
-    columns: Sequence[OutColumn], headers: Sequence[str], arrays: Sequence[ArrayLike]
-) -> None:
+def require_finite(columns: Sequence[OutColumn], headers: Sequence[str], arrays: Sequence[ArrayLike]) -> None:
     """Refuse to write NaN or infinity: the model or the signal is beyond the range of the arithmetic.
 
     Raises

@@ -261,9 +261,7 @@ class WholeSource(Source):
     """Another source read whole: one block, which may be exchanged for what was made of it."""
 
     def __init__(self, source: Source) -> None:
-        super().__init__(
-            source.name, source.columns, source.has_time, source.even_rate, source.stated_rate
-        )
+        super().__init__(source.name, source.columns, source.has_time, source.even_rate, source.stated_rate)
         self._source = source
         self.no_time = source.no_time
         self.block = joined(list(source.blocks()))
