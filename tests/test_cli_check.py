@@ -129,3 +129,35 @@ def test_what_cannot_be_kept_is_refused(bench: Any, words: str, code: int, messa
     done = bench("compensate", "model.json", "wish.csv", *words.split(), "-o", "d.csv")
     assert (done.code, done.err.startswith(f"dbo: error: {message}")) == (code, True), done.err
     assert not Path("d.csv").exists()
+
+
+@pytest.mark.parametrize("name", ["d.csv", "d.tsv.gz", "d.h5"])
+def test_the_rows_of_a_drive_without_a_desired_value(bench: Any, name: str) -> None:
+    done = bench("compensate", "model.json", "wish.csv", "--return", "0.3", "-o", name)
+    assert done.code == 0, done.err
+    assert bench("simulate", "model.json", name, "-o", "s.csv").code == 0
+    time, measured = np.loadtxt("s.csv", delimiter=",", skiprows=1, usecols=(0, 2)).T
+    wanted = 5.0 + 2.0 * np.sin(2.0 * np.pi * 5.0 * TIME)
+    rows = len(time)
+    assert rows == pytest.approx(700, abs=2)
+    assert bench("check", name, "--v-min", "0", "--v-max", "10").code == 0
+    write("run.csv", "time_s,sensor_um", time, measured + 0.25)
+    done = bench("report", "run.csv", "--trajectory", name, "--format", "json")
+    assert done.code == 0, done.err
+    log = json.loads(done.out)["logs"][0]
+    assert log["samples"] == 400 and log["mean"] == pytest.approx(0.25, abs=0.002)
+    wished = [*map(repr, wanted.tolist()), *[""] * (rows - 400)]
+    lines = [f"{a!r},{b},{c!r}" for a, b, c in zip(time.tolist(), wished, measured.tolist(), strict=True)]
+    Path("both.csv").write_text("\n".join(["time_s,desired_um,measured_um", *lines]) + "\n")
+    done = bench("report", "both.csv", "--format", "json")
+    assert (done.code, json.loads(done.out)["logs"][0]["samples"]) == (0, 400)
+    assert "blank" not in done.err and "empty" not in done.err and "dropped" not in done.err
+    lines[500] += "x"
+    Path("both.csv").write_text("\n".join(["time_s,desired_um,measured_um", *lines]) + "\n")
+    done = bench("report", "both.csv")
+    assert done.code == 1
+    assert done.err.startswith("dbo: error: both.csv:502: column 'measured_um' is not a number: ")
+    lines[500] = f"{time[500]!r},nan,1.0"
+    Path("both.csv").write_text("\n".join(["time_s,desired_um,measured_um", *lines]) + "\n")
+    done = bench("report", "both.csv")
+    assert done.err.startswith("dbo: error: both.csv:502: column 'desired_um' is not finite: 'nan'")

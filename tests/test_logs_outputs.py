@@ -14,7 +14,10 @@ import h5py
 import numpy as np
 import pytest
 
-from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.errors import InputError, OutputError, UsageError
+from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.out_column import _fast_rows, _plain_rows
+from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import check_output, reason_of, write_whole
 
@@ -328,3 +331,32 @@ def test_hdf5_does_not_go_down_a_pipe() -> None:
     with pytest.raises(UsageError) as raised, signal_writer("-", COLUMNS, format="hdf5"):
         pass
     assert str(raised.value) == "HDF5 cannot be written to a pipe: name a file (-o FILE.h5)"
+
+
+def test_a_column_that_may_be_blank(tmp_path: Path) -> None:
+    desired = OutColumn("desired", "um", may_be_blank=True)
+    columns = [OutColumn("time", "s"), desired, OutColumn("voltage", "V")]
+    values = np.array([0.0, 1.0]), np.array([0.5, np.nan]), np.array([2.0, 3.0])
+    rows = b"0.0,0.5,2.0\n1.0,,3.0\n"
+    assert (_plain_rows(values, ","), bytes(_fast_rows(values, ","))) == (rows, rows)
+    for name, refusal in (
+        ("out.csv", ":3: column 'desired_um' is empty ("),
+        ("out.h5", ": row 2: column 'desired_um' is not finite: 'nan' ("),
+    ):
+        path = str(tmp_path / name)
+        with signal_writer(path, columns) as writer:
+            writer.write(*values)
+        want = {"voltage": wish("voltage"), "desired": wish("desired", may_be_blank=True)}
+        with open_log(path, want) as log:
+            block = log.read()
+        assert (list(block.rows), block.values["desired"], block.values["voltage"]) == ([1], [0.5], [2.0])
+        assert log.notes == log.warnings == []
+        with open_log(path, {"desired": wish("desired")}) as log, pytest.raises(InputError) as refused:
+            log.read()
+        assert str(refused.value).startswith(path + refusal)
+        for wrong, bad in ((1, np.inf), (0, np.nan), (2, np.nan)):
+            arrays = [*values]
+            arrays[wrong] = np.array([0.0, bad])
+            with pytest.raises(OutputError, match="would hold a number that is not finite"):
+                with signal_writer(path, columns) as writer:
+                    writer.write(*arrays)

@@ -80,6 +80,7 @@ def wish(
     quantity: str | None = None,
     unit: str | None = None,
     required: bool = True,
+    may_be_blank: bool = False,
 ) -> ColumnWish:
     """Wish for the column of a role.
 
@@ -96,12 +97,14 @@ def wish(
         What a model calls the quantity, and its unit: a column in a unit of that kind is not left out.
     required
         Whether its absence is an error.
+    may_be_blank
+        Whether rows without a value are left out.
     """
     own, kind = (quantity or role).lower(), kind_of_unit(unit)
     known = ROLES.get(role)
     if known is None:
         kinds = None if kind is None else frozenset((kind,))
-        return ColumnWish(selector, (own,), required, option, kinds=kinds)
+        return ColumnWish(selector, (own,), required, option, kinds=kinds, may_be_blank=may_be_blank)
     others = frozenset(name for other in ROLES.values() for name in other.guesses)
     return replace(
         known,
@@ -111,4 +114,5 @@ def wish(
         option=option,
         kinds=(known.kinds or frozenset()) | ({kind} if kind else set()),
         foreign=others - frozenset(known.guesses),
+        may_be_blank=may_be_blank,
     )

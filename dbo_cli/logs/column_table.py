@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.addresses import Address
@@ -20,7 +21,7 @@ from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import GAVE_UP
 from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured, dropped_note
-from dbo_cli.logs.stated_clock import Statement, agreed_rate, is_clock_name, read_statement
+from dbo_cli.logs.stated_clock import Statement, agreed_rate, read_statements
 
 Fetch = Callable[[int, int], Any]
 """Gives the stored values of rows start..stop (from 0, stop not included)."""
@@ -158,12 +159,11 @@ def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSourc
 
 def statements_in(values: Mapping[str, Any]) -> list[Statement]:
     """Read what named values say of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
-    found = []
-    for name, value in values.items():
-        if is_clock_name(name):
-            statement = read_statement(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
-            found += [statement] if statement is not None else []
-    return found
+    return [
+        statement
+        for name, value in values.items()
+        for statement in read_statements(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
+    ]
 
 
 # What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and NC_FILL_DOUBLE, one number.
@@ -303,10 +303,12 @@ class ColumnTable:
             block = self._block(list(picks), sources, start, min(end, start + block_rows))
             good = np.logical_and.reduce([are_measured(array) for array in block.values.values()])
             if not good.all():
-                message = self._complaint(picks, block, int(np.flatnonzero(~good)[0]))
-                if not skip_bad:
-                    raise InputError(f"{message} {SKIP_REMEDY}")
-                dropped, first = dropped + int((~good).sum()), first or message
+                bad = np.logical_or.reduce([_bad(block.values[role], pick) for role, pick in picks.items()])
+                if bad.any():
+                    message = self._complaint(picks, block, int(np.flatnonzero(bad)[0]))
+                    if not skip_bad:
+                        raise InputError(f"{message} {SKIP_REMEDY}")
+                    dropped, first = dropped + int(bad.sum()), first or message
                 kept = {role: array[good] for role, array in block.values.items()}
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
             yield block
@@ -338,10 +340,16 @@ class ColumnTable:
     def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int) -> str:
         for role, pick in picks.items():
             array = block.values[role]
-            if not are_measured(array[index : index + 1])[0]:
+            if _bad(array[index : index + 1], pick)[0]:
                 value = repr(str(float(array[index])))
                 return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
         raise AssertionError("a row without a bad value was complained about")
+
+
+def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:
+    """Tell which values of a column are refused: NaN is none where the column may be blank."""
+    bad = ~are_measured(values)
+    return bad & ~np.isnan(values) if pick.may_be_blank else bad
 
 
 def describe_column(source: ColumnSource, number: int) -> ColumnInfo:

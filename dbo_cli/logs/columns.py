@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import cleaned
@@ -58,6 +58,8 @@ class ColumnWish:
     another role, ``by_unit`` are names that count only with a unit of ``channel_kinds`` (``ch`` stands for
     all names of channels: ``CH1 (V)``), a column with one of the ``preferred`` names goes before the others,
     and one with a ``foreign`` name is not taken just because no other is left.
+
+    Rows without a value are left out where the column ``may_be_blank``, and refused elsewhere.
     """
 
     selector: str | None
@@ -71,6 +73,7 @@ class ColumnWish:
     channel_kinds: frozenset[str] = frozenset()
     preferred: tuple[str, ...] = ()
     foreign: frozenset[str] = frozenset()
+    may_be_blank: bool = False
 
 
 def split_header(header: str) -> tuple[str, str | None]:
@@ -373,7 +376,11 @@ def choose_columns(
     if missing:
         used = {column.number for column in [*taken, *chosen.values()]}
         raise InputError(_not_unique(place, columns, want, missing, used, timed))
-    return {role: chosen[role] for role in want if role in chosen}
+    return {
+        role: replace(chosen[role], may_be_blank=wish.may_be_blank)
+        for role, wish in want.items()
+        if role in chosen
+    }
 
 
 def _not_unique(

@@ -195,7 +195,9 @@ class _JoinedTable:
         streams = []
         for file in self._files:
             own = {
-                role: file.columns[pick.number] for role, pick in picks.items() if pick.number in file.columns
+                role: replace(file.columns[pick.number], may_be_blank=pick.may_be_blank)
+                for role, pick in picks.items()
+                if pick.number in file.columns
             }
             clock = file.clock if timed else None
             extra = {} if clock is None or file is first else dict(clock.picks)

@@ -22,11 +22,15 @@ _FORMULA_SIGNS = ("=", "+", "-", "@")
 
 @dataclass(frozen=True)
 class OutColumn:
-    """A column to be written: name, unit, and what it measures (for HDF5 alone; the name by default)."""
+    """A column to be written: name, unit, and what it measures (for HDF5 alone; the name by default).
+
+    NaN in a column that ``may_be_blank`` is written as an empty cell (HDF5: as NaN).
+    """
 
     name: str
     unit: str | None = None
     quantity: str | None = None
+    may_be_blank: bool = False
 
     @property
     def header(self) -> str:
@@ -48,16 +52,16 @@ def unique_headers(columns: Sequence[OutColumn]) -> list[str]:
     return headers
 
 
-def require_finite(headers: Sequence[str], arrays: Sequence[ArrayLike]) -> None:
+def require_finite(columns: Sequence[OutColumn], headers: Sequence[str], arrays: Sequence[ArrayLike]) -> None:
     """Refuse to write NaN or infinity: the model or the signal is beyond the range of the arithmetic.
 
     Raises
     ------
     OutputError
-        An array holds one; its header is named.
+        An array holds one, and it is no NaN of a column that may be blank; its header is named.
     """
-    for header, array in zip(headers, arrays, strict=True):
-        if not np.isfinite(array).all():
+    for column, header, array in zip(columns, headers, arrays, strict=True):
+        if not (np.isfinite(array) | (column.may_be_blank & np.isnan(array))).all():
             raise OutputError(
                 f"column '{header}' would hold a number that is not finite: the model or the signal is "
                 "beyond the range of the arithmetic"
@@ -78,10 +82,10 @@ def header_cell(text: str, delimiter: str) -> str:
 
 
 def shortest(value: float) -> str:
-    """Write one number with the fewest digits that read back exactly, spelled as polars spells it."""
+    """Write one number with the fewest digits that read back exactly, as polars spells it; NaN is empty."""
     text = repr(value)
     if "e" not in text:
-        return text if text != "nan" else "NaN"
+        return text if text != "nan" else ""
     digits, exponent = text.split("e")
     if exponent == "-05":  # polars writes exponents only below 1e-5
         sign = "-" if digits[0] == "-" else ""
@@ -113,6 +117,6 @@ def _fast_rows(arrays: Sequence[ArrayLike], delimiter: str) -> memoryview:
     buffer = io.BytesIO()
     names = map(str, range(len(arrays)))
     columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
-    table = polars.DataFrame(dict(zip(names, columns, strict=False)))
+    table = polars.DataFrame(dict(zip(names, columns, strict=False)), nan_to_null=True)  # an empty cell
     table.write_csv(buffer, include_header=False, separator=delimiter)
     return buffer.getbuffer()

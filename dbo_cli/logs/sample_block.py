@@ -22,7 +22,8 @@ class ColumnInfo:
     ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
     unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
     ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
-    ``date`` (logs.text.time_stamps); such columns are read as seconds.
+    ``date`` (logs.text.time_stamps); such columns are read as seconds. Rows without a value in a column that
+    ``may_be_blank`` are left out.
     """
 
     name: str
@@ -30,6 +31,7 @@ class ColumnInfo:
     quantity: str
     number: int
     written: str = "numbers"
+    may_be_blank: bool = False
 
 
 # What instruments send in place of a value that is beyond their range (9.9E37) or none (9.91E37): SCPI-99,

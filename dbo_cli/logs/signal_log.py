@@ -21,30 +21,26 @@ from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.provenance import InputRecord, input_record
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
+from dbo_cli.logs.sources import Source
 from dbo_cli.logs.time_column import TimeColumn, find_time_column
-from dbo_cli.logs.units import ONE, Scale, convert_column, kind_of_unit
+from dbo_cli.logs.units import Scale, kind_of_unit
 
 
-class SignalLog:
+class SignalLog(Source):
     """An open log: the columns that were wished for, and their samples in blocks.
 
-    Attributes
-    ----------
-    name
-        How messages call the log.
-    columns
-        Role to column; the unit is the one that the samples are handed out in.
+    Attributes beside those of every source
+    ---------------------------------------
     time
         The time column, or None.
     sample_rate
         Samples a second as given by the user or by an attribute of the file, or None.
-    notes
-        What is worth saying about the log (odd time stamps, dropped rows); complete after the last block.
-    warnings
-        What may spoil a result (figures that can hardly be seconds); complete after the last block.
     rows_read
         The recorded rows handed out so far (before any resampling).
     """
+
+    no_time = "no time column and no sample rate, and {why} (`time` COLUMN or `sample_rate` HZ)"
+    warns_of_units = True
 
     def __init__(
         self,
@@ -58,14 +54,21 @@ class SignalLog:
         start_time: float = 0.0,
         others: Sequence[str] = (),
     ) -> None:
-        self.name = table.place
+        gaps = options.skip_bad or any(column.may_be_blank for column in columns.values())
+        super().__init__(
+            table.place,
+            columns,
+            clock is not None or sample_rate is not None,
+            options.resample or (None if gaps else sample_rate),
+            options.resample or sample_rate,
+        )
         self._address = address
         self._others = others
-        self._picks = dict(columns)
+        self._picks = columns
         self._scales = dict(scales or {})
         scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in self._scales.items()}
         self._factors = {role: factor for role, (factor, _) in scaled.items()}
-        self.columns = columns | {role: column for role, (_, column) in scaled.items()}
+        self.columns |= {role: column for role, (_, column) in scaled.items()}
         self._clock = clock
         self.time = None if clock is None else clock.column
         self.sample_rate = sample_rate
@@ -88,23 +91,6 @@ class SignalLog:
     ) -> None:
         """Close the log."""
         self.close()
-
-    @property
-    def even_rate(self) -> float | None:
-        """Samples a second (Hz) where they are evenly spaced by definition: resampled, or without a clock."""
-        if self._options.resample is not None:
-            return self._options.resample
-        return None if self._options.skip_bad else self.sample_rate
-
-    @property
-    def stated_rate(self) -> float | None:
-        """Samples a second (Hz) as asked for or as known, rows that were dropped aside."""
-        return self._options.resample or self.sample_rate
-
-    @property
-    def has_time(self) -> bool:
-        """Whether samples carry a time, from a column or a sample rate."""
-        return self.time is not None or self.sample_rate is not None
 
     def describe(self) -> str:
         """Describe in one line how the log is written and what was chosen, for ``verbose``."""
@@ -173,31 +159,6 @@ class SignalLog:
         scale = self._scales.get(role)
         return None if scale is None else f"times {str(scale).partition('=')[2]}"
 
-    def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit from now on, with a note (see ``convert_column``).
-
-        Raises
-        ------
-        InputError
-            The units measure unlike things.
-        """
-        factor = convert_column(self.name, self.columns, role, wanted, taker, self.notes, self.warnings)
-        self._factors[role] = self._factors.get(role, ONE).times(*factor)
-
-    def require_time(self, why: str) -> None:
-        """Refuse a log without time, naming the remedy.
-
-        Raises
-        ------
-        InputError
-            There is neither a time column nor a sample rate.
-        """
-        if not self.has_time:
-            raise InputError(
-                f"{self.name}: no time column and no sample rate, and {why} "
-                "(`time` COLUMN or `sample_rate` HZ)"
-            )
-
     def blocks(self) -> Iterator[SampleBlock]:
         """Read the samples in blocks; the blocks may be of any length, their samples always the same.
 
@@ -262,9 +223,7 @@ class SignalLog:
             time = self._clock.seconds(values)
         elif self.sample_rate is not None:
             time = self._start_time + (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
-        for role, factor in self._factors.items():
-            values[role] = factor.apply(values[role])
-        return SampleBlock(raw.rows, raw.lines, time, values)
+        return SampleBlock(raw.rows, raw.lines, time, self.in_units(values))
 
 
 def _plain(value: float, digits: int = 4) -> str:

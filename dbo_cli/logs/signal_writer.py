@@ -46,7 +46,7 @@ class TextWriter:
         self._may_lag = behind
         self._pool: ThreadPoolExecutor | None = None
         self._running: Future[None] | None = None
-        self._headers = unique_headers(columns)
+        self._columns, self._headers = columns, unique_headers(columns)
         cells = [header_cell(header, delimiter) for header in self._headers]
         stream.write((delimiter.join(cells) + "\n").encode())
         if flush:
@@ -89,7 +89,7 @@ class TextWriter:
 
     def _append(self, arrays: Sequence[ArrayLike]) -> None:
         if np.size(arrays[0]):
-            require_finite(self._headers, arrays)
+            require_finite(self._columns, self._headers, arrays)
             self._stream.write(rows_as_text(arrays, self._delimiter))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_c
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
 from dbo_cli.logs.time_column import find_time_column
-from dbo_cli.logs.units import match_units
+from dbo_cli.logs.units import ONE, UnitFactor, match_units
 from dbo_cli.remarks import Remarks
 
 if TYPE_CHECKING:
@@ -29,37 +29,75 @@ if TYPE_CHECKING:
 TABLE = "the table"
 
 
-class Source(Protocol):
-    """What a run needs of a log; ``logs.signal_log.SignalLog`` is one."""
+class Source:
+    """What a run needs of a log: files (``logs.signal_log.SignalLog``), arrays and tables are sources.
 
-    name: str
-    columns: dict[str, ColumnInfo]
-    notes: list[str]
-    warnings: list[str]
+    Attributes
+    ----------
+    name
+        How messages call it.
+    columns
+        Role to column; the unit is the one that the samples are handed out in.
+    has_time
+        Whether samples carry a time.
+    even_rate
+        Samples a second (Hz) where they are evenly spaced by definition, else None.
+    stated_rate
+        Samples a second (Hz) as it was given, rows that were dropped aside, or None.
+    notes, warnings
+        What is worth knowing, and what may spoil a result; complete after the last block.
+    """
 
-    @property
-    def has_time(self) -> bool:
-        """Whether samples carry a time."""
+    no_time = "no time is given, and {why} (`time` or `sample_rate` HZ)"
+    warns_of_units = False  # figures of an unknown unit are taken as they are
 
-    @property
-    def even_rate(self) -> float | None:
-        """Samples a second (Hz) where they are evenly spaced by definition, else None."""
-
-    @property
-    def stated_rate(self) -> float | None:
-        """Samples a second (Hz) as it was given, rows that were dropped aside, or None."""
+    def __init__(
+        self,
+        name: str,
+        columns: Mapping[str, ColumnInfo],
+        has_time: bool,
+        even_rate: float | None,
+        stated_rate: float | None,
+    ) -> None:
+        self.name = name
+        self.columns = dict(columns)
+        self.has_time = has_time
+        self.even_rate, self.stated_rate = even_rate, stated_rate
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+        self._factors: dict[str, UnitFactor] = {}
 
     def require_time(self, why: str) -> None:
-        """Refuse a source without time (InputError)."""
+        """Refuse a source without time, naming the remedy (InputError)."""
+        if not self.has_time:
+            raise InputError(f"{self.name}: {self.no_time.format(why=why)}")
 
     def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit from now on, and say so (or InputError)."""
+        """Hand a role's samples out in another unit from now on, with a note (see ``match_units``).
+
+        Raises
+        ------
+        InputError
+            The units measure unlike things.
+        """
+        match = match_units(self.name, self.columns[role], wanted, taker)
+        self.notes.extend([match.note] if match.note else [])
+        self.warnings.extend([match.warning] if match.warning and self.warns_of_units else [])
+        if not match.factor.is_one:
+            self.columns[role] = dataclasses.replace(self.columns[role], unit=wanted)
+            self._factors[role] = self._factors.get(role, ONE).times(*match.factor)
+
+    def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Return samples by role in the units that they are to be handed out in."""
+        return {role: self._factors.get(role, ONE).apply(array) for role, array in values.items()}
 
     def reading_line(self) -> str | None:
-        """Say what was read, once it was; None where nothing was."""
+        """Describe what was read, once it was; None where nothing was."""
+        return None
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Return the samples in blocks, by role."""
+        raise NotImplementedError
 
 
 def remarks_of(source: Source) -> Remarks:
@@ -146,7 +184,7 @@ def is_file(data: object) -> bool:
     return isinstance(data, str | os.PathLike)
 
 
-class ArraySource:
+class ArraySource(Source):
     """Arrays as a source: one block.
 
     Parameters
@@ -183,10 +221,7 @@ class ArraySource:
     ) -> None:
         if time is not None and sample_rate is not None:
             raise UsageError("`time` and `sample_rate` exclude each other: give the one or the other")
-        sample_rate = checked_rate(sample_rate)
-        self.name = name
-        self.notes: list[str] = []
-        self.warnings: list[str] = []
+        self.sample_rate = checked_rate(sample_rate)
         self.clock_was_judged = False
         self.values = {role: samples(role, signal) for role, signal in values.items()}
         self.time = None if time is None else stamps(time)
@@ -195,41 +230,9 @@ class ArraySource:
         for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
             if signal.size != count:
                 raise InputError(f"`{role}` has {signal.size} samples where `{first}` has {count}")
-        self.columns = dict(columns or {role: column_info(role, n + 1) for n, role in enumerate(values)})
-        self.sample_rate = sample_rate
-
-    @property
-    def has_time(self) -> bool:
-        """Whether samples carry a time."""
-        return self.time is not None or self.sample_rate is not None
-
-    @property
-    def even_rate(self) -> float | None:
-        """Samples a second (Hz), or None where stamps tell the time."""
-        return self.sample_rate
-
-    @property
-    def stated_rate(self) -> float | None:
-        """Samples a second (Hz), or None where stamps tell the time."""
-        return self.sample_rate
-
-    def require_time(self, why: str) -> None:
-        """Refuse arrays without time (InputError)."""
-        if not self.has_time:
-            raise InputError(f"{self.name}: no time is given, and {why} (`time` or `sample_rate` HZ)")
-
-    def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit; arrays of an unknown unit are taken as they are."""
-        column = self.columns[role]
-        if column.unit is None or wanted is None:
-            return
-        match = match_units(self.name, column, wanted, taker)
-        self.notes.extend([match.note] if match.note else [])
-        self.values[role] = match.factor.apply(self.values[role])
-        self.columns[role] = dataclasses.replace(column, unit=wanted)
-
-    def reading_line(self) -> None:
-        """Return nothing: arrays were not read from anywhere."""
+        columns = columns or {role: column_info(role, n + 1) for n, role in enumerate(values)}
+        has_time = self.time is not None or self.sample_rate is not None
+        super().__init__(name, columns, has_time, self.sample_rate, self.sample_rate)
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Return all samples as one block."""
@@ -250,50 +253,22 @@ class ArraySource:
         first, last = self.rows
         if first > count:
             raise InputError(f"{self.name}: there is no row {first}: {count} samples")
-        yield SampleBlock(rows, None, time, self.values).part(first - 1, min(last or count, count))
+        values = self.in_units(self.values)
+        yield SampleBlock(rows, None, time, values).part(first - 1, min(last or count, count))
 
 
-class WholeSource:
+class WholeSource(Source):
     """Another source read whole: one block, which may be exchanged for what was made of it."""
 
     def __init__(self, source: Source) -> None:
-        self.name, self.columns = source.name, source.columns
+        super().__init__(source.name, source.columns, source.has_time, source.even_rate, source.stated_rate)
         self._source = source
+        self.no_time = source.no_time
         self.block = joined(list(source.blocks()))
         self.notes, self.warnings = source.notes, source.warnings
 
-    @property
-    def has_time(self) -> bool:
-        """Whether samples carry a time."""
-        return self._source.has_time
-
-    @property
-    def even_rate(self) -> float | None:
-        """Samples a second (Hz), or None where stamps tell the time."""
-        return self._source.even_rate
-
-    @property
-    def stated_rate(self) -> float | None:
-        """Samples a second (Hz) as it was given, or None."""
-        return self._source.stated_rate
-
-    def require_time(self, why: str) -> None:
-        """Refuse a source without time (InputError)."""
-        self._source.require_time(why)
-
-    def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit from now on, and say so (or InputError)."""
-        column = self.columns[role]
-        if column.unit is None or wanted is None:
-            return
-        match = match_units(self.name, column, wanted, taker)
-        self.notes.extend([match.note] if match.note else [])
-        changed = {role: match.factor.apply(self.block.values[role])}
-        self.block = dataclasses.replace(self.block, values=dict(self.block.values) | changed)
-        self.columns[role] = dataclasses.replace(column, unit=wanted)
-
     def reading_line(self) -> str | None:
-        """Say what was read."""
+        """Describe what was read."""
         return self._source.reading_line()
 
     def even_step(self, why: str) -> float:
@@ -306,7 +281,7 @@ class WholeSource:
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Return the one block."""
-        yield self.block
+        yield dataclasses.replace(self.block, values=self.in_units(self.block.values))
 
 
 def table_source(

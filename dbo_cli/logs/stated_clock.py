@@ -201,11 +201,13 @@ class Statement:
 
 def is_clock_name(name: str) -> bool:
     """Return whether an attribute, variable or header line of this name states a rate or a step."""
-    return len(name) <= _LONGEST and bool(_kind_of(name)[0])
+    return bool(_kind_of(name)[0])
 
 
 def _kind_of(name: str) -> tuple[str, str, str | None]:
     """Give ``rate``, ``step`` or nothing for a name, its plain spelling, and the unit that it carries."""
+    if len(name) > _LONGEST:
+        return "", "", None
     quantity, unit = split_header(name)
     key = re.sub(r"[\s_\-.]+", "", quantity).lower()
     if key.endswith("hz") and key.removesuffix("hz") in _RATES:
@@ -213,8 +215,8 @@ def _kind_of(name: str) -> tuple[str, str, str | None]:
     return ("rate" if key in _RATES | _BARE else "step" if key in _STEPS else ""), key, unit
 
 
-def read_statement(name: str, value: object, unit: object = None, *, sure: bool = False) -> Statement | None:
-    """Read an attribute, variable or header line as a statement of rate or step; None where it is none.
+def read_statements(name: str, value: object, unit: object = None, *, sure: bool = False) -> list[Statement]:
+    """Read an attribute, variable or header line as a statement of rate or step; none where it is none.
 
     Parameters
     ----------
@@ -229,25 +231,25 @@ def read_statement(name: str, value: object, unit: object = None, *, sure: bool 
     """
     kind, key, own = _kind_of(name)
     if not kind:
-        return None
+        return []
     amount, written = _amount(value)
     stated = clean_text(unit).strip() if unit is not None else ""
     stated = stated or written or own or ""
     if key in _BARE and stated.replace(" ", "") not in _HERTZ:
-        return None
+        return []
     text = f"'{name}' {_plain(value)}" + (f" {stated}" if stated and stated not in _plain(value) else "")
     if amount is None:
         # Text and lists under the name of a step are time stamps (``ts``) more often than steps.
         several = kind == "rate" and not isinstance(value, str | bytes) and np.asarray(value).size > 1
-        return Statement(text, None, f"{text} is no single number") if several else None
+        return [Statement(text, None, f"{text} is no single number")] if several else []
     if not amount > 0.0 or not math.isfinite(amount):
-        return None  # an instrument's way to say that it does not know
+        return []  # an instrument's way to say that it does not know
     factor = _factor(kind, stated)
     if factor is None:
         proper = "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
-        return Statement(text, None, f"{text} is not in a unit of {proper}")
+        return [Statement(text, None, f"{text} is not in a unit of {proper}")]
     rate = amount * factor if kind == "rate" else factor / amount
-    return Statement(text, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")
+    return [Statement(text, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")]
 
 
 def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -> float | None:

@@ -195,27 +195,6 @@ def match_units(place: str, column: ColumnInfo, wanted: str | None, taker: str) 
     return UnitMatch(factor, note=f"{called} is converted from {column.unit} to {wanted}")
 
 
-def convert_column(
-    place: str,
-    columns: dict[str, ColumnInfo],
-    role: str,
-    wanted: str | None,
-    taker: str,
-    notes: list[str],
-    warnings: list[str],
-) -> UnitFactor:
-    """Describe a role's column in the unit that its user works in, and return the factor of its samples.
-
-    Messages are added to ``notes`` and ``warnings``; the rest is as in ``match_units``.
-    """
-    match = match_units(place, columns[role], wanted, taker)
-    notes.extend([match.note] if match.note else [])
-    warnings.extend([match.warning] if match.warning else [])
-    if not match.factor.is_one:
-        columns[role] = replace(columns[role], unit=wanted)
-    return match.factor
-
-
 @dataclass(frozen=True)
 class Scale:
     """A factor that the user gives for one role: ``voltage=20``, ``displacement=10um/V``.

@@ -41,7 +41,7 @@ def comparison_wishes(
     """Return the columns that a comparison reads, as named or to be guessed."""
     want = {"measured": wish("measured", measured, option="measured")}
     if not with_model and not with_trajectory:
-        want["desired"] = wish("desired", desired, option="desired")
+        want["desired"] = wish("desired", desired, option="desired", may_be_blank=True)
     needed = with_model or voltage is not None
     want["voltage"] = wish("voltage", voltage, required=needed, option="voltage")
     return want
@@ -49,7 +49,7 @@ def comparison_wishes(
 
 def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
     """Return the column of a trajectory in a file of its own: what was wanted, whatever it is called."""
-    return {"desired": wish("trajectory", desired, option="desired")}
+    return {"desired": wish("trajectory", desired, option="desired", may_be_blank=True)}
 
 
 @dataclass

@@ -55,7 +55,8 @@ def compensate_trajectory(
         options = dataclasses.replace(options, state=start_of(state, model))
         run = compensation(model, log, options, recordings, reading.rows[1] if ahead else None)
         # Not under the name of what will be measured: a drive must not be taken for a recording.
-        given = OutColumn("desired", log.columns[wanted.quantity].unit or wanted.unit, "desired")
+        unit = log.columns[wanted.quantity].unit or wanted.unit
+        given = OutColumn("desired", unit, "desired", may_be_blank=True)
         return write_response(run, log, given, destination, reading, listener)
 
 

@@ -15,7 +15,7 @@ from dbo_cli.logs.column_table import (
     unpacked,
 )
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.stated_clock import is_clock_name, read_statement
+from dbo_cli.logs.stated_clock import read_statements
 
 
 def open_netcdf(request: Request) -> ColumnTable:
@@ -38,9 +38,8 @@ def open_netcdf(request: Request) -> ColumnTable:
         ]
         clock = statements_in(file._attributes)
         for name, variable in variables.items():
-            if is_clock_name(name) and not variable.shape:
-                statement = read_statement(name, variable.data, variable._attributes.get("units"))
-                clock += [statement] if statement is not None else []
+            if not variable.shape:
+                clock += read_statements(name, variable.data, variable._attributes.get("units"))
     if not sources:
         raise request.no_columns(f"{name} {variable.shape}" for name, variable in variables.items())
     return ColumnTable(request, "netCDF", sources, clock=clock)

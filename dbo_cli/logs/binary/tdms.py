@@ -9,7 +9,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, array_source
 from dbo_cli.logs.libraries import import_extra
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+from dbo_cli.logs.stated_clock import Statement, read_statements
 
 
 def open_tdms(request: Request) -> ColumnTable:
@@ -85,9 +85,7 @@ def _statements(node: Any) -> list[Statement]:
         return []  # a spectrum: its increment is no time
     found = []
     for name, value in properties.items():
-        if is_clock_name(name):
-            own = name == "wf_increment"  # LabVIEW defines it in seconds
-            unit = properties.get("wf_xunit_string") if own else properties.get(f"{name}_unit")
-            statement = read_statement(name, value, unit or None, sure=own)
-            found += [statement] if statement is not None else []
+        own = name == "wf_increment"  # LabVIEW defines it in seconds
+        unit = properties.get("wf_xunit_string" if own else f"{name}_unit")
+        found += read_statements(name, value, unit or None, sure=own)
     return found

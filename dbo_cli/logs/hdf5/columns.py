@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.logs.column_table import NETCDF_FILL, ColumnSource, Fetch, number_in, unpacked
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")
 _NAME_ATTRIBUTES = ("columns", "column_names", "names", "channels", "channel_names", "labels", "fields")
@@ -202,9 +202,7 @@ def statements_of(node: Any) -> Iterator[Statement]:
     for name in map(clean_text, node.attrs):
         if is_clock_name(name):
             unit = attribute(node, f"{name}_units", f"{name}_unit")
-            found = read_statement(name, attribute(node, name), unit)
-            if found is not None:
-                yield found
+            yield from read_statements(name, attribute(node, name), unit)
 
 
 def scalar_statements(group: Any) -> Iterator[Statement]:
@@ -213,9 +211,7 @@ def scalar_statements(group: Any) -> Iterator[Statement]:
         if is_clock_name(clean_text(name)):
             node = group.get(name)
             if is_dataset(node) and node.size == 1 and (node.dtype.kind in "fiu" or node.dtype.kind == "O"):
-                found = read_statement(clean_text(name), node[()], _unit_of(node, 0) or None)
-                if found is not None:
-                    yield found
+                yield from read_statements(clean_text(name), node[()], _unit_of(node, 0) or None)
 
 
 def stored_text(dataset: Any) -> str:

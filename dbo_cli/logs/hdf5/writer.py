@@ -66,7 +66,7 @@ class Hdf5Writer:
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column."""
         parts = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
-        require_finite(self._names, parts)
+        require_finite(self._columns, self._names, parts)
         for kept, part in zip(self._kept, parts, strict=True):
             kept.append(part)
         if self._clock is not None:

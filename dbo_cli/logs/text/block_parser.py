@@ -154,15 +154,19 @@ class BlockParser:
         return SampleBlock(rows, lines, None, columns)
 
     def _parse_row(self, line: str) -> list[float] | None:
-        """Read the wanted cells of one line; None for a row that is out of range or dropped."""
+        """Read the wanted cells of one line; None for a row that is out of range, blank or dropped."""
         first, last = self.rows
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
         cells = split_cells(line, self.dialect.delimiter)
         problem = _wrong_width(cells, self.dialect.width)
         row: list[float] = []
+        blank = False
         for pick in () if problem else self.picks.values():
             cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
+            if not cell and pick.may_be_blank:
+                blank = True
+                continue
             value = self._value(cell, pick)
             if value is None:
                 problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
@@ -170,7 +174,7 @@ class BlockParser:
             row.append(value)
         problem = problem or self._text_among_numbers(cells)
         if not problem:
-            return row
+            return None if blank else row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
             raise InputError(f"{message} {SKIP_REMEDY}")

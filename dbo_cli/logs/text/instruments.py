@@ -15,7 +15,7 @@ from typing import NamedTuple
 from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
-from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statement
+from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.text.cells import is_number, split_cells
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect
 from dbo_cli.logs.text.segments import END_OF_HEADER, find_header_block
@@ -45,7 +45,7 @@ class InstrumentHeader:
     """
 
     dialect: Dialect | None = None
-    clock: tuple[Statement, ...] = ()
+    clock: Sequence[Statement] = ()
     start: float = 0.0
     remarks: tuple[str, ...] = ()
     end_mark: bytes = b""
@@ -93,14 +93,10 @@ def _stated(lines: Sequence[str]) -> Iterator[Statement]:
         value = _first_value(line[mark.end() :].strip(" ,;\t"), mark[0])
         thousands = re.fullmatch(r"(\d{1,3}),(\d{3})(\D*)", value)
         if thousands is not None:
-            statement_text = f"'{key}' {value}"
-            yield Statement(
-                statement_text,
-                None,
-                f"{statement_text} may be {thousands[1]} or {thousands[1]}{thousands[2]}",
-            )
-        elif (statement := read_statement(key, value)) is not None:
-            yield statement
+            text = f"'{key}' {value}"
+            yield Statement(text, None, f"{text} may be {thousands[1]} or {thousands[1]}{thousands[2]}")
+        else:
+            yield from read_statements(key, value)
 
 
 def _first_value(text: str, mark: str) -> str:
@@ -163,12 +159,6 @@ def _step(name: str, value: str, unit: str = "") -> tuple[Statement, ...]:
     return (Statement(f"'{name}' {value.strip()}{unit}", 1.0 / step),) if step and step > 0.0 else ()
 
 
-def _interval(name: str, value: str, unit: str | None = None) -> tuple[Statement, ...]:
-    """Read a step that may have a unit."""
-    found = read_statement(name, value, unit, sure=True)
-    return () if found is None else (found,)
-
-
 def _settings(lines: Sequence[str]) -> dict[str, list[str]]:
     """Read lines of comma-separated settings: a key, and a value for each channel."""
     rows = [split_cells(line, ",") for line in lines]
@@ -187,8 +177,8 @@ def _pi_array(place: str, lines: list[str], end: int) -> InstrumentHeader | None
         The rows have another number of columns than the header states.
     """
     pattern = re.compile(r"\s*#\s*([A-Z_]+\s?\d*)\s*=\s*(.*?)\s*")
-    found = [pattern.fullmatch(line[:_LONGEST]) for line in lines[:end]]
-    settings = {one[1].replace(" ", ""): one[2] for one in found if one is not None}
+    found = [one for line in lines[:end] if (one := pattern.fullmatch(line[:_LONGEST]))]
+    settings = {one[1].replace(" ", ""): one[2] for one in found}
     if end + 1 >= len(lines) or not {"SAMPLE_TIME", "NDATA", "DIM"} & settings.keys():
         return None
     code = _number(settings.get("SEPARATOR", "9"))
@@ -220,12 +210,8 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     ends = [number for number, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
     if len(ends) < 2 or ends[1] + 2 >= len(lines):
         return None
-    stated = [re.match(r"(\w+)([\t,;])(.*)", line) for line in lines[: ends[0]]]
-    file = {
-        one[1]: one[3].rstrip("\t ").removesuffix(one[2]) or one[3].strip("\t ")
-        for one in stated
-        if one is not None
-    }
+    stated = [one for line in lines[: ends[0]] if (one := re.match(r"(\w+)([\t,;])(.*)", line))]
+    file = {one[1]: one[3].rstrip("\t ").removesuffix(one[2]) or one[3].strip("\t ") for one in stated}
     delimiter = _LVM_SEPARATORS.get(file.get("Separator", "Tab").lower(), "\t")
     rows = [split_cells(line, delimiter) for line in lines[ends[0] + 1 : ends[1] + 3]]
     channels = {cells[0]: cells[1:] for cells in rows[:-2] if cells[0]}
@@ -337,7 +323,9 @@ def _tektronix_rows(place: str, lines: list[str], _: int) -> InstrumentHeader | 
     if width == 5:
         names, units = [*names, settings.get("source", "")], [*units, settings.get("vertical units", "")]
     dialect = _dialect(lines, 0, names, units, width)
-    return InstrumentHeader(dialect, _interval("Sample Interval", settings.get("sample interval", "")))
+    return InstrumentHeader(
+        dialect, read_statements("Sample Interval", settings.get("sample interval", ""), sure=True)
+    )
 
 
 def _tektronix_table(place: str, lines: list[str], header: int) -> InstrumentHeader | None:
@@ -356,7 +344,9 @@ def _tektronix_table(place: str, lines: list[str], header: int) -> InstrumentHea
     if len(names) == 2 and len([one for one in vertical if one]) == 1:
         vertical = vertical[:1]
     units = [horizontal or "s", *vertical]  # the maker's unit of time is the second
-    return InstrumentHeader(_dialect(lines, first, names, units), _interval("Sample Interval", interval))
+    return InstrumentHeader(
+        _dialect(lines, first, names, units), read_statements("Sample Interval", interval, sure=True)
+    )
 
 
 def _rigol_ds(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
@@ -424,7 +414,7 @@ def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     names, units = (["time", "signal"], [unit, measured]) if width == 2 else (["signal"], [measured])
     if width > 2:
         names, units = ["time", *[f"signal {number}" for number in range(1, width)]], [unit]
-    clock = _interval("XInc", settings["xinc"], unit or None)
+    clock = read_statements("XInc", settings["xinc"], unit or None, sure=True)
     return InstrumentHeader(
         _dialect(lines, first, names, units, width), clock, _number(settings["xorg"]) or 0.0
     )
