@@ -347,7 +347,7 @@ def export(given: Given) -> None:
     Example: dbo export model.json -o firmware --sample-rate 10000
     """
     from dbo_cli.export import export_model
-    from dbo_cli.relatives.model_file import read_model
+    from dbo_cli.hysteresis.model_file import read_model
 
     summary = export_model(read_model(given.model), given.output, **given.of(options.EXPORTING))
     given.reporter.notes(_summary_lines(summary))
