@@ -206,10 +206,10 @@ def test_two_interrupts_end_like_one(folder: Path) -> None:
         "from dbo_cli.cli import app\n"
         "def interrupted(words):\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
-        "def say(text, saying=app._say):\n"
+        "def say(text, saying=app._print_line):\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    saying(text)\n"
-        "app._dispatch, app._say = interrupted, say\n"
+        "app._dispatch, app._print_line = interrupted, say\n"
         "app.run()\n"
     )
     assert scripted(script, folder) == (130, b"", b"dbo: interrupted\n")

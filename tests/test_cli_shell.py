@@ -17,7 +17,7 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app
-from dbo_cli.cli.messages import Progress, Voice
+from dbo_cli.cli.messages import Progress, Reporter
 from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
@@ -272,14 +272,14 @@ def test_a_fit_counts_its_seconds_on_a_terminal(monkeypatch: pytest.MonkeyPatch)
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(Progress, "PATIENCE", 0.001)
-    progress = Progress(Voice(), "read")
+    progress = Progress(Reporter(), "read")
     progress.working("fitting 5 rows")
     while "fitting 5 rows" not in screen.getvalue():  # the thread comes to it sooner or later
         time.sleep(0.001)
     progress.finished()
     said = screen.getvalue()
     assert said.startswith("\r\x1b[Kdbo: fitting 5 rows, 0 s") and said.endswith("\r\x1b[K")
-    quiet = Progress(Voice(quiet=True), "read")
+    quiet = Progress(Reporter(quiet=True), "read")
     quiet.working("fitting")
     quiet.finished()
     assert screen.getvalue() == said

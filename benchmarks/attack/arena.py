@@ -169,7 +169,7 @@ def loaded() -> None:
     """Import what the commands need, once, before any fork."""
     import h5py  # noqa: F401
 
-    for name in ("app", "simulate", "compensate", "report", "identify", "invert", "excite", "typer_adapter"):
+    for name in ("app", "commands", "typer_adapter"):
         __import__(f"dbo_cli.cli.{name}")
     for name in ("files", "reporting"):
         __import__(f"dbo_cli.runs.{name}")

@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _abandon_stdout()
         return 0
     except KeyboardInterrupt:
-        _say("interrupted")
+        _print_line("interrupted")
         return INTERRUPTED
     except SystemExit:
         raise
@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             import traceback
 
             traceback.print_exc()
-        return _tell(problem, words)
+        return _report_error(problem, words)
     return code
 
 
@@ -55,7 +55,7 @@ def run() -> None:
         os._exit(_run_process())
     except KeyboardInterrupt:  # while starting up, or in the last flush
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough
-        _say("interrupted")
+        _print_line("interrupted")
         os._exit(INTERRUPTED)
 
 
@@ -74,13 +74,13 @@ def _run_process() -> int:
     if "--debug" not in sys.argv:
         import warnings
 
-        warnings.simplefilter("ignore")  # a library's word to programmers is none to users
+        warnings.simplefilter("ignore")  # what a library warns programmers of does not concern users
     code = main()
     try:
         sys.stdout.flush()
         sys.stderr.flush()
     except OSError:
-        pass  # main() has told what there was to tell
+        pass  # main() has printed what there was to print
     return code
 
 
@@ -106,26 +106,27 @@ def _dispatch(words: list[str]) -> int:
     return run_command(words)
 
 
-def _tell(problem: BaseException, words: list[str]) -> int:
-    """Say in one line what went wrong and return the exit code that belongs to it."""
+def _report_error(problem: BaseException, words: list[str]) -> int:
+    """Print in one line what went wrong and return the exit code that belongs to it."""
     if isinstance(problem, DboError):
-        _say(f"error: {problem}")
+        _print_line(f"error: {problem}")
         return problem.exit_code
     from dbo_cli.cli.typer_adapter import complaint
 
-    told = complaint(problem)
-    if told is not None:
-        _say(f"error: {told[0]}{_where_to_look(words)}")
-        return told[1]
+    refused = complaint(problem)
+    if refused is not None:
+        text, code = refused
+        _print_line(f"error: {text}{_where_to_look(words)}")
+        return code
     if isinstance(problem, OSError):
         closed = "standard output: " if problem.errno == errno.EBADF else ""
         place = f"{problem.filename}: " if problem.filename else closed
-        _say(f"error: {place}{problem.strerror or problem}")
+        _print_line(f"error: {place}{problem.strerror or problem}")
         return 1
     if isinstance(problem, MemoryError):
-        _say("error: out of memory (--rows A:B takes a part of a log)")
+        _print_line("error: out of memory (--rows A:B takes a part of a log)")
         return 1
-    _say(
+    _print_line(
         f"error: internal error: {type(problem).__name__}: {problem} (--debug shows where; please report it)"
     )
     return 1
@@ -133,13 +134,13 @@ def _tell(problem: BaseException, words: list[str]) -> int:
 
 def _where_to_look(words: list[str]) -> str:
     """Return the remedy for a wrong command line: where the options are listed."""
-    from dbo_cli.cli.typer_adapter import COMMANDS
+    from dbo_cli.cli.commands import COMMANDS
 
     command = "".join(f" {word}" for word in words[:1] if word in COMMANDS)
     return f" (dbo{command} --help lists what there is)"
 
 
-def _say(text: str) -> None:
+def _print_line(text: str) -> None:
     """Print one line on stderr, whatever line breaks the text came with."""
     from dbo_cli.cli.messages import Progress, shell_line
 

@@ -1,4 +1,4 @@
-"""What is said on stderr beside the data: notes, warnings, and how far a long run has come."""
+"""Messages on stderr beside the data: notes, warnings, and how far a long run has come."""
 
 from __future__ import annotations
 
@@ -28,44 +28,36 @@ def shell_line(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Voice:
-    """Speaks on stderr, as loudly as the user asked for.
-
-    ``quiet`` leaves only errors; ``verbose`` adds what was detected and assumed.
-    """
+class Reporter:
+    """Prints messages on stderr: with ``quiet`` none but errors, with ``verbose`` details, too."""
 
     quiet: bool = False
     verbose: bool = False
 
     def note(self, text: str) -> None:
-        """Say something that is good to know."""
+        """Print what is good to know."""
         if not self.quiet:
             self._line(text)
 
     def notes(self, texts: Iterable[str]) -> None:
-        """Say several things, one line each."""
+        """Print notes, one line each."""
         for text in texts:
             self.note(text)
 
-    def remarks(self, said: Remarks) -> None:
-        """Say all that a run had to say, first what was read."""
-        self.notes([*said.read, *said.notes])
-        self.warnings(said.warnings)
-
     def warnings(self, texts: Iterable[str]) -> None:
-        """Say several things that may spoil the result, one line each."""
+        """Print what may spoil the result, one line each."""
         for text in texts:
-            self.warning(text)
+            self.note(f"warning: {text}")
+
+    def remarks(self, remarks: Remarks) -> None:
+        """Print the remarks of a run, first what was read."""
+        self.notes([*remarks.read, *remarks.notes])
+        self.warnings(remarks.warnings)
 
     def detail(self, text: str) -> None:
-        """Say something that only a close look needs."""
-        if self.verbose and not self.quiet:
-            self._line(text)
-
-    def warning(self, text: str) -> None:
-        """Say something that may spoil the result."""
-        if not self.quiet:
-            self._line(f"warning: {text}")
+        """Print what was detected or assumed."""
+        if self.verbose:
+            self.note(text)
 
     def _line(self, text: str) -> None:
         print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
@@ -78,17 +70,17 @@ def refuse_terminal(output: str) -> None:
 
 
 class Progress:
-    """Tells of a run: how a log was understood to who asked, the rows or the seconds to a terminal.
+    """Prints how far a run has come: how a log was understood, then rows or seconds on a terminal.
 
     The number of rows of a stream is not known beforehand, so it counts instead of drawing a bar.
     """
 
-    PATIENCE = 1.0  # s before the first word, and between two
+    PATIENCE = 1.0  # s before the first message, and between two
     ERASE = "\r\x1b[K"
 
-    def __init__(self, voice: Voice, verb: str) -> None:
-        self.voice = voice
-        self.active = not voice.quiet and sys.stderr.isatty()
+    def __init__(self, reporter: Reporter, verb: str) -> None:
+        self.reporter = reporter
+        self.active = not reporter.quiet and sys.stderr.isatty()
         self.verb = verb
         self.rows = 0
         self.last = time.monotonic()
@@ -97,12 +89,12 @@ class Progress:
         self._ticking: threading.Thread | None = None
 
     def opened(self, what: str) -> None:
-        """Say how a log was understood."""
-        self.voice.detail(what)
+        """Print how a log was understood."""
+        self.reporter.detail(what)
 
     def reading(self, what: str) -> None:
-        """Say what is being read."""
-        self.voice.note(what)
+        """Print what is being read."""
+        self.reporter.note(what)
 
     def progressed(self, rows: int) -> None:
         """Count the rows of one more block."""
@@ -127,7 +119,7 @@ class Progress:
         print(f"{self.ERASE}dbo: {text}", end="", file=sys.stderr, flush=True)
 
     def finished(self) -> None:
-        """Take the line away, so that what is said next starts at the margin."""
+        """Erase the line, so that the next message starts at the margin."""
         if self._ticking is not None:
             self._done.set()
             self._ticking.join()

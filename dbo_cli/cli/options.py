@@ -1,660 +1,371 @@
-"""Every option of every command, spelled once: its name, its value, its meaning, how its text is parsed.
-
-A command takes from here what it needs, as keyword parameters; ``typer_adapter`` hands it parsed values.
-"""
+"""The table of all options; ``commands`` says which command has which."""
 
 from __future__ import annotations
 
 import inspect
-from typing import Annotated, Any, Literal
+import keyword
+from typing import Any, NamedTuple
 
-import typer
+from dbo_cli.cli.values import (
+    Parser,
+    auto_or,
+    choice,
+    header_lines,
+    lag,
+    names,
+    not_negative,
+    number,
+    positive,
+    rows,
+    seconds_or_auto,
+    segment,
+    times,
+    whole,
+    zero,
+)
 
-from dbo_cli.cli import values
-
-READING = "Reading logs"
-COMMON = "Output and messages"
-STATE = "State"
+OPTIONS = "Options"
+READING_LOGS = "Reading logs"
+MESSAGES = "Output and messages"
+STARTING = "State"
 COLUMN = "COLUMN"
 REQUIRED = inspect.Parameter.empty  # the default of an option that must be given
 FORMATS = ("csv", "tsv", "hdf5")
 
-Beyond = Literal["extend", "hold", "error"]
+
+class Option(NamedTuple):
+    """An option or, without dashes, an argument.
+
+    Attributes
+    ----------
+    spelled : str
+        Its names and what its value is called, ``-o, --output FILE``; a switch has no value.
+    meaning : str
+        What ``--help`` says of it.
+    parse : callable, optional
+        Makes the value of the text (``values``); the value is the text itself without it.
+    default : optional
+        What a user would have typed; None for no value, ``REQUIRED`` for one that must be given.
+    heading : str
+        Where ``--help`` lists it.
+    repeated : bool
+        May be given several times; the value is a list.
+    """
+
+    spelled: str
+    meaning: str
+    parse: Parser | None = None
+    default: Any = None
+    heading: str = OPTIONS
+    repeated: bool = False
+
+    @property
+    def names(self) -> list[str]:
+        """The names, the long one last; none of an argument."""
+        return [word.rstrip(",") for word in self.spelled.split() if word.startswith("-")]
+
+    @property
+    def metavar(self) -> str | None:
+        """What the value is called; None of a switch."""
+        last = self.spelled.split()[-1]
+        return None if last.startswith("-") else last
+
+    @property
+    def key(self) -> str:
+        """The name of the value in Python."""
+        key = (self.names or [self.spelled.lower()])[-1].lstrip("-").replace("-", "_")
+        return key + "_" if keyword.iskeyword(key) else key
 
 
-def _argument(metavar: str, meaning: str) -> Any:
-    """Declare a positional argument."""
-    return typer.Argument(metavar=metavar, show_default=False, help=meaning)
+def _argument(spelled: str, meaning: str, repeated: bool = False) -> Option:
+    return Option(spelled, meaning, default=REQUIRED, repeated=repeated)
 
 
-def _option(
-    name: str,
-    metavar: str | None,
-    meaning: str,
-    short: str | None = None,
-    *,
-    panel: str | None = None,
-    default: Any = None,
-    parse: values.Parser | None = None,
-) -> Any:
-    """Declare an option; without ``metavar`` it is a switch. ``default`` is what a user would have typed."""
-    names = (name,) if short is None else (name, short)
-    option = typer.Option(*names, metavar=metavar, help=meaning, rich_help_panel=panel)
-    option.__dict__.update(parse=parse, typed_default=default)
-    return option
+def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:
+    return Option(spelled, meaning, parse, heading=READING_LOGS, repeated=repeated)
 
 
-def _reading(name: str, metavar: str | None, meaning: str, parse: values.Parser | None = None) -> Any:
-    """Declare an option that says how a log is read."""
-    return _option(name, metavar, meaning, panel=READING, parse=parse)
+def _common(spelled: str, meaning: str, default: Any = None) -> Option:
+    return Option(spelled, meaning, default=default, heading=MESSAGES)
 
 
-def _starting(name: str, metavar: str | None, meaning: str, default: str | None = None) -> Any:
-    """Declare an option about the operator's state."""
-    return _option(name, metavar, meaning, panel=STATE, default=default)
-
-
-def _common(
-    name: str,
-    metavar: str | None,
-    meaning: str,
-    short: str | None = None,
-    default: str | None = None,
-    parse: values.Parser | None = None,
-) -> Any:
-    """Declare an option that every command has."""
-    return _option(name, metavar, meaning, short, panel=COMMON, default=default, parse=parse)
+def _choice(spelled: str, meaning: str, default: str | None = None) -> Option:
+    """Return an option whose value is one of the words that it is spelled with."""
+    return Option(spelled, meaning, choice(spelled.split()[-1].split("|")), default)
 
 
 # --- arguments ---
-Logs = Annotated[list[str], _argument("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.")]
-Log = Annotated[str, _argument("LOG", "The input signal; FILE::/group in HDF5; - is stdin.")]
-Trajectory = Annotated[
-    str,
-    _argument("TRAJECTORY", "The desired displacement; FILE::/group in HDF5; - is stdin."),
-]
-Model = Annotated[str, _argument("MODEL", "The model file; - is stdin.")]
+LOGS = _argument("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True)
+LOG = _argument("LOG", "The input signal; FILE::/group in HDF5; - is stdin.")
+TRAJECTORY = _argument("TRAJECTORY", "The desired displacement; FILE::/group in HDF5; - is stdin.")
+MODEL = _argument("MODEL", "The model file; - is stdin.")
+DRIVE = _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")
 
-# --- every command ---
-Output = Annotated[str, _common("--output", "FILE", "Where the result goes; - is stdout.", "-o", default="-")]
-Quiet = Annotated[bool, _common("--quiet", None, "Say nothing but errors.", "-q")]
-Verbose = Annotated[bool, _common("--verbose", None, "Also say what was detected and assumed.")]
-Debug = Annotated[bool, _common("--debug", None, "Show the traceback of an error.")]
-Flush = Annotated[bool, _common("--flush", None, "Write each row as soon as it is there (live streams).")]
+# --- output and messages ---
+OUTPUT = _common("-o, --output FILE", "Where the result goes; - is stdout.", "-")
+FOLDER = _common("-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED)
+FLUSH = _common("--flush", "Write each row as soon as it is there (live streams).")
+SUMMARY = _common("--summary FILE", "Also write what was done as JSON (dbo-summary).")
+OUTPUT_FORMAT = Option(
+    "--format csv|tsv|hdf5", "Form of the output where no file name tells.", choice(FORMATS), None, MESSAGES
+)
+REPORTING = (
+    _common("-q, --quiet", "Say nothing but errors."),
+    _common("--verbose", "Also say what was detected and assumed."),
+    _common("--debug", "Show the traceback of an error."),
+)
 
 # --- columns: a header name, a dataset path, or a number counted from 1 ---
-Voltage = Annotated[str | None, _reading("--voltage", COLUMN, "The drive voltage; guessed by name.")]
-ReportVoltage = Annotated[
-    str | None,
-    _reading("--voltage", COLUMN, "The drive voltage, for --model and the figures; guessed by name."),
-]
-Displacement = Annotated[str | None, _reading("--displacement", COLUMN, "Displacement; guessed by name.")]
-Input = Annotated[str | None, _reading("--input", COLUMN, "The model's input; guessed by name.")]
-Desired = Annotated[str | None, _reading("--desired", COLUMN, "What was wanted; guessed by name.")]
-Measured = Annotated[str | None, _reading("--measured", COLUMN, "What came out; guessed by name.")]
-Time = Annotated[
-    str | None,
+VOLTAGE = _reading("--voltage COLUMN", "The drive voltage; guessed by name.")
+DRIVE_COLUMN = _reading("--voltage COLUMN", "The drive; guessed by name.")
+TRACKED_VOLTAGE = _reading("--voltage COLUMN", "The drive in a --tracked log; guessed by name.")
+TRACKED_MEASURED = _reading("--measured COLUMN", "What was measured in a --tracked log; guessed by name.")
+DISPLACEMENT = _reading("--displacement COLUMN", "Displacement; guessed by name.")
+INPUT = _reading("--input COLUMN", "The model's input; guessed by name.")
+REPORT_COLUMNS = (
+    _reading("--desired COLUMN", "What was wanted; guessed by name."),
+    _reading("--measured COLUMN", "What came out; guessed by name."),
+    _reading("--voltage COLUMN", "The drive voltage, for --model and the figures; guessed by name."),
+)
+
+# --- how a log is read: the fields of ``ReadingOptions`` ---
+FILE_FORMAT = _reading("--format csv|tsv|hdf5", "Where no file name tells.", choice(FORMATS))
+LOG_FORMAT = FILE_FORMAT._replace(spelled="--log-format csv|tsv|hdf5")
+READING = (
     _reading(
-        "--time",
-        COLUMN,
+        "--time COLUMN",
         "Time. Every column: a header name, a dataset path, a number from 1, or FILE::COLUMN; else guessed.",
     ),
-]
+    _reading("--time-unit UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
+    _reading("--sample-rate HZ", "Rate of a log without a time column.", positive),
+    _reading(
+        "--scale ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable.", repeated=True
+    ),
+    _reading("--rows A:B", "Data rows to take, from 1, both ends included; either may be left out.", rows),
+    _reading("--skip-bad", "Drop rows that hold no number, and count them."),
+    _reading("--resample HZ", "Interpolate to an even sampling first.", positive),
+    FILE_FORMAT,
+    _reading("--delimiter NAME", "comma, semicolon, tab, blanks, pipe or a character, if guessed wrong."),
+    _reading("--decimal point|comma", "The decimal sign, if guessed wrong."),
+    _reading("--comment CHARS", "What comment lines start with, if not # or %."),
+    _reading("--header-lines 0|1|2", "None, names, or names and units, if guessed wrong.", header_lines),
+    _reading("--skip-lines N", "Lines to pass over before the header.", whole(0)),
+    _reading("--encoding NAME", "The text encoding, if not UTF-8."),
+    _reading("--block-rows N", "Rows held at a time; changes no digit of a result.", whole(1)),
+)
+READING_OF_LOGS = tuple(LOG_FORMAT if one is FILE_FORMAT else one for one in READING)
 
-# --- how a log is read ---
-SampleRate = Annotated[
-    float | None,
-    _reading("--sample-rate", "HZ", "Rate of a log without a time column.", parse=values.positive),
-]
-Rows = Annotated[
-    tuple[int, int | None] | None,
-    _reading(
-        "--rows",
-        "A:B",
-        "Data rows to take, from 1, both ends included; either may be left out.",
-        parse=values.rows,
-    ),
-]
-TimeUnit = Annotated[
-    str | None,
-    _reading("--time-unit", "UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
-]
-Scale = Annotated[
-    list[str] | None,
-    _reading("--scale", "ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable."),
-]
-SkipBad = Annotated[bool, _reading("--skip-bad", None, "Drop rows that hold no number, and count them.")]
-Resample = Annotated[
-    float | None,
-    _reading("--resample", "HZ", "Interpolate to an even sampling first.", parse=values.positive),
-]
-FileFormat = Annotated[
-    str | None,
-    _reading("--format", "csv|tsv|hdf5", "Where no file name tells.", parse=values.choice(FORMATS)),
-]
-LogFormat = Annotated[
-    str | None,
-    _reading("--log-format", "csv|tsv|hdf5", "Where no file name tells.", parse=values.choice(FORMATS)),
-]
-Delimiter = Annotated[
-    str | None,
-    _reading("--delimiter", "NAME", "comma, semicolon, tab, blanks, pipe or a character, if guessed wrong."),
-]
-Decimal = Annotated[str | None, _reading("--decimal", "point|comma", "The decimal sign, if guessed wrong.")]
-Comment = Annotated[
-    str | None, _reading("--comment", "CHARS", "What comment lines start with, if not # or %.")
-]
-HeaderLines = Annotated[
-    int | None,
-    _reading(
-        "--header-lines",
-        "0|1|2",
-        "None, names, or names and units, if guessed wrong.",
-        parse=values.header_lines,
-    ),
-]
-SkipLines = Annotated[
-    int | None, _reading("--skip-lines", "N", "Lines to pass over before the header.", parse=values.whole(0))
-]
-Encoding = Annotated[str | None, _reading("--encoding", "NAME", "The text encoding, if not UTF-8.")]
-BlockRows = Annotated[
-    int | None,
-    _reading(
-        "--block-rows", "N", "Rows held at a time; changes no digit of a result.", parse=values.whole(1)
-    ),
-]
-
-# --- identify ---
-Gears = Annotated[
-    int | None,
-    _option(
-        "--gears",
-        "N|auto",
+# --- identify: mostly the fields of ``IdentificationOptions`` ---
+IDENTIFICATION = (
+    Option(
+        "--gears N|auto",
         "Gears: steps into which the loop is cut; more are finer and cost nothing.",
-        default="auto",
-        parse=values.auto_or(values.whole(1)),
+        auto_or(whole(1)),
+        "auto",
     ),
-]
-Points = Annotated[
-    int | None,
-    _option(
-        "--points",
-        "M|auto|0",
+    Option(
+        "--points M|auto|0",
         "Segments of the asymmetry: straight pieces that make the loop's ends unlike; 0 for none.",
-        default="auto",
-        parse=values.auto_or(values.whole(0)),
+        auto_or(whole(0)),
+        "auto",
     ),
-]
-RelaxationTimes = Annotated[
-    tuple[float, ...] | None,
-    _option(
-        "--relaxation",
-        "auto|0|T1,T2,...",
+    Option(
+        "--relaxation auto|0|T1,T2,...",
         "Time constants in s of lag and creep; 0 for none.",
-        default="auto",
-        parse=values.auto_or(values.times),
+        auto_or(times),
+        "auto",
     ),
-]
-DelaySeconds = Annotated[
-    float | None,
-    _option(
-        "--delay",
-        "SECONDS|auto|0",
+    Option(
+        "--delay SECONDS|auto|0",
         "Pure delay of the displacement behind the drive.",
-        default="auto",
-        parse=values.auto_or(values.not_negative),
+        auto_or(not_negative),
+        "auto",
     ),
-]
-SensorDelay = Annotated[
-    float,
-    _option(
-        "--sensor-delay",
-        "SECONDS",
-        "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
-        default="0",
-        parse=values.not_negative,
-    ),
-]
-SensorLag = Annotated[
-    float,
-    _option(
-        "--sensor-lag",
-        "SECONDS",
-        "First-order time constant of the sensor or its filter: taken off likewise.",
-        default="0",
-        parse=values.not_negative,
-    ),
-]
-Dynamics = Annotated[
-    int | None,
-    _option(
-        "--dynamics",
-        "auto|0|1|2",
+    Option(
+        "--dynamics auto|0|1|2",
         "Resonances of the actuator, from a log with a small sweep or a fast log beside a slow one.",
-        default="auto",
-        parse=values.auto_or(values.whole(0)),
+        auto_or(whole(0)),
+        "auto",
     ),
-]
-Skip = Annotated[
-    float,
-    _option(
-        "--skip",
-        "SECONDS",
-        "Leave the beginning of every log out of the fit.",
-        default="0",
-        parse=values.not_negative,
+    Option(
+        "--sensor-delay SECONDS",
+        "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
+        not_negative,
+        "0",
     ),
-]
-Validate = Annotated[
-    list[str] | None,
-    _option("--validate", "LOG", "Another log, to say how well the model predicts; repeatable."),
-]
-Method = Annotated[
-    str,
-    _option(
-        "--method",
-        "least-squares|paper",
-        "paper: gears by the rule of the 2018 publication.",
-        default="least-squares",
-        parse=values.choice(("least-squares", "paper")),
+    Option(
+        "--sensor-lag SECONDS",
+        "First-order time constant of the sensor or its filter: taken off likewise.",
+        not_negative,
+        "0",
     ),
-]
-Zero = Annotated[
-    str | float,
-    _option(
-        "--zero",
-        "none|mean|first|VALUE",
-        "What displacement counts as 0: as logged, its mean, its first sample, or a value.",
-        default="none",
-        parse=values.zero,
-    ),
-]
-Slopes = Annotated[
-    str | None,
-    _option(
-        "--slopes",
-        "auto|growing|falling|free",
+    Option(
+        "--slopes auto|growing|falling|free",
         "How the gears' slopes may run.",
-        default="auto",
-        parse=values.auto_or_choice(("growing", "falling", "free")),
+        auto_or(choice(("auto", "growing", "falling", "free"))),
+        "auto",
     ),
-]
-Force = Annotated[bool, _option("--force", None, "Keep a model that is no better than a straight line.")]
+)
+SKIP = Option("--skip SECONDS", "Leave the beginning of every log out of the fit.", not_negative, "0")
+ZERO = Option(
+    "--zero none|mean|first|VALUE",
+    "What displacement counts as 0: as logged, its mean, its first sample, or a value.",
+    zero,
+    "none",
+)
+METHOD = _choice(
+    "--method least-squares|paper", "paper: gears by the rule of the 2018 publication.", "least-squares"
+)
+VALIDATE = Option(
+    "--validate LOG", "Another log, to say how well the model predicts; repeatable.", repeated=True
+)
+RATED_MIN = Option(
+    "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number
+)
+RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.", number)
+FORCE = Option("--force", "Keep a model that is no better than a straight line.")
 
-RatedMin = Annotated[
-    float | None,
-    _option(
-        "--v-min",
-        "VOLT",
-        "The rating's lower end, with --v-max; logs of another range are warned of.",
-        parse=values.number,
-    ),
-]
-RatedMax = Annotated[
-    float | None, _option("--v-max", "VOLT", "The rating's upper end, with --v-min.", parse=values.number)
-]
-
-# --- simulate, compensate ---
-State = Annotated[
-    str,
-    _starting(
-        "--state",
-        "auto|empty|full|settled|FILE",
-        "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
-        "away there), auto (empty at the lower end, else settled; for a log that the model was identified "
-        "from, as the fit found it), or a saved state.",
-        default="auto",
-    ),
-]
-SaveState = Annotated[str | None, _starting("--save-state", "FILE", "Write the state after the last row.")]
-Outside = Annotated[
-    Beyond,
-    _option(
-        "--outside",
-        "extend|hold|error",
-        "What happens outside the model's input range.",
-        default="extend",
-        parse=values.choice(("extend", "hold", "error")),
-    ),
-]
-VoltageMin = Annotated[
-    float | None,
-    _option("--v-min", "VOLT", "Lowest drive voltage [default: the model's].", parse=values.number),
-]
-VoltageMax = Annotated[
-    float | None,
-    _option("--v-max", "VOLT", "Highest drive voltage [default: the model's].", parse=values.number),
-]
-OnLimit = Annotated[
-    str,
-    _option(
-        "--on-limit",
-        "clip|error",
-        "clip and count, or exit 3, where a limit is met.",
-        default="clip",
-        parse=values.choice(("clip", "error")),
-    ),
-]
-MaxSlew = Annotated[
-    float | None, _option("--max-slew", "VOLT/S", "Fastest change of the drive.", parse=values.positive)
-]
-MaxCurrent = Annotated[
-    float | None,
-    _option(
-        "--max-current",
-        "AMPERE",
+# --- simulate, compensate, check ---
+STATE = Option(
+    "--state auto|empty|full|settled|FILE",
+    "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
+    "away there), auto (empty at the lower end, else settled; for a log that the model was identified "
+    "from, as the fit found it), or a saved state.",
+    None,
+    "auto",
+    STARTING,
+)
+SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", heading=STARTING)
+OUTSIDE = _choice("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
+VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].", number)
+VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].", number)
+MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive.", positive)
+FROM = Option("--from VOLT", "What the amplifier stands at before the first row.", number)
+# the fields of ``DriveOptions`` but for the state, which is read with the model
+DRIVING = (
+    VOLTAGE_MIN,
+    VOLTAGE_MAX,
+    MAX_SLEW,
+    Option(
+        "--max-current AMPERE",
         "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
-        parse=values.positive,
+        positive,
     ),
-]
-Capacitance = Annotated[
-    float | None,
-    _option("--capacitance", "FARAD", "Of the actuator, with --max-current.", parse=values.positive),
-]
-From = Annotated[
-    float | None,
-    _option(
-        "--from", "VOLT", "What the amplifier stands at before the first row.", parse=values.number
-    ),
-]
-Approach = Annotated[
-    float | Literal["auto"] | None,
-    _option(
-        "--approach",
-        "SECONDS|auto",
+    Option("--capacitance FARAD", "Of the actuator, with --max-current.", positive),
+    _choice("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
+    FROM,
+    Option(
+        "--approach SECONDS|auto",
         "Ramp from there to the first row (time < 0); auto: as fast as the slew allows.",
-        parse=values.seconds_or_auto,
+        seconds_or_auto,
     ),
-]
-Lead = Annotated[
-    float | Literal["auto"] | None,
-    _option(
-        "--lead",
-        "SECONDS|auto",
+    Option("--condition", "Prepend the sweep that puts the actuator into the starting state (time < 0)."),
+    Option(
+        "--lead SECONDS|auto",
         "The drive that dynamics and delay need before a move that begins in motion (time < 0).",
-        parse=values.seconds_or_auto,
+        seconds_or_auto,
     ),
-]
-Return = Annotated[
-    float | Literal["auto"] | None,
-    _option(
-        "--return",
-        "SECONDS|auto",
+    Option(
+        "--return SECONDS|auto",
         "Ramp back at the end, to where the drive came from, else to 0; its rows have no desired value.",
-        parse=values.seconds_or_auto,
+        seconds_or_auto,
     ),
-]
-Summary = Annotated[
-    str | None, _common("--summary", "FILE", "Also write what was done as JSON (dbo-summary).")
-]
-Drive = Annotated[str, _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")]
-DriveColumn = Annotated[str | None, _reading("--voltage", COLUMN, "The drive; guessed by name.")]
-CheckMin = Annotated[
-    float | None, _option("--v-min", "VOLT", "Lowest voltage allowed.", parse=values.number)
-]
-CheckMax = Annotated[
-    float | None, _option("--v-max", "VOLT", "Highest voltage allowed.", parse=values.number)
-]
-Loop = Annotated[bool, _option("--loop", None, "The drive is looped: from its last row to its first, too.")]
-Against = Annotated[
-    str | None, _option("--against", "FILE", "Was this drive what was played? Rows, lag, gain, offset.")
-]
-Tolerance = Annotated[
-    float | None,
-    _option(
-        "--tolerance",
-        "VOLT",
-        "With --against, the largest difference allowed [default: a thousandth of the range].",
-        parse=values.positive,
-    ),
-]
-Condition = Annotated[
-    bool,
-    _option(
-        "--condition",
-        None,
-        "Prepend the sweep that puts the actuator into the starting state (time < 0).",
-    ),
-]
-
-Bandwidth = Annotated[
-    float | None,
-    _option(
-        "--bandwidth",
-        "HZ",
+    Option(
+        "--bandwidth HZ",
         "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
-        parse=values.positive,
+        positive,
     ),
-]
-TrackedLogs = Annotated[
-    list[str] | None,
-    _option(
-        "--tracked",
-        "LOG",
-        "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
-    ),
-]
-Periodic = Annotated[
-    bool,
-    _option("--periodic", None, "The trajectory is one period of a loop: write the settled loop's drive."),
-]
-Passes = Annotated[
-    int,
-    _option(
-        "--passes",
-        "N",
-        "With --periodic, passes of run-in before it (time < 0).",
-        "-n",
-        default="0",
-        parse=values.whole(0),
-    ),
-]
-TrackedVoltage = Annotated[
-    str | None, _reading("--voltage", COLUMN, "The drive in a --tracked log; guessed by name.")
-]
-TrackedMeasured = Annotated[
-    str | None, _reading("--measured", COLUMN, "What was measured in a --tracked log; guessed by name.")
-]
+    Option("--periodic", "The trajectory is one period of a loop: write the settled loop's drive."),
+    Option("-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", whole(0), "0"),
+)
+TRACKED = Option(
+    "--tracked LOG",
+    "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
+    repeated=True,
+)
+CHECK_MIN = Option("--v-min VOLT", "Lowest voltage allowed.", number)
+CHECK_MAX = Option("--v-max VOLT", "Highest voltage allowed.", number)
+LOOP = Option("--loop", "The drive is looped: from its last row to its first, too.")
+AGAINST = Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset.")
+TOLERANCE = Option(
+    "--tolerance VOLT",
+    "With --against, the largest difference allowed [default: a thousandth of the range].",
+    positive,
+)
 
-# --- report ---
-Lag = Annotated[
-    int | Literal["auto"],
-    _option(
-        "--lag",
-        "N|auto",
-        "Samples by which measured is taken later than desired.",
-        default="0",
-        parse=values.lag,
-    ),
-]
-RemoveOffset = Annotated[
-    bool,
-    _option("--remove-offset", None, "Take the mean of the error off before anything else."),
-]
-ReportModel = Annotated[
-    str | None,
-    _option("--model", "MODEL", "Compare this model's prediction with the measurement."),
-]
-ReportTrajectory = Annotated[
-    str | None,
-    _option("--trajectory", "FILE", "Where the desired signal lies, if not in the logs themselves."),
-]
-Match = Annotated[
-    Literal["auto", "time", "rows"],
-    _option(
-        "--match",
-        "auto|time|rows",
-        "How logs and --trajectory belong together; auto: by time where both have one.",
-        default="auto",
-        parse=values.choice(("auto", "time", "rows")),
-    ),
-]
-CountSweep = Annotated[
-    bool,
-    _option(
-        "--count-sweep",
-        None,
-        "Let a conditioning sweep (rows before time 0) take part; so do --rows that cover it.",
-    ),
-]
-Figures = Annotated[
-    str | None,
-    _option("--figures", "DIR", "Draw the figures, PNG and SVG, into this folder."),
-]
-MaxRmse = Annotated[
-    float | None,
-    _option(
-        "--max-rmse", "VALUE", "Exit 3 where the RMSE of a log is above this.", parse=values.not_negative
-    ),
-]
-MaxAbs = Annotated[
-    float | None,
-    _option("--max-abs", "VALUE", "Exit 3 where the largest error is above this.", parse=values.not_negative),
-]
-MaxNrmse = Annotated[
-    float | None,
-    _option(
-        "--max-nrmse-percent",
-        "VALUE",
-        "Exit 3 where the RMSE in % of range is above this.",
-        parse=values.not_negative,
-    ),
-]
-Segment = Annotated[
-    float | Literal["cycles"] | None,
-    _option(
-        "--segment",
-        "cycles|SECONDS",
-        "Also report every cycle, or every so many seconds.",
-        parse=values.segment,
-    ),
-]
-ReportFormat = Annotated[
-    str | None,
-    _option(
-        "--format",
-        "text|json|csv|html",
-        "Form of the report [default: by the output's name].",
-        parse=values.choice(("text", "json", "csv", "html")),
-    ),
-]
-
-# --- show ---
-ShowFormat = Annotated[
-    str | None,
-    _option(
-        "--format",
-        "text|json",
-        "Form of what is shown [default: by the output's name, else text].",
-        parse=values.choice(("text", "json")),
-    ),
-]
-ModelFigures = Annotated[
-    str | None,
-    _option("--figures", "DIR", "Draw the model's curves, PNG and SVG, into this folder."),
-]
+# --- report, show ---
+SCORING = (
+    Option("--lag N|auto", "Samples by which measured is taken later than desired.", lag, "0"),
+    Option("--remove-offset", "Take the mean of the error off before anything else."),
+    Option("--segment cycles|SECONDS", "Also report every cycle, or every so many seconds.", segment),
+)
+REPORT_MODEL = Option("--model MODEL", "Compare this model's prediction with the measurement.")
+REPORT_TRAJECTORY = Option(
+    "--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."
+)
+MATCH = _choice(
+    "--match auto|time|rows",
+    "How logs and --trajectory belong together; auto: by time where both have one.",
+    "auto",
+)
+COUNT_SWEEP = Option(
+    "--count-sweep", "Let a conditioning sweep (rows before time 0) take part; so do --rows that cover it."
+)
+LIMITS = (
+    Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this.", not_negative),
+    Option("--max-abs VALUE", "Exit 3 where the largest error is above this.", not_negative),
+    Option("--max-nrmse-percent VALUE", "Exit 3 where the RMSE in % of range is above this.", not_negative),
+)
+FIGURES = Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder.")
+REPORT_FORMAT = _choice("--format text|json|csv|html", "Form of the report [default: by the output's name].")
+SHOW_FORMAT = _choice(
+    "--format text|json", "Form of what is shown [default: by the output's name, else text]."
+)
+MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 
 # --- compare ---
-ModelNames = Annotated[
-    tuple[str, ...] | None,
-    _option(
-        "--models",
-        "NAME,...",
-        "Only these of dbo, line, pi, rate, singularity-free, asymmetric.",
-        parse=values.names,
-    ),
-]
-NoTimings = Annotated[bool, _option("--no-timings", None, "Measure no times: the table repeats to the byte.")]
-SaveModels = Annotated[
-    str | None,
-    _option("--save-models", "DIR", "Also write every model that was fitted, NAME.json, into this folder."),
-]
+MODEL_NAMES = Option(
+    "--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric.", names
+)
+NO_TIMINGS = Option("--no-timings", "Measure no times: the table repeats to the byte.")
+SAVE_MODELS = Option(
+    "--save-models DIR", "Also write every model that was fitted, NAME.json, into this folder."
+)
 
-# --- excite ---
-ExciteMin = Annotated[
-    float, _option("--v-min", "VOLT", "Lowest drive voltage.", default="0", parse=values.number)
-]
-ExciteMax = Annotated[
-    float,
-    _option(
-        "--v-max",
-        "VOLT",
-        "Highest drive voltage: the actuator's rating.",
-        default=REQUIRED,
-        parse=values.number,
-    ),
-]
-ExciteRate = Annotated[
-    float, _option("--sample-rate", "HZ", "Rows per second.", default="1000", parse=values.positive)
-]
-Duration = Annotated[
-    float, _option("--duration", "SECONDS", "Length of the drive.", default="15", parse=values.positive)
-]
-Frequency = Annotated[
-    float, _option("--frequency", "HZ", "Full cycles per second.", default="1", parse=values.positive)
-]
-Seed = Annotated[
-    int,
-    _option("--seed", "N", "Another number, another drive.", default="1", parse=values.whole(0)),
-]
-SweepTo = Annotated[
-    float | None,
-    _option(
-        "--sweep-to",
-        "HZ",
+# --- excite: the parameters of ``write_excitation`` ---
+EXCITATION = (
+    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", number, REQUIRED),
+    Option("--v-min VOLT", "Lowest drive voltage.", number, "0"),
+    Option("--sample-rate HZ", "Rows per second.", positive, "1000"),
+    Option("--duration SECONDS", "Length of the drive.", positive, "15"),
+    Option("--frequency HZ", "Full cycles per second.", positive, "1"),
+    MAX_SLEW,
+    Option("--seed N", "Another number, another drive.", whole(0), "1"),
+    Option(
+        "--sweep-to HZ",
         "Append a small sweep up to this frequency, for the dynamics of the actuator.",
-        parse=values.positive,
+        positive,
     ),
-]
-SweepAmplitude = Annotated[
-    float | None,
-    _option("--sweep-amplitude", "VOLT", "Of that sweep [default: 1 % of the range].", parse=values.positive),
-]
-OutputFormat = Annotated[
-    str | None,
-    _common(
-        "--format",
-        "csv|tsv|hdf5",
-        "Form of the output where no file name tells.",
-        parse=values.choice(FORMATS),
-    ),
-]
+    Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", positive),
+)
 
-# --- export ---
-Folder = Annotated[
-    str, _common("--output", "DIR", "The folder to write; appears whole or not at all.", "-o", REQUIRED)
-]
-Name = Annotated[
-    str, _option("--name", "NAME", "Begins the names of files, types, functions.", default="actuator")
-]
-Direction = Annotated[
-    str,
-    _option(
-        "--direction",
-        "inverse|forward",
-        "Displacement to drive, or drive to displacement.",
-        default="inverse",
-        parse=values.choice(("inverse", "forward")),
-    ),
-]
-Arithmetic = Annotated[
-    str,
-    _option(
-        "--arithmetic",
-        "double|float|q31",
+# --- export: the parameters of ``export_model`` ---
+EXPORTING = (
+    Option("--name NAME", "Begins the names of files, types, functions.", None, "actuator"),
+    _choice("--direction inverse|forward", "Displacement to drive, or drive to displacement.", "inverse"),
+    _choice(
+        "--arithmetic double|float|q31",
         "double: the bits of dbo compensate; float32 or 32-bit fixed point: with a bound on the error.",
-        default="double",
-        parse=values.choice(("double", "float", "q31")),
+        "double",
     ),
-]
-ControllerRate = Annotated[
-    float | None, _option("--sample-rate", "HZ", "Steps per second of the controller.", parse=values.positive)
-]
-FewerGears = Annotated[
-    int | None, _option("--gears", "N", "Fewer gears; says what is lost.", parse=values.whole(1))
-]
-Lookup = Annotated[bool, _option("--lookup", None, "A table of all states: 12 gears at most, double.")]
-Arduino = Annotated[bool, _option("--arduino", None, "Lay the files out as an Arduino library.")]
-Fmu = Annotated[bool, _option("--fmu", None, "Add an FMI 2.0 co-simulation unit for this computer; double.")]
-Shared = Annotated[bool, _option("--shared", None, "Add a flat C library for this computer; double.")]
-Overwrite = Annotated[bool, _option("--overwrite", None, "Replace a folder that an export wrote.")]
+    Option("--sample-rate HZ", "Steps per second of the controller.", positive),
+    Option("--gears N", "Fewer gears; says what is lost.", whole(1)),
+    VOLTAGE_MIN,
+    VOLTAGE_MAX,
+    MAX_SLEW,
+    Option("--lookup", "A table of all states: 12 gears at most, double."),
+    Option("--arduino", "Lay the files out as an Arduino library."),
+    Option("--fmu", "Add an FMI 2.0 co-simulation unit for this computer; double."),
+    Option("--shared", "Add a flat C library for this computer; double."),
+    Option("--overwrite", "Replace a folder that an export wrote."),
+)

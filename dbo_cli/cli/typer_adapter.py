@@ -2,10 +2,8 @@
 
 - The library checks values with a validation package whose import takes longer than a short command
   (measured: 90 ms a process), and words its errors differently from version to version. Here the text of each
-  option goes to the parser that ``options`` declares beside its name, and a command gets parsed values.
-- It imports all commands to know their names. Here a command's module is imported when it is called.
-- It wants every option in every signature. Here options that always come together are one parameter:
-  ``reading``, ``log_reading`` and ``voice`` stand for a bundle, ``typed`` for the words of the command line.
+  option goes to the parser that ``options`` has beside its name, and a command gets parsed values.
+- It reads options from the signatures of functions. Here they come from the table in ``options``.
 - Its help knows no order. Here columns come before the other reading options, headings always alike.
 """
 
@@ -13,114 +11,45 @@ from __future__ import annotations
 
 import difflib
 import functools
-import importlib
 import inspect
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli.cli import options
-from dbo_cli.cli.messages import Voice
+from dbo_cli.cli.commands import COMMANDS, Given
+from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 from dbo_cli.version import __version__
 
-COMMANDS = (
-    "identify", "show", "invert", "simulate", "compensate", "check", "report", "excite", "export", "compare"
-)  # fmt: skip
 SHELLS = ("bash", "zsh", "fish")
 PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
-HEADINGS = ("Arguments", "Options", options.STATE, options.READING, options.COMMON)
+HEADINGS = ("Arguments", options.OPTIONS, options.STARTING, options.READING_LOGS, options.MESSAGES)
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 TYPED: ContextVar[tuple[str, ...]] = ContextVar("TYPED", default=())
-"""The words that were typed, set by ``app.main``."""
-
-READING: dict[str, Any] = {
-    "time": options.Time,
-    "time_unit": options.TimeUnit,
-    "sample_rate": options.SampleRate,
-    "scale": options.Scale,
-    "rows": options.Rows,
-    "skip_bad": options.SkipBad,
-    "resample": options.Resample,
-    "format": options.FileFormat,
-    "delimiter": options.Delimiter,
-    "decimal": options.Decimal,
-    "comment": options.Comment,
-    "header_lines": options.HeaderLines,
-    "skip_lines": options.SkipLines,
-    "encoding": options.Encoding,
-    "block_rows": options.BlockRows,
-}
-VOICE: dict[str, Any] = {"quiet": options.Quiet, "verbose": options.Verbose, "debug": options.Debug}
-
-
-def reading_of(values: Mapping[str, Any]) -> Any:
-    """Return how logs are to be read; what was not said stays at its default."""
-    from dbo_cli.logs.reading_options import ReadingOptions
-
-    return ReadingOptions(**{name: values[name] for name in READING if values[name] is not None})
-
-
-def voice_of(values: Mapping[str, Any]) -> Voice:
-    """Return the voice that was asked for (``--debug`` is heard by ``app.main`` itself)."""
-    return Voice(quiet=values["quiet"], verbose=values["verbose"])
-
-
-DRIVE: dict[str, Any] = {
-    "v_min": options.VoltageMin,
-    "v_max": options.VoltageMax,
-    "max_slew": options.MaxSlew,
-    "max_current": options.MaxCurrent,
-    "capacitance": options.Capacitance,
-    "on_limit": options.OnLimit,
-    "from_": options.From,
-    "approach": options.Approach,
-    "condition": options.Condition,
-    "lead": options.Lead,
-    "return_": options.Return,
-    "bandwidth": options.Bandwidth,
-    "periodic": options.Periodic,
-    "passes": options.Passes,
-}
-
-
-def drive_of(values: Mapping[str, Any]) -> Any:
-    """Return what is asked of a drive; the state is read with the model."""
-    from dbo_cli.drives.options import DriveOptions
-
-    return DriveOptions(**{name: values[name] for name in DRIVE})
-
-
-Bundle = tuple[dict[str, Any], Callable[[Mapping[str, Any]], Any]]
-BUNDLES: dict[str, Bundle] = {
-    "reading": (READING, reading_of),
-    "log_reading": (READING | {"format": options.LogFormat}, reading_of),
-    "asked": (DRIVE, drive_of),
-    "voice": (VOICE, voice_of),
-    "typed": ({}, lambda values: TYPED.get()),
-}
+"""The words that were typed, set by ``run``."""
 
 
 class ParsedValues:
     """Hands every value to the command as its own parser understands it."""
 
-    parsers: Mapping[str, Callable[[str, str], Any]] = {}
+    declared: Mapping[str, Option] = {}
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters, each told to leave its value to this program."""
+        """Return the parameters, each set to leave its value to this program."""
         parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for parameter in parameters:
-            parse = self.parsers.get(parameter.name)
-            parameter.process_value = functools.partial(_parsed, parameter, parse)
+            option = self.declared.get(parameter.name)
+            parameter.process_value = functools.partial(_parsed, parameter, option)
         return parameters
 
 
-class Command(ParsedValues, TyperCommand):
+class TableCommand(ParsedValues, TyperCommand):
     """A command whose help lists its options under headings, in plain text."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -129,7 +58,7 @@ class Command(ParsedValues, TyperCommand):
         for parameter in self.get_params(ctx):
             is_argument = parameter.param_type_name == "argument"
             named = getattr(parameter, "rich_help_panel", None)  # the library's own --help has none
-            heading = "Arguments" if is_argument else named or "Options"
+            heading = "Arguments" if is_argument else named or options.OPTIONS
             sections[heading].append(parameter)
         for heading, parameters in sections.items():
             if parameters:
@@ -139,7 +68,7 @@ class Command(ParsedValues, TyperCommand):
 
 
 class Commands(ParsedValues, TyperGroup):
-    """The group behind ``dbo``: knows the names, imports a command's module when it is asked for."""
+    """The group behind ``dbo``: knows the names, builds a command when it is asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in the order of a working day."""
@@ -159,7 +88,7 @@ class Commands(ParsedValues, TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each command with the first line of its documentation."""
-        rows = [(name, (inspect.getdoc(_function(name)) or "").partition("\n")[0]) for name in COMMANDS]
+        rows = [(name, (one.function.__doc__ or "").partition("\n")[0]) for name, one in COMMANDS.items()]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 
@@ -240,67 +169,43 @@ def _root(
         typer.echo(context.get_help())
 
 
-def _function(name: str) -> Callable[..., None]:
-    """Import the module of a command and return the function of the same name."""
-    function: Callable[..., None] = getattr(importlib.import_module(f"dbo_cli.cli.{name}"), name)
-    return function
-
-
 def _build(name: str) -> Any:
-    """Turn a command's function into a command of the command-line library."""
-    function = _function(name)
-    declared = _declared(function)
-    app = typer.Typer(**PLAIN)  # type: ignore[arg-type]
-    app.command(name, cls=Command, context_settings=CONTEXT)(_with_options(function, declared))
-    command = typer.main.get_command(app)
-    assert isinstance(command, Command)
-    told = {key: getattr(_info(kind), "parse", None) for key, kind in declared.items()}
-    command.parsers = {key: parse for key, parse in told.items() if parse is not None}
-    return command
+    """Turn a command of the table into one of the command-line library."""
+    function, declared = COMMANDS[name]
 
-
-def _declared(function: Callable[..., None]) -> dict[str, Any]:
-    """Return the option of each parameter, bundles taken apart."""
-    declared: dict[str, Any] = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        if name in BUNDLES:
-            declared |= BUNDLES[name][0]
-        else:  # one by one: the bundles' own types are not imported for a page of help
-            declared[name] = eval(parameter.annotation, function.__globals__)
-    return declared
-
-
-def _with_options(function: Callable[..., None], declared: Mapping[str, Any]) -> Callable[..., None]:
-    """Give a function the signature that the library reads: texts and switches, a parameter an option."""
-    own = inspect.signature(function).parameters
-    parameters = [_as_text(name, kind) for name, kind in declared.items()]
-
-    @functools.wraps(function)
     def command(**values: Any) -> None:
-        function(**{name: BUNDLES[name][1](values) if name in BUNDLES else values[name] for name in own})
+        function(Given(typed=TYPED.get(), **values))
 
+    command.__doc__ = function.__doc__
+    parameters = [_parameter(option) for option in declared]
+    # The library takes the options from the signature.
     command.__dict__["__signature__"] = inspect.Signature(parameters)
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return command
+    app = typer.Typer(**PLAIN)  # type: ignore[arg-type]
+    app.command(name, cls=TableCommand, context_settings=CONTEXT)(command)
+    built = typer.main.get_command(app)
+    assert isinstance(built, TableCommand)
+    built.declared = {option.key: option for option in declared}
+    return built
 
 
-def _as_text(name: str, kind: Any) -> inspect.Parameter:
-    """Return a parameter as it is typed: what its parser makes of it is not the library's business."""
-    value, info = get_args(kind)[0], _info(kind)
-    given = getattr(info, "typed_default", inspect.Parameter.empty)
-    typed: Any = str
-    if value is bool:
-        typed, given = bool, False
-    elif get_origin(value) is list or any(get_origin(part) is list for part in get_args(value)):
-        typed = list[str]
-    if given is None:
-        typed = typed | None
-    annotation = Annotated[typed, info]
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=given)
-
-
-def _info(kind: Any) -> Any:
-    return get_args(kind)[1]
+def _parameter(option: Option) -> inspect.Parameter:
+    """Return an option as the library reads it: a text, several or a switch, without its parser."""
+    kind: Any = list[str] if option.repeated else str
+    given: Any = option.default
+    if option.metavar is None:
+        kind, given = bool, False
+    elif given is None:
+        kind = kind | None
+    if option.names:
+        panel = None if option.heading == options.OPTIONS else option.heading
+        info: Any = typer.Option(
+            *option.names, metavar=option.metavar, help=option.meaning, rich_help_panel=panel
+        )
+    else:
+        info = typer.Argument(metavar=option.metavar, show_default=False, help=option.meaning)
+    key, keyword_only = option.key, inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=given)
 
 
 def _explained(parameter: Any, context: Any) -> tuple[str, str]:
@@ -311,12 +216,12 @@ def _explained(parameter: Any, context: Any) -> tuple[str, str]:
     return written, meaning
 
 
-def _parsed(parameter: Any, parse: Callable[[str, str], Any] | None, context: Any, value: Any) -> Any:
-    """Return what a parameter's own parser makes of its text; refuse it where it is missing."""
+def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> Any:
+    """Return what an option's own parser makes of its text; refuse it where it is missing."""
     is_option = parameter.param_type_name == "option"
     name = max(parameter.opts, key=len) if is_option else parameter.metavar
     if parameter.required and value in (None, (), []) and not context.resilient_parsing:
         raise UsageError(f"{name} is missing ({context.command_path} --help lists what there is)")
-    if parse is not None and isinstance(value, str):
-        value = parse(name.lstrip("-").replace("-", "_"), value)
+    if option is not None and option.parse is not None and isinstance(value, str):
+        value = option.parse(option.key, value)
     return parameter.callback(context, parameter, value) if parameter.callback else value

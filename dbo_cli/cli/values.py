@@ -1,4 +1,4 @@
-"""From what a user typed as an option's value to the value, and what is said when it is something else.
+"""Parsers of option values, and their error messages.
 
 A parser takes the parameter's name and the text; its complaint names the parameter in backticks, which the
 shell shows as the option.
@@ -73,11 +73,6 @@ def choice(choices: Sequence[str]) -> Parser:
 def auto_or(parse: Parser) -> Parser:
     """Return a parser that gives None for ``auto``, else what ``parse`` makes of the text."""
     return lambda option, text: None if text == "auto" else parse(option, text)
-
-
-def auto_or_choice(choices: Sequence[str]) -> Parser:
-    """Return a parser of texts that are one of ``choices``, or ``auto``, which gives None."""
-    return auto_or(choice(("auto", *choices)))
 
 
 def times(option: str, text: str) -> tuple[float, ...]:

@@ -7,11 +7,12 @@ is wrong, spelled as a path: ``stages[0].dx[3]``.
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import json
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -157,16 +158,21 @@ class Node:
             raise ModelError(f"{self.file}: {self.at(str(problem))}") from None
 
 
-StageReader = Callable[[Node], Stage]
-NONE: Mapping[str, StageReader] = {}
+OTHER_STAGES = "dbo_cli.relatives.model_file"
+"""The module that reads another hysteresis than that of gears; imported where a file has such a stage."""
 
 
-def read_model(
-    path: str, others: Mapping[str, StageReader] = NONE, make: Callable[..., ActuatorModel] = ActuatorModel
-) -> ActuatorModel:
+def _others() -> Any:
+    return importlib.import_module(OTHER_STAGES)
+
+
+def _has_gears(stages: Iterable[Stage]) -> bool:
+    """Tell whether a cascade has no other hysteresis than that of gears."""
+    return not any(isinstance(stage, OtherHysteresis) for stage in stages)
+
+
+def read_model(path: str) -> ActuatorModel:
     """Read a model file; ``-`` is standard input.
-
-    ``others`` are readers of stages that another room adds, by their types; ``make`` builds a model of them.
 
     Raises
     ------
@@ -185,12 +191,13 @@ def read_model(
         raise root.refuse("stages", "is not a list")
     if len(stages) > MOST_STAGES:
         raise root.refuse("stages", f"has {len(stages):,} entries, more than {MOST_STAGES}")
-    cascade = tuple(_stage(root.below(f"stages[{i}]", stage), others) for i, stage in enumerate(stages))
+    cascade = tuple(_stage(root.below(f"stages[{i}]", stage)) for i, stage in enumerate(stages))
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)
     source, result = _quantity(root.node("input")), _quantity(root.node("output"))
     carried = {key: note.values for key, note in notes.items()}
+    make: Callable[..., ActuatorModel] = ActuatorModel if _has_gears(cascade) else _others().RelativeModel
     model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
     return model
 
@@ -252,15 +259,16 @@ def _quantity(node: Node) -> Quantity:
     return quantity
 
 
-def _stage(node: Node, others: Mapping[str, StageReader]) -> Stage:
+def _stage(node: Node) -> Stage:
     """Return one stage of the cascade by its type."""
     if "type" not in node.values:
         raise node.refuse("type", "is missing")
     kind = node.text("type")
-    readers: dict[str, StageReader] = {
-        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay,
-        **others,
+    readers: dict[str, Callable[[Node], Stage]] = {
+        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay
     }  # fmt: skip
+    if kind not in readers:
+        readers |= _others().READERS
     if kind not in readers:
         raise node.refuse("type", f"{kind!r} is not a known stage; there are: {', '.join(readers)}")
     return readers[kind](node)
@@ -446,9 +454,6 @@ def _filled(items: list[str], inner: str, indent: str) -> str:
     return "[\n" + "\n".join([*lines, line.rstrip()]) + "\n" + indent + "]"
 
 
-HysteresisReader = Callable[[Node, ActuatorModel], BacklashState]
-
-
 def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     """Return the state file of a state; it names the gears it belongs to by a digest."""
     values: Json = {
@@ -467,10 +472,8 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
     return _to_bytes(values)
 
 
-def read_state(
-    path: str, model: ActuatorModel, key: str = "backlash", read: HysteresisReader | None = None
-) -> ModelState:
-    """Read a state file for a model or its inverse; ``read`` what another room's stage has under ``key``.
+def read_state(path: str, model: ActuatorModel) -> ModelState:
+    """Read a state file for a model or its inverse.
 
     Raises
     ------
@@ -481,13 +484,15 @@ def read_state(
     """
     root = _load(path, STATE_FORMAT, "state")
     timed = root.values["version"] > 1
+    geared = _has_gears(model.stages)
+    key, read = ("backlash", _bits_and_memory) if geared else ("plays", _others().read_places)
     root.only(
         ("format", "version", "model", key, *(("time",) if timed else ()), "drive", "delay"),
         ("dynamics", "drive_lag") if timed else (),
     )
     if root.text("model") != model.digest:
         raise root.refuse("model", "the state belongs to another model (save it again with this one)")
-    backlash = (read or _bits_and_memory)(root.node(key), model)
+    backlash = read(root.node(key), model)
     drive = None if root.values["drive"] is None else root.number("drive")
     time = None if not timed or root.values["time"] is None else root.number("time")
     begun = ModelState(backlash, drive, _history(root), time=time)

@@ -1,37 +1,20 @@
-"""Model and state files of every model there is: those of gears, and those of plays (docs/model-file.md)."""
+"""The stage of plays and its state in model and state files (docs/model-file.md).
+
+``hysteresis.model_file`` asks here when a file has a stage that it does not know.
+"""
 
 from __future__ import annotations
 
-from typing import Any
-
-from dbo_cli.hysteresis import model_file
-from dbo_cli.hysteresis.cascade import OtherHysteresis, Stage
-from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.cascade import Stage
 from dbo_cli.hysteresis.model_file import Node
-from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.operators import BacklashState
+from dbo_cli.relatives.model import RelativeModel
+from dbo_cli.relatives.operators import KINDS, Kind, PlayOperator, PlayState
 
-KINDS = ("plays", "rate-plays", "singular-plays", "one-sided-plays")
-
-# What a model of gears does not need is imported when there are plays: a command starts in no time.
-
-
-def read_model(path: str) -> ActuatorModel:
-    """Read a model file of either kind; see ``hysteresis.model_file.read_model``."""
-    return model_file.read_model(path, dict.fromkeys(KINDS, _plays), _made)
-
-
-def _made(direction: Any, source: Any, result: Any, stages: tuple[Stage, ...], **notes: Any) -> ActuatorModel:
-    if not any(isinstance(stage, OtherHysteresis) for stage in stages):
-        return ActuatorModel(direction, source, result, stages, **notes)
-    from dbo_cli.relatives.model import RelativeModel
-
-    return RelativeModel(direction, source, result, stages, **notes)
+__all__ = ["READERS", "RelativeModel", "read_places"]
 
 
 def _plays(node: Node) -> Stage:
-    from dbo_cli.relatives.operators import Kind, PlayOperator
-
     kind: Kind = node.text("type")  # type: ignore[assignment]
     more: tuple[str, ...] = ()
     if kind == "rate-plays":
@@ -45,18 +28,11 @@ def _plays(node: Node) -> Stage:
     return stage
 
 
-def read_state(path: str, model: ActuatorModel) -> ModelState:
-    """Read a state file for a model of either kind; see ``hysteresis.model_file.read_state``."""
-    if not any(isinstance(stage, OtherHysteresis) for stage in model.stages):
-        return model_file.read_state(path, model)
-    return model_file.read_state(path, model, "plays", _places)
+READERS = dict.fromkeys(KINDS, _plays)
 
 
-def _places(node: Node, model: ActuatorModel) -> BacklashState:
-    from dbo_cli.relatives.model import RelativeModel
-    from dbo_cli.relatives.operators import PlayState
-
-    assert isinstance(model, RelativeModel)
+def read_places(node: Node, model: RelativeModel) -> BacklashState:
+    """Return what the plays of a model remember."""
     node.only(("places", "inverse_places", "wanted"))
     found = []
     for key in ("places", "inverse_places"):

@@ -11,11 +11,11 @@ from dbo_cli.drives.model_run import reads_ahead
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.planning import compensation
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import check_format, format_for
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.relatives.model_file import read_model
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.files import Destination, check_order, opened, spoken, write_response
 from dbo_cli.runs.roles import bring_to, quantity_wish, tracked_of, tracked_wishes

@@ -16,7 +16,7 @@ from dbo_cli.drives.compensation import Compensation, DriveFigures
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import (
@@ -32,7 +32,6 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.relatives.model_file import read_model
 from dbo_cli.remarks import SILENT, Listener, Remarks, plain
 from dbo_cli.runs.roles import bring_to, quantity_wish
 from dbo_cli.runs.starts import start_of
@@ -176,9 +175,7 @@ def write_response(
     return told
 
 
-def summary_of(
-    run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str
-) -> dict[str, Any]:
+def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:
     """Return what a run did as plain values (``dbo-summary``); voltages and lengths in the model's units."""
     remarks, expected, percent, clipped = run.remarks(), None, None, 0
     if isinstance(run, Compensation):

@@ -17,7 +17,8 @@ from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_document
@@ -26,8 +27,6 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, Source, checked_rate, is_file, is_table, table_source
 from dbo_cli.logs.whole_output import write_whole
-from dbo_cli.relatives.model_file import read_model as read_model_file
-from dbo_cli.relatives.model_file import read_state
 from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.roles import bring_to, quantity_wish
 from dbo_cli.runs.starts import start_of

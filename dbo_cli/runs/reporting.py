@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.logs.addresses import check_document, format_for, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
-from dbo_cli.relatives.model_file import read_model
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import check_folder, refuse_picture
 from dbo_cli.reports.report import Report, ReportOptions, check_limits

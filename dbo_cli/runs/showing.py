@@ -8,11 +8,10 @@ from typing import Any
 
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
-from dbo_cli.hysteresis.model_file import section_values
+from dbo_cli.hysteresis.model_file import read_model, section_values
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.whole_output import write_whole
-from dbo_cli.relatives.model_file import read_model
 
 WIDTH = 96  # characters of a line on the screen
 

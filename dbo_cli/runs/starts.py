@@ -8,8 +8,8 @@ import os
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_file import read_state
 from dbo_cli.hysteresis.model_state import ModelState
-from dbo_cli.relatives.model_file import read_state
 
 
 def start_of(

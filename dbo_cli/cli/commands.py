@@ -1,0 +1,418 @@
+"""The commands: which options each has, one call into ``runs`` or ``export``, and what is printed of it.
+
+What a command needs is imported when it runs: a page of help loads nothing heavy.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterable
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from dbo_cli.cli import options
+from dbo_cli.cli.messages import Progress, Reporter, refuse_terminal
+from dbo_cli.cli.options import Option
+from dbo_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from dbo_cli.export import ExportSummary
+    from dbo_cli.logs.reading_options import ReadingOptions
+
+
+class Given(SimpleNamespace):
+    """The values of a command's options, each under its ``key``; ``typed`` is the whole command line."""
+
+    def of(self, options: Iterable[Option]) -> dict[str, Any]:
+        """Return the values of some options by their keys, as keywords of a call."""
+        return {option.key: getattr(self, option.key) for option in options}
+
+    @property
+    def reporter(self) -> Reporter:
+        """What prints messages, as loudly as asked for (``app.main`` sees to ``--debug``)."""
+        return Reporter(self.quiet, self.verbose)
+
+    @property
+    def reading(self) -> ReadingOptions:
+        """How logs are to be read; what was not given stays at its default."""
+        from dbo_cli.logs.reading_options import ReadingOptions
+
+        if hasattr(self, "log_format"):
+            given = self.of(options.READING_OF_LOGS)
+            given["format"] = given.pop("log_format")
+        else:
+            given = self.of(options.READING)
+        return ReadingOptions(**{name: value for name, value in given.items() if value is not None})
+
+
+class Command(NamedTuple):
+    """A command: its function, whose docstring is its help, and its options in the order of the help."""
+
+    function: Callable[[Given], None]
+    options: tuple[Option, ...]
+
+
+COMMANDS: dict[str, Command] = {}
+"""All commands by name, in the order of a working day."""
+
+
+def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Given], None]]:
+    """Enter a function into ``COMMANDS`` with its options."""
+
+    def enter(function: Callable[[Given], None]) -> Callable[[Given], None]:
+        COMMANDS[function.__name__] = Command(function, has)
+        return function
+
+    return enter
+
+
+@_command(
+    options.LOGS,
+    *options.READING,
+    *options.REPORTING,
+    *options.IDENTIFICATION,
+    options.SKIP,
+    options.ZERO,
+    options.METHOD,
+    options.VALIDATE,
+    options.RATED_MIN,
+    options.RATED_MAX,
+    options.FORCE,
+    options.VOLTAGE,
+    options.DISPLACEMENT,
+    options.OUTPUT,
+)
+def identify(given: Given) -> None:
+    """Identify a model of an actuator from logs of its drive voltage and displacement.
+
+    What is left at auto is chosen on cycles left out of the fit. Several logs of one actuator are fitted
+    together, each with its own sensor offset and drift. What was found, and what to be careful about, is said
+    on standard error and kept in the model.
+
+    Example: dbo identify recorded.csv -o model.json
+    """
+    refuse_terminal(given.output)
+    if (given.v_min is None) != (given.v_max is None):
+        raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
+    from dbo_cli.hysteresis.identification import IdentificationOptions
+    from dbo_cli.runs.identifying import identify_logs
+
+    asked = IdentificationOptions(
+        **given.of([*options.IDENTIFICATION, options.ZERO, options.METHOD, options.FORCE]),
+        skip_seconds=given.skip,
+        rated=None if given.v_min is None else (given.v_min, given.v_max),
+    )
+    found = identify_logs(
+        given.log,
+        given.validate or [],
+        given.output,
+        given.reading,
+        asked,
+        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
+        listener=Progress(given.reporter, "read"),
+    )
+    given.reporter.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
+    given.reporter.warnings(found.remarks.warnings)
+
+
+@_command(options.MODEL, *options.REPORTING, options.SHOW_FORMAT, options.MODEL_FIGURES, options.OUTPUT)
+def show(given: Given) -> None:
+    """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings.
+
+    Example: dbo show model.json
+    """
+    from dbo_cli.runs.showing import show_model
+
+    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures))
+
+
+@_command(options.MODEL, *options.REPORTING, options.OUTPUT)
+def invert(given: Given) -> None:
+    """Write the exact inverse of a model.
+
+    Every gear and segment exchanges its widths, the cascade runs backwards, a delay becomes a look ahead.
+    The inverse of a forward model turns a desired displacement into the drive (dbo simulate runs it;
+    dbo compensate does the same from the forward model and keeps the drive within its limits).
+
+    Example: dbo invert model.json -o inverse.json
+    """
+    refuse_terminal(given.output)
+    from dbo_cli.runs.files import invert_model
+
+    inverse = invert_model(given.model, given.output)
+    given.reporter.detail(f"{given.model}: the inverse is {inverse.direction}")
+
+
+@_command(
+    options.MODEL,
+    options.LOG,
+    *options.READING,
+    *options.REPORTING,
+    options.OUTSIDE,
+    options.STATE,
+    options.SAVE_STATE,
+    options.INPUT,
+    options.FLUSH,
+    options.SUMMARY,
+    options.OUTPUT,
+)
+def simulate(given: Given) -> None:
+    """Run a model over its input signal and write the output signal.
+
+    A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
+    log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
+    model.json - --flush). Written are time (when known), the input column and the result.
+
+    Example: dbo simulate model.json drive.csv -o predicted.csv
+    """
+    from dbo_cli.runs.files import simulate_log
+
+    remarks = simulate_log(
+        given.model,
+        given.log,
+        _destination(given, [given.model, given.log, given.state]),
+        given.reading,
+        column=given.input,
+        **given.of([options.OUTSIDE, options.STATE]),
+        listener=Progress(given.reporter, "written"),
+    )
+    given.reporter.remarks(remarks)
+
+
+@_command(
+    options.MODEL,
+    options.TRAJECTORY,
+    *options.READING,
+    *options.DRIVING,
+    *options.REPORTING,
+    options.TRACKED,
+    options.TRACKED_VOLTAGE,
+    options.TRACKED_MEASURED,
+    options.STATE,
+    options.SAVE_STATE,
+    options.DISPLACEMENT,
+    options.FLUSH,
+    options.SUMMARY,
+    options.OUTPUT,
+)
+def compensate(given: Given) -> None:
+    """Write the drive voltage that makes the actuator follow a desired displacement.
+
+    The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
+    a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
+    clipped, counted and said; no row ever breaks a limit. Written are time (when known), the desired
+    displacement and the drive.
+
+    Example: dbo compensate model.json trajectory.csv --max-slew 2000 --from 0 --approach auto -o drive.csv
+    """
+    reading = given.reading
+    from dbo_cli.drives.options import DriveOptions
+
+    asked = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
+    from dbo_cli.runs.drive_files import compensate_trajectory
+
+    tracked = given.tracked or ()
+    remarks = compensate_trajectory(
+        given.model,
+        given.trajectory,
+        _destination(given, [given.model, given.trajectory, given.state, *tracked]),
+        reading,
+        asked,
+        column=given.displacement,
+        tracked=tracked,
+        **given.of([options.STATE, options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
+        listener=Progress(given.reporter, "written"),
+    )
+    given.reporter.remarks(remarks)
+
+
+@_command(
+    options.DRIVE,
+    *options.READING_OF_LOGS,
+    *options.REPORTING,
+    options.CHECK_MIN,
+    options.CHECK_MAX,
+    options.MAX_SLEW,
+    options.FROM,
+    options.LOOP,
+    options.AGAINST,
+    options.TOLERANCE,
+    options.SHOW_FORMAT,
+    options.DRIVE_COLUMN,
+    options.OUTPUT,
+)
+def check(given: Given) -> None:
+    """Check a drive of any program against the limits of an amplifier, before it is played.
+
+    Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times and rows without a
+    number: what breaks a limit is named with its row, and the exit code is 3. With --against, the first file
+    is a recording of what was played, and the question is whether it was that drive: rows, lag, gain, offset.
+
+    Example: dbo check played.csv --against drive.csv --v-min 0 --v-max 100 --max-slew 2000
+    """
+    from dbo_cli.runs.checking import CheckOptions, check_file
+
+    limits = [
+        options.CHECK_MIN,
+        options.CHECK_MAX,
+        options.MAX_SLEW,
+        options.FROM,
+        options.LOOP,
+        options.TOLERANCE,
+    ]
+    remarks = check_file(
+        given.drive,
+        given.output,
+        given.format,
+        given.reading,
+        CheckOptions(**given.of(limits)),
+        **given.of([options.DRIVE_COLUMN, options.AGAINST]),
+    )
+    given.reporter.remarks(remarks)
+
+
+@_command(
+    options.LOGS,
+    *options.READING_OF_LOGS,
+    *options.REPORTING,
+    *options.SCORING,
+    options.REPORT_MODEL,
+    options.REPORT_TRAJECTORY,
+    options.MATCH,
+    options.COUNT_SWEEP,
+    *options.LIMITS,
+    options.FIGURES,
+    options.REPORT_FORMAT,
+    *options.REPORT_COLUMNS,
+    options.OUTPUT,
+)
+def report(given: Given) -> None:
+    """Report how well the measured displacement follows the desired one.
+
+    Several logs are put side by side, each with the ratio of its RMSE to the first log's: uncompensated
+    first, compensated after it. With --model the model's prediction takes the place of the desired signal:
+    it is run from the first row on, and --rows says which rows count. With --trajectory the desired signal
+    comes from a file of its own.
+    Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
+
+    Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
+    """
+    from dbo_cli.runs.reporting import Limits, report_logs
+
+    written = report_logs(
+        given.log,
+        given.output,
+        given.reading,
+        form=given.format,
+        model_file=given.model,
+        **given.of([*options.SCORING, *options.REPORT_COLUMNS, options.FIGURES]),
+        **given.of([options.REPORT_TRAJECTORY, options.MATCH, options.COUNT_SWEEP]),
+        listener=Progress(given.reporter, "compared"),
+    )
+    given.reporter.remarks(written.remarks)
+    if written.form != "text":
+        given.reporter.notes(written.report.notes)
+    written.check(Limits(**given.of(options.LIMITS)))
+
+
+@_command(*options.REPORTING, *options.EXCITATION, options.OUTPUT_FORMAT, options.OUTPUT)
+def excite(given: Given) -> None:
+    """Write the drive that identifies well; play it and record the displacement.
+
+    A sweep over the whole range wipes out the past; then the drive turns at random levels, at speeds from a
+    quarter to eight times the sweep's, with some holds, so that loop width, asymmetry, lag and creep come
+    apart. It ends at rest where it began, so that drift shows, and it never leaves the limits. 15 s leave
+    about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
+    --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
+    more, and longer below 60 Hz).
+
+    Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
+    """
+    from dbo_cli.runs.drive_files import write_excitation
+
+    rows = write_excitation(given.output, form=given.format, **given.of(options.EXCITATION))
+    given.reporter.detail(
+        f"{rows:,} rows, {rows / given.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
+    )
+
+
+@_command(options.MODEL, *options.REPORTING, options.FOLDER, *options.EXPORTING)
+def export(given: Given) -> None:
+    """Write a model as C for a controller, with the tables, a self-test and a page to read.
+
+    C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
+    q31 (32-bit fixed point) come with a derived bound on their error. The folder holds NAME.h, NAME.c,
+    NAME_test.c, the kernel, build files and README.md; it appears whole or not at all.
+
+    Example: dbo export model.json -o firmware --sample-rate 10000
+    """
+    from dbo_cli.export import export_model
+    from dbo_cli.hysteresis.model_file import read_model
+
+    summary = export_model(read_model(given.model), given.output, **given.of(options.EXPORTING))
+    given.reporter.notes(_summary_lines(summary))
+
+
+@_command(
+    options.LOGS,
+    *options.READING_OF_LOGS,
+    *options.REPORTING,
+    options.MODEL_NAMES,
+    options.VALIDATE,
+    options.SKIP,
+    options.NO_TIMINGS,
+    options.SAVE_MODELS,
+    options.FIGURES,
+    options.REPORT_FORMAT,
+    options.VOLTAGE,
+    options.DISPLACEMENT,
+    options.OUTPUT,
+)
+def compare(given: Given) -> None:
+    """Compare the DBO with its relatives: each fitted to the same logs, in one table.
+
+    The relatives are a straight line and the Prandtl-Ishlinskii operators that the paper names. All get the
+    same rows, start, drift and search for a delay; one that cannot be fitted has a row that says why. Times
+    differ from run to run: with --no-timings the same logs give the same bytes.
+
+    Example: dbo compare recorded.csv --validate other.csv --figures figures
+    """
+    from dbo_cli.runs.comparing import ComparisonOptions, compare_logs
+
+    asked = ComparisonOptions(
+        given.models, given.skip, not given.no_timings, given.format, given.figures, given.save_models
+    )
+    remarks = compare_logs(
+        given.log,
+        given.validate or [],
+        given.output,
+        given.reading,
+        asked,
+        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
+        listener=Progress(given.reporter, "read"),
+    )
+    given.reporter.remarks(remarks)
+
+
+def _destination(given: Given, inputs: list[str]) -> Any:
+    """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
+    from dbo_cli.runs.files import Destination
+
+    command = shlex.join(["dbo", *given.typed])
+    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary)
+
+
+def _summary_lines(summary: ExportSummary) -> list[str]:
+    """Return the messages about an export."""
+    lines = [
+        f"{summary.folder}: {summary.direction} model '{summary.name}' in {summary.arithmetic},"
+        f" {summary.gears} gears in {summary.table_rows} rows; {summary.table_bytes} bytes of tables,"
+        f" {summary.state_bytes} of state; {summary.vectors} samples of self-test"
+    ]
+    if summary.bounds:
+        same, close = (summary.bounds[f"{key}_percent"] for key in ("same_gears", "after_close_turn"))
+        lines.append(
+            f"error at most {same:.2g} % of the range while both cross the same gears, {close:.2g} % after a "
+            "turn close to a gear's end"
+        )
+    return lines + list(summary.notes)
