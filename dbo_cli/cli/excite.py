@@ -32,19 +32,11 @@ def excite(
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
+    from dbo_cli.hysteresis.excitation import Excitation
     from dbo_cli.runs.drive_files import write_excitation
 
-    rows = write_excitation(
-        output,
-        v_min,
-        v_max,
-        sample_rate,
-        duration,
-        frequency,
-        max_slew,
-        file_format,
-        seed,
-        sweep_to,
-        sweep_amplitude,
+    drive = Excitation(
+        v_min, v_max, sample_rate, duration, frequency, max_slew, seed, sweep_to, sweep_amplitude
     )
+    rows = write_excitation(output, drive, file_format)
     voice.detail(f"{rows:,} rows, {rows / sample_rate:g} s, {v_min:g} to {v_max:g} V")
