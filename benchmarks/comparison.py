@@ -30,7 +30,7 @@ from invented_actuators import cases, nested_turns
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import Recording
 from dbo_cli.relatives.comparison import NAMES, Row, compare
 
@@ -79,7 +79,7 @@ def virtual_actuators() -> Iterator[Task]:
     for number, (name, parameters) in enumerate(virtual_actuator.PRESETS.items()):
         bench = virtual_actuator.VirtualActuator(parameters)
         low, span = parameters.v_min, parameters.v_max - parameters.v_min
-        time, voltage = excitation(low, parameters.v_max, 500.0, 15.0, 1.0, seed=number + 1)
+        time, voltage = Excitation(low, parameters.v_max, 500.0, 15.0, 1.0, seed=number + 1).drive()
         log = Recording(name, voltage, bench.play(time, voltage, seed=number), time, None, "V", "um")
         new = low + span * nested_turns(number, 500.0, 10.0, (0.5, 5.0))
         clock = np.arange(len(new)) / 500.0
@@ -92,7 +92,7 @@ def virtual_positioners() -> Iterator[Task]:
     rate = 10_000.0
     for number, (name, parameters) in enumerate(virtual_positioner.PRESETS.items()):
         stage = virtual_positioner.VirtualPositioner(parameters)
-        voltage = excitation(0.0, 100.0, rate, 6.0, 1.0, seed=number + 1, sweep_to=1000.0)[1]
+        voltage = Excitation(0.0, 100.0, rate, 6.0, 1.0, seed=number + 1, sweep_to=1000.0).drive()[1]
         log = Recording(name, voltage, stage.play(voltage, rate, number), None, 1.0 / rate, "V", "um")
         new = 100.0 * nested_turns(number, rate, 3.0, (2.0, 60.0))
         truth = stage.displacement(new, rate)

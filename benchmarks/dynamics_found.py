@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from dbo_cli.hysteresis.dynamics import Lag, Resonance
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import IdentificationOptions, identify
 from dbo_cli.runs.model import Model
 
@@ -30,7 +30,7 @@ FEW = IdentificationOptions(gears=24, points=0, relaxation=(), delay=0.0)
 
 
 def found(seeds: range) -> int:
-    drive = excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0)[1]
+    drive = Excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0).drive()[1]
     bad = wrong = 0
     for seed in seeds:
         rng = np.random.default_rng(seed)

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 
 import dbo_cli as dbo
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation, sweep
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
-from dbo_cli.hysteresis.sweep import sweep
 from dbo_cli.runs.model import Model
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
@@ -89,7 +88,7 @@ def models_of(p: PositionerParameters, rate: float) -> tuple[dict[str, Model], l
     """Return the models to compare, and what identification said."""
     highest = min(1.25 * max(mode[0] for mode in p.modes), rate / 10.0)
     stage = VirtualPositioner(p)
-    _, slow = excitation(p.v_min, p.v_max, SLOW_RATE, SLOW_SECONDS, 1.0)
+    _, slow = Excitation(p.v_min, p.v_max, SLOW_RATE, SLOW_SECONDS, 1.0).drive()
     fast = sweep(p.v_min, p.v_max, rate, highest)
     logs = [
         pd.DataFrame(

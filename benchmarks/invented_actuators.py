@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import Recording
 
 Floats = NDArray[np.float64]
@@ -276,7 +276,7 @@ RATE = 200.0
 def drive(kind: str, seed: int) -> tuple[Floats, float]:
     """Return a drive of 0 to 1 and its sample rate (Hz): what different people record."""
     if kind == "excite":
-        return excitation(0.0, 1.0, RATE, 24.0, 1.0)[1], RATE
+        return Excitation(0.0, 1.0, RATE, 24.0, 1.0).drive()[1], RATE
     if kind == "nested":
         return nested_turns(seed, RATE, 16.0, (0.4, 8.0)), RATE
     if kind == "sine":

@@ -31,10 +31,9 @@ from numpy.typing import NDArray
 from virtual_actuator import PRESETS, ActuatorParameters, VirtualActuator
 
 from dbo_cli.hysteresis.delay import read_ahead
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation, swings
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
-from dbo_cli.hysteresis.swings import swings
 
 Floats = NDArray[np.float64]
 BOUND = 0.06
@@ -142,9 +141,9 @@ def compare_excitation(seeds: int, durations: list[float]) -> None:
     """Print the error of every preset after the former drive and after today's, and the verdict."""
     drives = {"former 30 s": lambda seed: former_excitation(30.0)}
     for seconds in durations:
-        drives[f"{seconds:g} s"] = lambda seed, seconds=seconds: excitation(
+        drives[f"{seconds:g} s"] = lambda seed, seconds=seconds: Excitation(
             0.0, 1.0, RATE, seconds, 1.0, seed=seed
-        )[1]
+        ).drive()[1]
     print("RMS error on new moves, % of stroke")
     print(f"{'':12}  {'  '.join(f'{name:>10}' for name in PRESETS)}    mean   worst   ratio")
     first = None

@@ -10,9 +10,8 @@ from test_hysteresis_model import build, wanted
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.delay import read_ahead
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation, swing_samples, swings
 from dbo_cli.hysteresis.model import DriveLimits
-from dbo_cli.hysteresis.swings import swing_samples, swings
 
 
 def test_swings_turn_exactly_where_they_say() -> None:
@@ -32,7 +31,7 @@ def test_swing_samples_keep_the_slew() -> None:
 
 def excited(**change: Any) -> Any:
     arguments = {"v_min": -30.0, "v_max": 120.0, "sample_rate": 1000.0, "duration": 15.0, "frequency": 1.0}
-    return excitation(**{**arguments, **change})
+    return Excitation(**{**arguments, **change}).drive()
 
 
 def turns_of(drive: Any) -> Any:
@@ -128,12 +127,12 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 def test_excitation_that_is_refused(change: dict[str, Any], message: str) -> None:
     arguments = {"v_min": 0.0, "v_max": 3.6, "sample_rate": 200.0, "duration": 10.0, "frequency": 1.0}
     with pytest.raises(UsageError) as problem:
-        excitation(**{**arguments, **change})
+        Excitation(**{**arguments, **change}).drive()
     assert str(problem.value) == message
 
 
 def test_excitation_with_the_values_of_the_remedy_is_made() -> None:
-    _, drive = excitation(0.0, 3.6, 200.0, 68.0, 0.0884, 1.0)
+    _, drive = Excitation(0.0, 3.6, 200.0, 68.0, 0.0884, 1.0).drive()
     assert np.abs(np.diff(drive)).max() * 200.0 <= 1.0
 
 

@@ -13,7 +13,7 @@ import pytest
 from virtual_positioner import PositionerParameters, VirtualPositioner
 
 from dbo_cli.errors import FitError, UsageError
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import (
     Identification,
     IdentificationOptions,
@@ -386,7 +386,7 @@ def test_creep_of_the_displacement_is_no_drift() -> None:
         modes=((25e3, 0.05, 1.0),), amplifier_lag=0.0, stroke=2.26, loop=0.223, reach=0.288, bend=0.0228,
         creep=((0.919, 0.0099), (6.44, 0.0126)), noise=6.4e-5,
     )  # fmt: skip
-    _, drive = excitation(0.0, 100.0, 250.0, 20.0, 1.0)
+    _, drive = Excitation(0.0, 100.0, 250.0, 20.0, 1.0).drive()
     moved = VirtualPositioner(stage).play(drive, 250.0, 1)
     found = identify([Recording("log", drive, moved, sample_period=1.0 / 250.0)])
     assert found.fit["logs"][0]["drift"] == 0.0  # type: ignore[index]

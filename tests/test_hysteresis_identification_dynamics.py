@@ -11,12 +11,11 @@ from trials import Floats
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation, sweep
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, creep, identify
 from dbo_cli.hysteresis.identification.fast_parts import split
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage, Stage
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.sweep import sweep
 
 RATE = 2_000.0
 FEW = IdentificationOptions(gears=24, points=0, relaxation=(), delay=0.0)
@@ -42,7 +41,7 @@ def recorded(model: ActuatorModel, drive: Floats, seed: int = 1, noise: float = 
 
 
 def swept(seconds: float = 6.0) -> Floats:
-    return excitation(0.0, 100.0, RATE, seconds, 1.0, sweep_to=200.0)[1]
+    return Excitation(0.0, 100.0, RATE, seconds, 1.0, sweep_to=200.0).drive()[1]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +91,7 @@ def test_a_weak_second_mode_is_found_below_the_noise() -> None:
 
 def test_a_slow_and_a_fast_log_together_show_a_resonance() -> None:
     model = plant(Resonance(60.0, 0.03))
-    slow = recorded(model, excitation(0.0, 100.0, RATE, 6.0, 1.0)[1])
+    slow = recorded(model, Excitation(0.0, 100.0, RATE, 6.0, 1.0).drive()[1])
     fast = recorded(model, sweep(0.0, 100.0, RATE, 200.0), seed=2)
     found = identify([slow, fast], FEW)
     assert found.model.dynamics is not None
@@ -102,7 +101,7 @@ def test_a_slow_and_a_fast_log_together_show_a_resonance() -> None:
 def test_a_sweep_stays_a_sweep_beside_a_log_of_loops() -> None:
     model = plant(Lag(1e-3), Resonance(60.0, 0.03))
     alone = recorded(model, swept())
-    loops = recorded(model, excitation(0.0, 100.0, RATE, 8.0, 1.0, seed=3)[1], seed=2)
+    loops = recorded(model, Excitation(0.0, 100.0, RATE, 8.0, 1.0, seed=3).drive()[1], seed=2)
     (part,), (same,) = split([alone])[1], split([alone, loops])[1]
     assert (part.rows, part.lowest, part.highest) == (same.rows, same.lowest, same.highest)
 
@@ -122,12 +121,12 @@ def test_without_a_resonance_none_is_found_and_nothing_changes() -> None:
 
 def test_a_slow_log_has_no_fast_part() -> None:
     for seed in range(12):
-        drive = excitation(0.0, 100.0, RATE, 8.0, 1.0, seed=seed)[1]
+        drive = Excitation(0.0, 100.0, RATE, 8.0, 1.0, seed=seed).drive()[1]
         assert split([Recording("slow", drive, drive, sample_period=1.0 / RATE)])[1] == []
 
 
 def test_dynamics_asked_for_without_a_sweep_are_refused() -> None:
-    log = recorded(plant(Resonance(60.0, 0.03)), excitation(0.0, 100.0, RATE, 6.0, 1.0)[1])
+    log = recorded(plant(Resonance(60.0, 0.03)), Excitation(0.0, 100.0, RATE, 6.0, 1.0).drive()[1])
     with pytest.raises(FitError, match=r"`dynamics` 1: no log has a small sweep, nor is one ten times"):
         identify([log], IdentificationOptions(dynamics=1))
     with pytest.raises(UsageError, match=r"`dynamics` 3: at most two resonances are looked for"):
@@ -135,8 +134,8 @@ def test_dynamics_asked_for_without_a_sweep_are_refused() -> None:
 
 
 def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> None:
-    drive = excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0, sweep_amplitude=2.0)[1]
-    plain = excitation(0.0, 100.0, RATE, 6.0, 1.0)[1]
+    drive = Excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0, sweep_amplitude=2.0).drive()[1]
+    plain = Excitation(0.0, 100.0, RATE, 6.0, 1.0).drive()[1]
     assert np.array_equal(drive[: plain.size], plain)
     middle = drive[plain.size :]
     assert middle.max() == pytest.approx(51.86, abs=0.05) and drive[-1] == 0.0
@@ -155,12 +154,14 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
             more["sweep_amplitude"] = 2.0
             text = r"`sweep_amplitude` 2: at 200 Hz it needs 628.319 V/s, `max_slew` allows 315"
         with pytest.raises(UsageError, match=text):
-            excitation(0.0, 100.0, RATE, 6.0, 1.0, **more)
+            Excitation(0.0, 100.0, RATE, 6.0, 1.0, **more).drive()
 
 
 def test_a_slow_resonance_is_found() -> None:
     model = plant(Lag(2e-3), Resonance(12.0, 0.03))
-    found = identify([recorded(model, excitation(0.0, 100.0, RATE, 12.0, 0.5, sweep_to=20.0)[1])], FEW)
+    found = identify(
+        [recorded(model, Excitation(0.0, 100.0, RATE, 12.0, 0.5, sweep_to=20.0).drive()[1])], FEW
+    )
     assert found.model.dynamics is not None
     (resonance,) = found.model.dynamics.resonances
     assert resonance.frequency == pytest.approx(12.0, rel=0.01)

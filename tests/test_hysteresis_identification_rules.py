@@ -10,7 +10,7 @@ from test_hysteresis_identification_parts import prepared as prepared_log
 from test_hysteresis_identification_parts import sine
 from virtual_actuator import PRESETS, VirtualActuator
 
-from dbo_cli.hysteresis.excitation import excitation
+from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import diagnostics
 from dbo_cli.hysteresis.identification.assembly import MARGIN, stages_of
 from dbo_cli.hysteresis.identification.evaluation import predict, validation_of
@@ -219,7 +219,7 @@ def test_the_sign_of_the_gain_is_read_from_all_logs_and_one_spike_does_not_turn_
 def excited(preset: str, seed: int, seconds: float, rate: float, part: float, share: float) -> Recording:
     """Return an ``excite`` log of a virtual actuator; its sensor warms up by this share of the stroke."""
     parameters = PRESETS[preset]
-    time, voltage = excitation(parameters.v_min, parameters.v_max, rate, seconds, 1.0, seed=seed + 1)
+    time, voltage = Excitation(parameters.v_min, parameters.v_max, rate, seconds, 1.0, seed=seed + 1).drive()
     warmth = share * parameters.stroke * (1.0 - np.exp(-time / (part * seconds)))
     seen = VirtualActuator(parameters).play(time, voltage, seed) + warmth
     return Recording(preset, voltage, seen, time, None, "V", "um")

@@ -328,9 +328,10 @@ def excite(given: Given) -> None:
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
+    from dbo_cli.hysteresis.excitation import Excitation
     from dbo_cli.runs.drive_files import write_excitation
 
-    rows = write_excitation(given.output, form=given.format, **given.of(options.EXCITATION))
+    rows = write_excitation(given.output, Excitation(**given.of(options.EXCITATION)), given.format)
     given.reporter.detail(
         f"{rows:,} rows, {rows / given.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
     )

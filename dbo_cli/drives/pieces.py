@@ -14,11 +14,10 @@ import numpy as np
 
 from dbo_cli.drives.options import Seconds
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.hysteresis.excitation import MOST_SAMPLES
+from dbo_cli.hysteresis.excitation import MOST_SAMPLES, Floats, swing_samples, swings
 from dbo_cli.hysteresis.linear_sections import Lag
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
-from dbo_cli.hysteresis.swings import Floats, swing_samples, swings
 
 SWEEP_SECONDS = 1.0  # over the whole range, where no slew limit asks for more; as ``excite`` by default
 QUIET = 14.0  # time constants: what rings is down to a millionth

@@ -1,17 +1,26 @@
-"""The drive from which a model is identified well: random turns over the whole range at many speeds."""
+"""The drive from which a model is identified well: random turns over the whole range at many speeds.
+
+It is made of half-cosine swings between turning points, as every drive of this program is: the speed is zero
+at each turn, so a drive turns exactly where it says, and a slew limit only makes a swing longer. A small
+sweep about the middle of the range may follow, from which an actuator's dynamics are identified.
+"""
 
 from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.sweep import sweep
-from dbo_cli.hysteresis.swings import Floats, swing_samples, swings
 
-MOST_SAMPLES = 100_000_000
+Floats = NDArray[np.float64]
+
+_WHOLE = 1e-9  # a time this close, in samples, to that of a sample is that of the sample
+MOST_SAMPLES = 100_000_000  # a row takes some 30 bytes of text: 3 GB
 FEWEST_CYCLES = 6  # one for the sweeps and one for return and rest leave four for the random turns
 SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer shows where a swing turns
 
@@ -20,7 +29,7 @@ SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer show
 # between turns that are log-uniform. None was better by more than the seeds scatter, a tenth of the mean.
 _FASTEST, _SLOWEST = -0.9, 0.6  # log10 of a swing's time in that of the sweep's part between the same levels
 _AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
-_HOLD_CHANCE = 0.15
+_HOLD_CHANCE = 0.15  # chance that a turn is held
 _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
 # Periods at rest at the end, where it began: equal voltages tell drift. Without it, the geometric mean of the
 # error was 0.121 % of the stroke, with it 0.113 % (30 runs each).
@@ -28,21 +37,55 @@ _REST = 0.5
 
 FASTER = 10.0  # a sweep's highest frequency over that of the loops: their fastest swings have 8 times it
 
+SWEEP_SECONDS = 2.0  # at least
+SWEEP_PERIODS = 120.0
+"""Of the highest frequency, at least: 26 periods in all. Below 60 Hz the sweep is longer than 2 s; 2 s up to
+40 Hz showed no resonance at 20 Hz."""
+OCTAVES_DOWN = 100.0
+"""The sweep begins at its end over this: there the gears alone answer, and the ratio of the two is known."""
+AMPLITUDE = 0.01
+"""Of the range, from the middle to the crest, at the lower end of the sweep.
+
+A resonance of damping 0.02 makes a quarter of the range of it, at a place where the gears hardly turn.
+"""
+FADED = 0.25
+"""Of the amplitude, at the upper end: it falls with the logarithm of the frequency, since what a resonance
+makes of it grows and what the gears do does not."""
+SAMPLES_A_PERIOD = 10.0  # of the sweep's highest frequency, so that a resonance there is resolved
+TAPER = 0.05  # of the sweep at either end, over which it rises and falls: no jump that would ring
+SETTLE = 0.3  # s at rest before and after it, for creep to slow down
+
 Leg = tuple[float, int]  # a turning point as a part of the range, and the steps on the way there
 
 
-def excitation(
-    v_min: float,
-    v_max: float,
-    sample_rate: float,
-    duration: float,
-    frequency: float,
-    max_slew: float | None = None,
-    seed: int = 1,
-    sweep_to: float | None = None,
-    sweep_amplitude: float | None = None,
-) -> tuple[Floats, Floats]:
-    """Return time (s) and voltage of a drive from which a model can be identified well.
+def swings(turns: Sequence[float], samples: Sequence[int]) -> Floats:
+    """Return half-cosine swings through ``turns``, in order; swing i takes ``samples[i]`` steps."""
+    out = np.empty(1 + sum(samples))
+    out[0] = turns[0]
+    place = 1
+    for begin, end, count in zip(turns[:-1], turns[1:], samples, strict=True):
+        part = out[place : place + count]
+        phase = np.pi * np.arange(1, count + 1) / count
+        part[:] = begin + (end - begin) * (0.5 - 0.5 * np.cos(phase))
+        np.clip(part, min(begin, end), max(begin, end), out=part)
+        part[-1:] = end
+        place += count
+    return out
+
+
+def swing_samples(distance: float, time_step: float, seconds: float, max_slew: float | None = None) -> int:
+    """Return how many steps a half-cosine swing takes: ``seconds``, or longer where the slew is limited.
+
+    The steepest part of the swing rises by pi/2 times its mean slope.
+    """
+    if max_slew is not None:
+        seconds = max(seconds, 0.5 * math.pi * abs(distance) / max_slew)
+    return max(math.ceil(seconds / time_step - _WHOLE), 1)
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A drive from which a model can be identified well.
 
     Why this shape. (1) It begins at the lower end and sweeps the whole range: that wipes out the past, so the
     state of every gear is known. (2) Then it turns at random levels, some at the ends: loops of every size,
@@ -82,26 +125,91 @@ def excitation(
         The limits are not in order, or the duration holds fewer than six periods, or a period fewer than 20
         samples, or the slew limit does not allow the sweep; with the values that would do.
     """
-    span = _checked(v_min, v_max, sample_rate, duration, frequency, max_slew, seed)
-    slew = None if max_slew is None else max_slew / span
-    count = round(duration * sample_rate)
-    legs = _Planner(1.0 / sample_rate, frequency, slew, seed).legs(count - 1)
-    part = swings([0.0, *(turn for turn, _ in legs)], [steps for _, steps in legs])
-    voltage = np.clip(v_min + span * part, v_min, v_max)
-    voltage[part == 1.0] = v_max
-    if sweep_to is not None:
-        slower = sweep_to / FASTER
-        if 0.0 < slower < frequency:
+
+    v_min: float
+    v_max: float
+    sample_rate: float
+    duration: float
+    frequency: float
+    max_slew: float | None = None
+    seed: int = 1
+    sweep_to: float | None = None
+    sweep_amplitude: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be made."""
+        if not self.v_min < self.v_max:
+            raise UsageError(f"`v_min` {self.v_min:g} must be below `v_max` {self.v_max:g}")
+        if not math.isfinite(self.span):
+            raise UsageError(f"`v_min` {self.v_min:g} and `v_max` {self.v_max:g}: give finite limits")
+        for name in ("sample_rate", "duration", "frequency", "max_slew"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                raise UsageError(f"`{name}` {value:g}: give a number above 0")
+        if self.seed < 0:
+            raise UsageError(f"`seed` {self.seed}: give a whole number of at least 0")
+        self._check_pace()
+        self._check_sweep()
+
+    def _check_pace(self) -> None:
+        """Refuse loops that are too fast for the rate or the slew limit, too few, or too many rows."""
+        rate, duration, frequency = self.sample_rate, self.duration, self.frequency
+        if rate / frequency < SAMPLES_A_CYCLE:
             raise UsageError(
-                f"`sweep_to` {sweep_to:g}: the loops of {frequency:g} Hz are nearly as fast (a sweep to "
-                f"{FASTER * frequency:g}, or `frequency` {slower:g} and `duration` "
-                f"{duration * frequency / slower:.6g})"
+                f"`frequency` {frequency:g}: fewer than {SAMPLES_A_CYCLE} samples a cycle (raise "
+                f"`sample_rate` to {SAMPLES_A_CYCLE * frequency:g}, or lower it)"
             )
-        small = sweep(v_min, v_max, sample_rate, sweep_to, sweep_amplitude, max_slew)
-        voltage = np.concatenate([voltage, small])
-    elif sweep_amplitude is not None:
-        raise UsageError("`sweep_amplitude` is that of a sweep (`sweep_to` HZ)")
-    return np.arange(voltage.size) / sample_rate, voltage
+        fastest = math.pi * frequency * self.span
+        if self.max_slew is not None and fastest > self.max_slew:
+            slowed = _digits_down(self.max_slew / (math.pi * self.span))
+            raise UsageError(
+                f"`max_slew` {self.max_slew:g}: the whole range at {frequency:g} Hz needs {fastest:.6g} V/s "
+                f"(`frequency` {slowed:g} and a `duration` of at least {math.ceil(FEWEST_CYCLES / slowed)})"
+            )
+        if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):  # 1e-9: rounding is no cycle missed
+            raise UsageError(
+                f"`duration` {duration:g}: {duration * frequency:.3g} cycles of {frequency:g} Hz, at least "
+                f"{FEWEST_CYCLES} are needed (a `duration` of {FEWEST_CYCLES / frequency:g})"
+            )
+        if duration * rate > MOST_SAMPLES:
+            raise UsageError(
+                f"`duration` {duration:g} at `sample_rate` {rate:g}: {duration * rate:.3g} rows "
+                f"are more than the {MOST_SAMPLES:,} that are written at most"
+            )
+
+    def _check_sweep(self) -> None:
+        """Refuse a sweep that is hardly faster than the loops, and an amplitude of none."""
+        if self.sweep_to is None:
+            if self.sweep_amplitude is not None:
+                raise UsageError("`sweep_amplitude` is that of a sweep (`sweep_to` HZ)")
+            return
+        slower = self.sweep_to / FASTER
+        if 0.0 < slower < self.frequency:
+            raise UsageError(
+                f"`sweep_to` {self.sweep_to:g}: the loops of {self.frequency:g} Hz are nearly as fast "
+                f"(a sweep to {FASTER * self.frequency:g}, or `frequency` {slower:g} and `duration` "
+                f"{self.duration * self.frequency / slower:.6g})"
+            )
+
+    @property
+    def span(self) -> float:
+        """Length of the range, V."""
+        return self.v_max - self.v_min
+
+    def drive(self) -> tuple[Floats, Floats]:
+        """Return time (s) and voltage."""
+        slew = None if self.max_slew is None else self.max_slew / self.span
+        count = round(self.duration * self.sample_rate)
+        legs = _Planner(1.0 / self.sample_rate, self.frequency, slew, self.seed).legs(count - 1)
+        part = swings([0.0, *(turn for turn, _ in legs)], [steps for _, steps in legs])
+        voltage = np.clip(self.v_min + self.span * part, self.v_min, self.v_max)
+        voltage[part == 1.0] = self.v_max
+        if self.sweep_to is not None:
+            small = sweep(
+                self.v_min, self.v_max, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew
+            )
+            voltage = np.concatenate([voltage, small])
+        return np.arange(voltage.size) / self.sample_rate, voltage
 
 
 class _Planner:
@@ -151,53 +259,74 @@ def _stretched(legs: list[Leg], steps: int) -> list[Leg]:
     return [(turn, int(count)) for (turn, _), count in zip(legs, np.diff(ends, prepend=0), strict=True)]
 
 
-def _checked(
-    v_min: float,
-    v_max: float,
-    sample_rate: float,
-    duration: float,
-    frequency: float,
-    max_slew: float | None,
-    seed: int,
-) -> float:
-    """Return the range, or refuse what cannot be made (UsageError)."""
-    span = v_max - v_min
-    if not v_min < v_max:
-        raise UsageError(f"`v_min` {v_min:g} must be below `v_max` {v_max:g}")
-    if not math.isfinite(span):
-        raise UsageError(f"`v_min` {v_min:g} and `v_max` {v_max:g}: give finite limits")
-    given = {"sample_rate": sample_rate, "duration": duration, "frequency": frequency, "max_slew": max_slew}
-    for name, value in given.items():
-        if value is not None and not 0.0 < value < math.inf:
-            raise UsageError(f"`{name}` {value:g}: give a number above 0")
-    if seed < 0:
-        raise UsageError(f"`seed` {seed}: give a whole number of at least 0")
-    if sample_rate / frequency < SAMPLES_A_CYCLE:
-        raise UsageError(
-            f"`frequency` {frequency:g}: fewer than {SAMPLES_A_CYCLE} samples a cycle (raise `sample_rate` "
-            f"to {SAMPLES_A_CYCLE * frequency:g}, or lower it)"
-        )
-    fastest = math.pi * frequency * span
-    if max_slew is not None and fastest > max_slew:
-        slowed = _digits_down(max_slew / (math.pi * span))
-        raise UsageError(
-            f"`max_slew` {max_slew:g}: the whole range at {frequency:g} Hz needs {fastest:.6g} V/s "
-            f"(`frequency` {slowed:g} and a `duration` of at least {math.ceil(FEWEST_CYCLES / slowed)})"
-        )
-    if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
-        raise UsageError(
-            f"`duration` {duration:g}: {duration * frequency:.3g} cycles of {frequency:g} Hz, at least "
-            f"{FEWEST_CYCLES} are needed (a `duration` of {FEWEST_CYCLES / frequency:g})"
-        )
-    if duration * sample_rate > MOST_SAMPLES:
-        raise UsageError(
-            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: {duration * sample_rate:.3g} rows "
-            f"are more than the {MOST_SAMPLES:,} that are written at most"
-        )
-    return span
-
-
 def _digits_down(value: float) -> float:
     """Return a number no larger, of three digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return float(f"{math.floor(value / unit) * unit:.3g}")
+
+
+def sweep(
+    v_min: float,
+    v_max: float,
+    sample_rate: float,
+    sweep_to: float,
+    amplitude: float | None = None,
+    max_slew: float | None = None,
+) -> Floats:
+    """Return the voltage of a way up to the middle, a logarithmic sweep there, and the way back to ``v_min``.
+
+    Parameters
+    ----------
+    v_min, v_max : float
+        The drive's range, V; the drive is at rest at ``v_min`` before and after.
+    sample_rate : float
+        Rows a second.
+    sweep_to : float
+        Highest frequency, Hz.
+    amplitude : float, optional
+        From the middle to a crest at the sweep's lower end, V; by default 1 % of the range.
+    max_slew : float, optional
+        Fastest change, V/s.
+
+    Raises
+    ------
+    UsageError
+        The rate does not resolve the frequency, or the amplitude is none or too large, or too fast; with the
+        values that would do.
+    """
+    span = v_max - v_min
+    crest = AMPLITUDE * span if amplitude is None else amplitude
+    _check(span, sample_rate, sweep_to, crest, max_slew)
+    step, middle = 1.0 / sample_rate, v_min + 0.5 * span
+    seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
+    count = round(seconds * sample_rate)
+    part = np.arange(count) / count
+    grown = math.log(OCTAVES_DOWN)
+    begin = sweep_to / OCTAVES_DOWN
+    turns = begin * seconds / grown * np.expm1(grown * part)
+    edge = np.clip(np.minimum(part, 1.0 - part) / TAPER, 0.0, 1.0)
+    size = crest * FADED**part * (0.5 - 0.5 * np.cos(np.pi * edge))
+    way = swing_samples(0.5 * span, step, SETTLE, max_slew)
+    rest = round(SETTLE * sample_rate)
+    up = swings([v_min, middle, middle], [way, rest])
+    down = swings([middle, middle, v_min, v_min], [rest, way, rest])
+    voltage: Floats = np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * turns), down])
+    return voltage
+
+
+def _check(span: float, sample_rate: float, sweep_to: float, crest: float, max_slew: float | None) -> None:
+    if not 0.0 < sweep_to < math.inf:
+        raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
+    if sample_rate < SAMPLES_A_PERIOD * sweep_to * (1.0 - 1e-9):
+        raise UsageError(
+            f"`sweep_to` {sweep_to:g}: {sample_rate:g} rows a second do not resolve it (`sample_rate` "
+            f"{SAMPLES_A_PERIOD * sweep_to:g}, or a sweep to {sample_rate / SAMPLES_A_PERIOD:g})"
+        )
+    if not 0.0 < crest <= 0.5 * span:
+        raise UsageError(f"`sweep_amplitude` {crest:g}: give volts above 0, at most {0.5 * span:g}")
+    fastest = 2.0 * math.pi * sweep_to * crest * FADED
+    if max_slew is not None and fastest > max_slew:
+        raise UsageError(
+            f"`sweep_amplitude` {crest:g}: at {sweep_to:g} Hz it needs {fastest:.6g} V/s, `max_slew` allows "
+            f"{max_slew:g} (an amplitude of {crest * max_slew / fastest:.3g})"
+        )

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis import dynamics_kernel, plays_kernel
+from dbo_cli.hysteresis import dynamics_kernel
 
 Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
@@ -377,9 +377,6 @@ class PythonKernel:
     dynamics_run = staticmethod(dynamics_kernel.dynamics_run)
     dynamics_undo = staticmethod(dynamics_kernel.dynamics_undo)
     smooth = staticmethod(dynamics_kernel.smooth)
-    plays_run = staticmethod(plays_kernel.plays_run)
-    plays_rows = staticmethod(plays_kernel.plays_rows)
-    plays_solve = staticmethod(plays_kernel.plays_solve)
 
 
 def choose(wish: str) -> tuple[str, Any]:

@@ -12,11 +12,11 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis.cascade import OtherHysteresis
@@ -34,7 +34,7 @@ from dbo_cli.hysteresis.model import (
     Stage,
 )
 from dbo_cli.hysteresis.model_state import ModelState
-from dbo_cli.hysteresis.operators import BacklashState
+from dbo_cli.hysteresis.operators import Axis, BacklashState
 
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"
@@ -45,7 +45,7 @@ MOST_STAGES = 16  # twice what identification makes; 400 of a million segments t
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
 SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
 LINE = 100  # characters, after which the next line of a list begins
-_NOTE_DEPTH = 20
+_NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound for recursion
 
 Json = dict[str, Any]
 
@@ -158,6 +158,154 @@ class Node:
             raise ModelError(f"{self.file}: {self.at(str(problem))}") from None
 
 
+class Field(NamedTuple):
+    """One key of an object, and how it is read and written.
+
+    Attributes
+    ----------
+    key : str
+        As the file has it.
+    read : callable
+        What the object is built with, from the node and the key.
+    write : callable, optional
+        The value in the file, from what is written; else it is the attribute as it stands.
+    attribute : str
+        Its name in the program, where it is another than the key.
+    optional : bool
+        Whether the key may be missing; it is not written where its value is empty or 0.
+    """
+
+    key: str
+    read: Callable[[Node, str], Any]
+    write: Callable[[Any], Any] | None = None
+    attribute: str = ""
+    optional: bool = False
+
+
+def _read(
+    node: Node, make: Callable[..., Any], fields: Sequence[Field], besides: tuple[str, ...] = ()
+) -> Any:
+    """Return what ``make`` builds of an object's keys; those ``besides`` the fields take no part."""
+    needed = tuple(field.key for field in fields if not field.optional)
+    node.only((*besides, *needed), tuple(field.key for field in fields if field.optional))
+    given = [field for field in fields if field.key in node.values]
+    values = {field.attribute or field.key: field.read(node, field.key) for field in given}
+    return node.build(lambda: make(**values))
+
+
+def _written(thing: Any, fields: Sequence[Field]) -> Json:
+    """Return the keys and values of an object."""
+    values: Json = {}
+    for field in fields:
+        value = field.write(thing) if field.write else getattr(thing, field.attribute or field.key)
+        if value or not field.optional:
+            values[field.key] = value
+    return values
+
+
+def _unit(node: Node, key: str) -> str | None:
+    return None if node.values[key] is None else node.text(key)
+
+
+def _relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
+    """Return the relaxation of a backlash stage, and the axis that it follows."""
+    terms = node.node(key)
+    terms.only(("on", "reference", "tau", "gain"))
+    axis = terms.text("on")
+    if axis not in {"input", "output"}:
+        raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
+    reference, tau, gain = terms.number("reference"), terms.numbers("tau"), terms.numbers("gain")
+    return node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain))), cast(Axis, axis)
+
+
+def _relaxation_values(stage: BacklashStage) -> Json | None:
+    terms = stage.relaxation
+    if terms is None:
+        return None
+    lists = {"tau": list(terms.tau), "gain": list(terms.gain)}
+    return {"on": stage.memory_on, "reference": terms.reference, **lists}
+
+
+def _backlash(relaxation: tuple[Relaxation | None, Axis] = (None, "input"), **gears: Any) -> BacklashStage:
+    return BacklashStage(**gears, relaxation=relaxation[0], memory_on=relaxation[1])
+
+
+def _antiresonance(node: Node, key: str) -> Any:
+    return _read(node.node(key), Antiresonance, MODE)
+
+
+def _sections(node: Node, key: str) -> tuple[Section, ...]:
+    """Return lags and resonances, these perhaps with an antiresonance."""
+    given = node.values[key]
+    if not isinstance(given, list):
+        raise node.refuse(key, "is not a list of sections")
+    nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(given)]
+    return tuple(
+        _read(one, Lag, LAG) if "lag" in one.values else _read(one, Resonance, RESONANCE) for one in nodes
+    )
+
+
+def section_values(section: Section) -> Json:
+    """Return a section of the dynamics as plain values."""
+    return _written(section, LAG if isinstance(section, Lag) else RESONANCE)
+
+
+def _with_runs(widths: list[float]) -> list[float | Json]:
+    """Return widths with every run of equal ones written once."""
+    written: list[float | Json] = []
+    for value, run in itertools.groupby(widths):
+        count = sum(1 for _ in run)
+        if count >= SHORTEST_RUN:
+            written.append({"repeat": count, "value": value})
+        else:
+            written.extend([value] * count)
+    return written
+
+
+QUANTITY = (
+    Field("quantity", Node.text),
+    Field("unit", _unit),
+    Field("min", Node.number, attribute="minimum"),
+    Field("max", Node.number, attribute="maximum"),
+)
+MODE = Field("frequency", Node.number), Field("damping", Node.number)
+RESONANCE = (
+    *MODE,
+    Field(
+        "antiresonance",
+        _antiresonance,
+        lambda section: section.antiresonance and _written(section.antiresonance, MODE),
+        optional=True,
+    ),
+)
+LAG = Field("lag", Node.number, attribute="seconds"), Field("lead", Node.number, optional=True)
+CURVE = (
+    Field("x0", Node.number),
+    Field("y0", Node.number),
+    Field("dx", Node.widths, lambda stage: _with_runs(stage.dx.tolist())),
+    Field("dy", Node.widths, lambda stage: _with_runs(stage.dy.tolist())),
+)
+GEARS = (*CURVE, Field("relaxation", _relaxation, _relaxation_values, optional=True))
+SECTIONS = (Field("sections", _sections, lambda stage: [section_values(one) for one in stage.sections]),)
+
+
+class Kind(NamedTuple):
+    """A type of stage: its class, what builds one of its fields, and these."""
+
+    stage: type
+    make: Callable[..., Any]
+    fields: Sequence[Field]
+
+
+STAGES = {
+    "backlash": Kind(BacklashStage, _backlash, GEARS),
+    "point": Kind(PointStage, PointStage, CURVE),
+    "scale": Kind(ScaleStage, ScaleStage, (Field("gain", Node.number), Field("offset", Node.number))),
+    "dynamics": Kind(DynamicsStage, DynamicsStage, SECTIONS),
+    "delay": Kind(DelayStage, DelayStage, (Field("seconds", Node.number),)),
+}
+"""Every stage that a model of gears may have; ``docs/model-file.md`` says what they mean."""
+
 OTHER_STAGES = "dbo_cli.relatives.model_file"
 """The module that reads another hysteresis than that of gears; imported where a file has such a stage."""
 
@@ -195,7 +343,7 @@ def read_model(path: str) -> ActuatorModel:
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)
-    source, result = _quantity(root.node("input")), _quantity(root.node("output"))
+    source, result = (_read(root.node(key), Quantity, QUANTITY) for key in ("input", "output"))
     carried = {key: note.values for key, note in notes.items()}
     make: Callable[..., ActuatorModel] = ActuatorModel if _has_gears(cascade) else _others().RelativeModel
     model: ActuatorModel = root.build(lambda: make(direction, source, result, cascade, **carried))
@@ -251,93 +399,20 @@ def _distinct(pairs: list[tuple[str, Any]]) -> Json:
     return values
 
 
-def _quantity(node: Node) -> Quantity:
-    node.only(("quantity", "unit", "min", "max"))
-    unit = None if node.values["unit"] is None else node.text("unit")
-    name, low, high = node.text("quantity"), node.number("min"), node.number("max")
-    quantity: Quantity = node.build(lambda: Quantity(name, unit, low, high))
-    return quantity
-
-
 def _stage(node: Node) -> Stage:
     """Return one stage of the cascade by its type."""
     if "type" not in node.values:
         raise node.refuse("type", "is missing")
     kind = node.text("type")
-    readers: dict[str, Callable[[Node], Stage]] = {
-        "backlash": _backlash, "point": _point, "scale": _scale, "dynamics": _dynamics, "delay": _delay
-    }  # fmt: skip
-    if kind not in readers:
-        readers |= _others().READERS
-    if kind not in readers:
-        raise node.refuse("type", f"{kind!r} is not a known stage; there are: {', '.join(readers)}")
-    return readers[kind](node)
-
-
-def _backlash(node: Node) -> Stage:
-    node.only(("type", "x0", "y0", "dx", "dy"), ("relaxation",))
-    relaxation, axis = None, "input"
-    if "relaxation" in node.values:
-        terms = node.node("relaxation")
-        terms.only(("on", "reference", "tau", "gain"))
-        axis = terms.text("on")
-        if axis not in {"input", "output"}:
-            raise terms.refuse("on", f"{axis!r} is neither 'input' nor 'output'")
-        reference, tau, gain = terms.number("reference"), terms.numbers("tau"), terms.numbers("gain")
-        relaxation = node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain)))
-    dx, dy, x0, y0 = node.widths("dx"), node.widths("dy"), node.number("x0"), node.number("y0")
-    stage: Stage = node.build(lambda: BacklashStage(dx, dy, x0, y0, relaxation, axis))  # type: ignore[arg-type]
+    if kind not in STAGES:
+        others = _others().READERS
+        if kind not in others:
+            known = ", ".join([*STAGES, *others])
+            raise node.refuse("type", f"{kind!r} is not a known stage; there are: {known}")
+        other: Stage = others[kind](node)
+        return other
+    stage: Stage = _read(node, STAGES[kind].make, STAGES[kind].fields, ("type",))
     return stage
-
-
-def _point(node: Node) -> Stage:
-    node.only(("type", "x0", "y0", "dx", "dy"))
-    dx, dy, x0, y0 = node.widths("dx"), node.widths("dy"), node.number("x0"), node.number("y0")
-    stage: Stage = node.build(lambda: PointStage(dx, dy, x0, y0))
-    return stage
-
-
-def _scale(node: Node) -> Stage:
-    node.only(("type", "gain", "offset"))
-    gain, offset = node.number("gain"), node.number("offset")
-    stage: Stage = node.build(lambda: ScaleStage(gain, offset))
-    return stage
-
-
-def _delay(node: Node) -> Stage:
-    node.only(("type", "seconds"))
-    seconds = node.number("seconds")
-    stage: Stage = node.build(lambda: DelayStage(seconds))
-    return stage
-
-
-def _dynamics(node: Node) -> Stage:
-    node.only(("type", "sections"))
-    given = node.values["sections"]
-    if not isinstance(given, list):
-        raise node.refuse("sections", "is not a list of sections")
-    sections = tuple(_section(node.below(f"sections[{k}]", values)) for k, values in enumerate(given))
-    stage: Stage = node.build(lambda: DynamicsStage(sections))
-    return stage
-
-
-def _section(node: Node) -> Section:
-    """Return a lag or a resonance, perhaps with its antiresonance."""
-    if "lag" in node.values:
-        node.only(("lag",), ("lead",))
-        seconds, lead = node.number("lag"), node.number("lead") if "lead" in node.values else 0.0
-        lag: Section = node.build(lambda: Lag(seconds, lead))
-        return lag
-    node.only(("frequency", "damping"), ("antiresonance",))
-    numerator: Antiresonance | None = None
-    if "antiresonance" in node.values:
-        below = node.node("antiresonance")
-        below.only(("frequency", "damping"))
-        at, width = below.number("frequency"), below.number("damping")
-        numerator = below.build(lambda: Antiresonance(at, width))
-    frequency, damping = node.number("frequency"), node.number("damping")
-    section: Section = node.build(lambda: Resonance(frequency, damping, numerator))
-    return section
 
 
 def model_to_bytes(model: ActuatorModel) -> bytes:
@@ -346,8 +421,8 @@ def model_to_bytes(model: ActuatorModel) -> bytes:
         "format": MODEL_FORMAT,
         "version": VERSION,
         "direction": model.direction,
-        "input": _quantity_values(model.input),
-        "output": _quantity_values(model.output),
+        "input": _written(model.input, QUANTITY),
+        "output": _written(model.output, QUANTITY),
         "stages": [_stage_values(stage) for stage in model.stages],
     }
     for key, notes in (("fit", model.fit), ("provenance", model.provenance)):
@@ -356,63 +431,11 @@ def model_to_bytes(model: ActuatorModel) -> bytes:
     return _to_bytes(values)
 
 
-def _quantity_values(quantity: Quantity) -> Json:
-    return {
-        "quantity": quantity.quantity,
-        "unit": quantity.unit,
-        "min": quantity.minimum,
-        "max": quantity.maximum,
-    }
-
-
 def _stage_values(stage: Stage) -> Json:
-    if isinstance(stage, ScaleStage):
-        return {"type": "scale", "gain": stage.gain, "offset": stage.offset}
-    if isinstance(stage, DelayStage):
-        return {"type": "delay", "seconds": stage.seconds}
-    if isinstance(stage, DynamicsStage):
-        return {"type": "dynamics", "sections": [section_values(section) for section in stage.sections]}
     if isinstance(stage, OtherHysteresis):
         return stage.file_values()
-    values: Json = {
-        "type": "backlash" if isinstance(stage, BacklashStage) else "point",
-        "x0": stage.x0,
-        "y0": stage.y0,
-        "dx": _with_runs(stage.dx.tolist()),
-        "dy": _with_runs(stage.dy.tolist()),
-    }
-    if isinstance(stage, BacklashStage) and stage.relaxation is not None:
-        terms = stage.relaxation
-        values["relaxation"] = {
-            "on": stage.memory_on,
-            "reference": terms.reference,
-            "tau": list(terms.tau),
-            "gain": list(terms.gain),
-        }
-    return values
-
-
-def section_values(section: Section) -> Json:
-    """Return a section of the dynamics as plain values."""
-    if isinstance(section, Lag):
-        return {"lag": section.seconds} | ({"lead": section.lead} if section.lead else {})
-    values: Json = {"frequency": section.frequency, "damping": section.damping}
-    if section.antiresonance is not None:
-        numerator = section.antiresonance
-        values["antiresonance"] = {"frequency": numerator.frequency, "damping": numerator.damping}
-    return values
-
-
-def _with_runs(widths: list[float]) -> list[float | Json]:
-    """Return widths with every run of equal ones written once."""
-    written: list[float | Json] = []
-    for value, run in itertools.groupby(widths):
-        count = sum(1 for _ in run)
-        if count >= SHORTEST_RUN:
-            written.append({"repeat": count, "value": value})
-        else:
-            written.extend([value] * count)
-    return written
+    kind, fields = next((name, kind.fields) for name, kind in STAGES.items() if isinstance(stage, kind.stage))
+    return {"type": kind, **_written(stage, fields)}
 
 
 def _to_bytes(values: Mapping[str, Any]) -> bytes:
@@ -422,7 +445,7 @@ def _to_bytes(values: Mapping[str, Any]) -> bytes:
 
 def _layout(value: Any, indent: str) -> str:
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if not isinstance(value, dict | list) or not value or len(indent) + len(flat) <= 100:
+    if not isinstance(value, dict | list) or not value or len(indent) + len(flat) <= LINE:
         return flat
     inner = indent + "  "
     if isinstance(value, list) and all(_is_short(item) for item in value):

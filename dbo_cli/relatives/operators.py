@@ -28,7 +28,8 @@ from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.operators import BacklashState
-from dbo_cli.hysteresis.plays_kernel import LANES
+from dbo_cli.relatives import plays_kernel
+from dbo_cli.relatives.plays_kernel import LANES
 
 Floats = NDArray[np.float64]
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
@@ -37,6 +38,12 @@ NOTHING: Floats = np.empty(0)
 MOST_PLAYS = 100_000
 FLATTEST = 1e-9  # of the largest weight, where a slope must be above 0 for an inverse
 HALVINGS = 200
+
+
+
+def _kernel() -> Any:
+    """Return the compiled plays, or their readable twin where the Python kernel was chosen."""
+    return plays_kernel if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN
 
 
 @dataclass(frozen=True)
@@ -215,13 +222,13 @@ class PlayOperator(OtherHysteresis):
     def run(self, x: Floats, plays: Floats, share: Floats = NOTHING) -> tuple[Floats, Floats]:
         """Return the output for a block of scaled drive, and the plays after it; ``share`` of ``by_rate``."""
         z, y = self._padded(plays), np.empty_like(x)
-        kernel.CHOSEN.plays_run(self.n, self.table, self.curve, z, x, y, share)
+        _kernel().plays_run(self.n, self.table, self.curve, z, x, y, share)
         return y, z[: self.n]
 
     def rows(self, x: Floats, plays: Floats) -> tuple[Floats, Floats]:
         """Return the plays in every sample, shape (samples, n), and after the block."""
         z, out = self._padded(plays), np.empty((x.size, self.n))
-        kernel.CHOSEN.plays_rows(self.n, self.table, z, x, out)
+        _kernel().plays_rows(self.n, self.table, z, x, out)
         return out, z[: self.n]
 
     def solve(
@@ -239,7 +246,7 @@ class PlayOperator(OtherHysteresis):
         z, x = self._padded(plays), np.empty_like(y)
         bound = bounds or Bounds(0.0, 0.0, 0.0)
         step = NOTHING if bound.step is None else np.array(bound.step, dtype=np.float64).reshape(-1)
-        clipped = kernel.CHOSEN.plays_solve(
+        clipped = _kernel().plays_solve(
             self.n, self.table, self.curve, z, y, x, share, bounds is not None, bound.low, bound.high,
             bound.slack, step, np.nan if last is None else last,
         )  # fmt: skip
@@ -318,5 +325,5 @@ class ClosedInverse(NamedTuple):
         """Return the scaled drive for a block of output, and the states after it."""
         z, x = np.zeros(self.table.shape[1]), np.empty_like(y)
         z[: states.size] = states
-        kernel.CHOSEN.plays_run(states.size, self.table, NOTHING, z, y, x, NOTHING)
+        _kernel().plays_run(states.size, self.table, NOTHING, z, y, x, NOTHING)
         return x, z[: states.size]

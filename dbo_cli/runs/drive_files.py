@@ -23,6 +23,7 @@ from dbo_cli.runs.starts import start_of
 
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Tracked
+    from dbo_cli.hysteresis.excitation import Excitation
 
 
 def compensate_trajectory(
@@ -74,29 +75,14 @@ def _recorded(
         return tracked_of(log, model)
 
 
-def write_excitation(
-    output: str,
-    v_min: float,
-    v_max: float,
-    sample_rate: float,
-    duration: float,
-    frequency: float,
-    max_slew: float | None,
-    form: str | None,
-    seed: int = 1,
-    sweep_to: float | None = None,
-    sweep_amplitude: float | None = None,
-) -> int:
+def write_excitation(output: str, excitation: Excitation, form: str | None = None) -> int:
     """Write the drive that identifies well; returns its rows."""
-    from dbo_cli.hysteresis.excitation import excitation
-
-    time, voltage = excitation(
-        v_min, v_max, sample_rate, duration, frequency, max_slew, seed, sweep_to, sweep_amplitude
-    )
-    DriveGate(DriveLimits(v_min, v_max, max_slew)).admit(voltage, 1.0 / sample_rate)
+    time, voltage = excitation.drive()
+    limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
+    DriveGate(limits).admit(voltage, 1.0 / excitation.sample_rate)
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
-    attributes = {"sample_rate": sample_rate}
+    attributes = {"sample_rate": excitation.sample_rate}
     with signal_writer(output, columns, format=format_for(output, form), attributes=attributes) as writer:
         writer.write(time, voltage)
     return len(time)
