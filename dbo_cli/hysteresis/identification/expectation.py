@@ -129,7 +129,7 @@ def _groups_left_out(
                 vector = solve(rest, statistics.columns, structure, rows).vector
             except FitError:
                 continue
-            left = squared_error_free_of(statistics.grams[group], vector, statistics.nuisance[group]) / mine
+            left = squared_error_free_of(statistics.grams[group], np.append(vector, -1.0), statistics.nuisance[group]) / mine
             found.append((min(left, (MAX_RATIO * cycles) ** 2), mine))
         if found:
             names.append(name)

@@ -23,6 +23,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     least_squares,
     penalties,
+    quadratic,
     solve,
     squared_error_free_of,
 )
@@ -138,8 +139,10 @@ def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -
         statistics = gather(logs, current.basis, segments, _rows_about(current))
         gram, rows = statistics.total()
         vector, drift = _vector_of(current, statistics.columns)
-        form = penalties(statistics.columns, structure, rows)
-        error = squared_error_free_of(gram, vector, drift) + float(vector @ form @ vector)
+        full = np.append(vector, -1.0)
+        slopes, kinks = penalties(statistics.columns)
+        form = rows * (structure.smoothness * slopes + structure.knot_smoothness * kinks)
+        error = squared_error_free_of(gram, full, drift) + quadratic(form, full)
         if error > best * (1.0 - 1e-4):
             break
         first = error if found is None else first

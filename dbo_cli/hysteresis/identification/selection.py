@@ -12,7 +12,6 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     solve,
     squared_error,
-    squared_error_free_of,
 )
 from dbo_cli.hysteresis.identification.statistics import Statistics
 
@@ -51,12 +50,10 @@ class Score:
 
 def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
-    errors = []
-    for fold, gram in enumerate(statistics.grams):
-        rest, rows = statistics.total(leave_out=fold)
-        solution = solve(rest, statistics.columns, structure, rows)
-        left = squared_error_free_of(gram, solution.vector, statistics.nuisance[fold])
-        errors.append(left / max(statistics.rows[fold], 1))
+    _, states = statistics.minimum(structure)
+    errors = [
+        statistics.left_out(structure, fold, states) / max(rows, 1) for fold, rows in enumerate(statistics.rows)
+    ]
     rows_of = np.asarray(statistics.rows, dtype=float)
     return Score(np.asarray(errors), rows_of / rows_of.sum())
 

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.hysteresis.identification.normal_equations import Columns
+from dbo_cli.hysteresis import fit_kernel
+from dbo_cli.hysteresis.fit_kernel import States
+from dbo_cli.hysteresis.identification.normal_equations import (
+    Columns,
+    SignedUnknowns,
+    Structure,
+    minimum,
+    squared_error_free_of,
+)
 from dbo_cli.hysteresis.identification.regressors import BLOCK_ROWS, Basis, DriveRows, hat_functions
 from dbo_cli.hysteresis.initial_states import StartName
 
@@ -70,6 +80,36 @@ class Statistics(FoldProducts):
 
     columns: Columns
 
+    @cached_property
+    def _signed(self) -> dict[tuple[str, int], tuple[SignedUnknowns, list[Floats]]]:
+        return {}
+
+    def signed(self, structure: Structure) -> tuple[SignedUnknowns, list[Floats]]:
+        """Return the unknowns that have a sign, and the products of each fold in them."""
+        key = structure.slopes, structure.segments
+        if key not in self._signed:
+            unknowns = SignedUnknowns(self.columns, *key)
+            self._signed[key] = unknowns, [unknowns.products(gram) for gram in self.grams]
+        return self._signed[key]
+
+    def minimum(
+        self, structure: Structure, states: States | None = None, leave_out: int | None = None
+    ) -> tuple[Floats, States]:
+        """Return the signed unknowns fitted to all folds or all but one, and which of them are zero."""
+        unknowns, folds = self.signed(structure)
+        guess = unknowns.states(structure.memories) if states is None else states.copy()
+        kept = [k for k in range(len(folds)) if k != leave_out]
+        products = np.add.reduce([folds[k] for k in kept], axis=0)
+        return minimum(products, unknowns, structure, sum(self.rows[k] for k in kept), guess), guess
+
+    def left_out(self, structure: Structure, fold: int, states: States | None = None) -> float:
+        """Return the sum of squared errors on a fold of a fit to the others."""
+        unknowns, folds = self.signed(structure)
+        found, _ = self.minimum(structure, states, fold)
+        moved = unknowns.total - self.columns.total
+        own = slice(self.nuisance[fold].start + moved, self.nuisance[fold].stop + moved)
+        return squared_error_free_of(folds[fold], np.append(found, 1.0), own)
+
 
 def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
     """Keep about ``limit`` rows, short stretches spread evenly over all logs, for choosing orders on.
@@ -117,16 +157,22 @@ def gather(
         mine = {int(k): np.zeros((own, own)) for k in np.unique(log.fold[log.used])}
         rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used)
         for first, last, drive in rows_made.blocks():
-            fold = log.fold[first:last]
             known, target = rows_of(drive, log.output[first:last])
             table = np.hstack((known, log.drift[first:last], target[:, None]))
-            for k in np.unique(fold[fold >= 0]):
-                part = table[fold == k]
-                mine[int(k)] += part.T @ part
-                rows[k] += len(part)
+            for k, part in _runs(log.fold[first:last]):
+                fit_kernel.CHOSEN.add_products(table[part], own, mine[k])
+                rows[k] += part.stop - part.start
         picked = np.ix_(*2 * [np.r_[0:shared, begin:end, size - 1]])
         for k, gram in mine.items():
-            grams[k][picked] += gram
+            grams[k][picked] += np.triu(gram) + np.triu(gram, 1).T
             nuisance[k] = slice(begin if len(mine) < 2 else end - log.stretches, end)
         begin = end
     return Statistics(columns=columns, grams=tuple(grams), rows=tuple(rows), nuisance=tuple(nuisance))
+
+
+def _runs(fold: Integers) -> Iterator[tuple[int, slice]]:
+    """Yield the folds of a block's rows, -1 aside, and where each run of rows of one fold lies."""
+    edges = [0, *(np.flatnonzero(np.diff(fold)) + 1).tolist(), len(fold)]
+    for begin, end in itertools.pairwise(edges):
+        if fold[begin] >= 0:
+            yield int(fold[begin]), slice(begin, end)
