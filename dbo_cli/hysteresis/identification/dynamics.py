@@ -25,14 +25,15 @@ from dbo_cli.hysteresis.identification.dynamics_choice import (
     MOST_RESONANCES,
     chosen_dynamics,
     one_more,
+    with_delay,
 )
 from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
-from dbo_cli.hysteresis.identification.dynamics_told import interval, response, said, trusted
+from dbo_cli.hysteresis.identification.dynamics_told import TRUSTED, interval, response, said, trusted
 from dbo_cli.hysteresis.identification.evaluation import validation_of
 from dbo_cli.hysteresis.identification.fast_parts import FastPart, even_step, split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Recording
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
 
 Found = tuple[ActuatorModel, dict[str, object], list[str], list[str]]
 
@@ -56,8 +57,8 @@ def with_dynamics(
     options: IdentificationOptions,
     validation: Sequence[Recording],
     identify: Callable[..., Any],
-) -> Found | None:
-    """Return a model with dynamics, its figures, summary and warnings; None where the logs show none.
+) -> Found | list[str]:
+    """Return a model with dynamics, its figures, summary and warnings; what to warn of where the logs show none.
 
     Parameters
     ----------
@@ -79,20 +80,21 @@ def with_dynamics(
                 f"`dynamics` {asked}: no log has a small sweep, nor is one ten times as fast as another "
                 "(record a drive of excite with `sweep_to`)"
             )
-        return None
+        return []
     try:
         base = identify(slow, dataclasses.replace(options, dynamics=0))
     except FitError:
         if asked:
             raise
-        return None
+        return []
     fast = [_without_sensor(part, options) for part in fast]
     band = lowest, highest = min(part.lowest for part in fast), max(part.highest for part in fast)
     model = _instantaneous(base.model, lowest)
     reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
-    chosen = chosen_dynamics(reading.signals, band, asked)
-    if chosen is None:
-        return None
+    chosen, doubts = chosen_dynamics(reading.signals, band, asked)
+    chosen, doubts = with_delay(reading.signals, band, asked, chosen, doubts)
+    if not chosen.resonances:
+        return _unexplained(reading.signals, chosen, fast)
     chosen = _sharpened(reading.signals, _placed(reading.signals, chosen, band), band)
     for _ in range(MOST_RESONANCES):
         reading, chosen = _read_again(reading, chosen, slow, fast, band, options, identify)
@@ -104,7 +106,25 @@ def with_dynamics(
         if more is None:
             break
         chosen = _sharpened(reading.signals, more, band)
-    return _assembled(reading, chosen, fast, validation, options, highest)
+    return _assembled(reading, chosen, fast, validation, options, highest, doubts)
+
+
+def _unexplained(
+    signals: Sequence[Signals], chosen: Candidate, fast: Sequence[FastPart]
+) -> list[str]:
+    """Return a warning for each fast part of which the slow model and a lag leave much over."""
+    warnings = []
+    left = residuals(signals, chosen.parameters, chosen.structure)
+    for part, one, rest in zip(fast, signals, left, strict=True):
+        share = float(np.std(rest) / np.std(one.measured))
+        if share > TRUSTED:
+            warnings.append(
+                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop} move at {part.lowest:.3g} "
+                f"to {part.highest:.3g} Hz, and {100.0 * share:.0f} % of what they do is not explained: no "
+                "resonance fits them; the model is for slow moves only (a sweep of more volts, or to a higher "
+                "frequency, may show what moves)"
+            )
+    return warnings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -221,7 +241,7 @@ def _again(
 def _late(chosen: Candidate) -> float:
     """Return the lag (s) of what is behind the gears, for slow moves."""
     late = sum(one.damping / (math.pi * one.frequency) for one in chosen.resonances)
-    return late + chosen.lag - chosen.lag_before
+    return late + chosen.lag - chosen.lag_before + chosen.structure.delay
 
 
 def _as_good(one: Any, other: Any) -> bool:
@@ -289,12 +309,15 @@ def _assembled(
     validation: Sequence[Recording],
     options: IdentificationOptions,
     highest: float,
+    doubts: Sequence[str],
 ) -> Found:
     """Return the whole model with what is to be said of it."""
     base, model, signals, creep = reading.base, reading.model, reading.signals, reading.creep
     first = (DynamicsStage((Lag(chosen.lag_before),)),) if chosen.lag_before > 0.0 else ()
     slow = [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
-    stages = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
+    stages: tuple[Stage, ...] = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
+    if chosen.structure.delay:
+        stages = (*stages, DelayStage(chosen.structure.delay))
     low, high = slow_output_range(stages, model.input.minimum, model.input.maximum)
     output = dataclasses.replace(model.output, minimum=low, maximum=high)
     trusted_hz, why = trusted(signals, chosen, highest)
@@ -322,8 +345,11 @@ def _assembled(
     figures["trusted_hz"] = trusted_hz
     terms = model.backlash.relaxation
     figures["relaxation_seconds"] = list(terms.tau) if terms else []
-    figures["delay_seconds"], figures["delay_interval_seconds"] = 0.0, None
+    figures["delay_seconds"], figures["delay_interval_seconds"] = chosen.structure.delay, None
     figures["lag_seconds"] = _late(chosen) + chosen.lag_before
+    warnings = [*base.warnings, *doubts]
+    if warnings:
+        figures["warnings"] = warnings
     whole = dataclasses.replace(model, stages=stages, output=output, fit={})
     checks = [validation_of(whole, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     unit = f" {model.output.unit}" if model.output.unit else ""
@@ -339,4 +365,4 @@ def _assembled(
             {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
         ]
         summary += [f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE, offset removed" for one in checks]
-    return dataclasses.replace(whole, fit=figures), figures, summary, list(base.warnings)
+    return dataclasses.replace(whole, fit=figures), figures, summary, warnings

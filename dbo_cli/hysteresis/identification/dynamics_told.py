@@ -14,7 +14,7 @@ TRUSTED = 0.1  # of what was predicted, in a third of an octave: the error up to
 TRUSTED_PART = 0.7  # of the lowest resonance, the most that is trusted: a change of 5 % there costs a tenth
 COHERENT = 0.5  # of the square of the response, at least, is no noise where it is shown
 MOST_SHOWN = 60  # frequencies of the response that the model keeps, for its figure
-OVERLAP = 2.0  # standard errors on either side make an interval
+OVERLAP = 2.776  # standard errors on either side: Student's t of the jackknife's five folds, 95 %
 
 
 def response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[str, list[float]]:
@@ -80,6 +80,8 @@ def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str
             parts[-1] += f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"
     place = "before" if chosen.structure.lag_before else "behind"
     lag = f", lag {1e3 * chosen.lag:.3g} ms {place} the gears" if chosen.lag > 0.0 else ""
+    if chosen.structure.delay:
+        lag += f", delay {1e3 * chosen.structure.delay:.4g} ms behind all"
     crept = figures.get("creep", [])
     assert isinstance(crept, list)
     told = ", ".join(f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept)
@@ -94,7 +96,7 @@ def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str
         + (
             "; whether the actuator or its sensor is late a log cannot tell: all of it will be compensated "
             "(`sensor_delay`, `sensor_lag` take the sensor's part off)"
-            if chosen.lag > 0.0 and "sensor" not in figures
+            if max(chosen.lag, chosen.structure.delay) > 0.0 and "sensor" not in figures
             else ""
         ),
         f"trust the model to {trusted:.3g} Hz{': ' + why if why else ''}",

@@ -100,7 +100,7 @@ def expect(
     gram, rows = statistics.total()
     own = solve(gram, statistics.columns, structure, rows)
     fitted = max(float(np.sqrt(squared_error(gram, own.vector) / rows)), 1e-12)
-    held_out, left_out = _groups_left_out(some, basis, structure, max(cycles, fitted))
+    held_out, left_out = groups_left_out(some, basis, structure, max(cycles, fitted))
     spread = _spread(some, basis, structure, statistics, own, fitted, delays)
     swings = sum(len(drive_shape(log.voltage).turns) + 1 for log in logs)
     return Expectation(held_out, fitted, spread, left_out, swings)
@@ -109,7 +109,7 @@ def expect(
 # --- what the logs can tell ---
 
 
-def _groups_left_out(
+def groups_left_out(
     logs: Sequence[PreparedLog], basis: Basis, structure: Structure, cycles: float
 ) -> tuple[float, tuple[str, ...]]:
     """RMS error of groups of swings left out, the worst of three ways to group, and the ways there were."""
@@ -129,7 +129,7 @@ def _groups_left_out(
                 vector = solve(rest, statistics.columns, structure, rows).vector
             except FitError:
                 continue
-            left = squared_error_free_of(statistics.grams[group], np.append(vector, -1.0), statistics.nuisance[group]) / mine
+            left = squared_error_free_of(statistics.grams[group], vector, statistics.nuisance[group]) / mine
             found.append((min(left, (MAX_RATIO * cycles) ** 2), mine))
         if found:
             names.append(name)

@@ -75,6 +75,7 @@ def identify(
     check_recordings(recordings)
     if options.method == "paper":
         return _paper(recordings, options, validation)
+    unexplained: list[str] = []
     clocked = all(log.seconds() is not None for log in recordings)
     if not clocked and (options.delay or options.relaxation or options.dynamics):
         raise UsageError(
@@ -86,8 +87,9 @@ def identify(
         from dbo_cli.hysteresis.identification.dynamics import with_dynamics
 
         moving = with_dynamics(recordings, options, validation, identify)
-        if moving is not None:
+        if isinstance(moving, tuple):
             return Identification(*moving)
+        unexplained = moving
     cycle = median_cycle_seconds(recordings) if clocked else None
     options.sensor.check(cycle)
     begins = [float(log.voltage[0]) for log in recordings]
@@ -112,7 +114,8 @@ def identify(
     )
     rmse = _pooled([one.rmse for one in residuals], residuals)
     warnings = (
-        diagnostics.log_warnings(recordings, prepared)
+        unexplained
+        + diagnostics.log_warnings(recordings, prepared)
         + diagnostics.rated_warnings(prepared, options.rated)
         + diagnostics.fit_warnings(recordings, prepared, choice, residuals)
     )

@@ -246,16 +246,40 @@ def minimum(
     """
     slopes, knots = _signed_penalties(unknowns)
     form = products + weight * (structure.smoothness * slopes + structure.knot_smoothness * knots)
-    found = _least(form[:-1, :-1], -form[:-1, -1], states)
     at = unknowns.columns.gears + unknowns.columns.memories
     widths = slice(at, at + unknowns.widths)
-    if float(found[widths].sum()) > unknowns.spare:
+    return _least_within(form[:-1, :-1], -form[:-1, -1], states, widths, unknowns.spare)
+
+
+def bounded_minimum(
+    matrix: Floats, right: Floats, bounded: Floats, free: Floats, tie: tuple[int, float] | None
+) -> Floats:
+    """Minimise x'Mx - 2r'x over x = bounded p + free q, p >= 0.
+
+    ``tie``: the unknowns p from this index on add up to this number; the last of them moves nothing.
+    """
+    begin, spare = tie or (bounded.shape[1] + 1, 0.0)
+    both = np.hstack((bounded[:, : bounded.shape[1] - (tie is not None)], free))
+    count = both.shape[1] - free.shape[1]
+    states = np.full(both.shape[1], POSITIVE, np.uint8)
+    states[count:] = FREE
+    form = np.einsum("ij,jk->ik", np.einsum("ji,jk->ik", both, matrix), both)
+    goal = np.einsum("ji,j->i", both, right)
+    found = _least_within(form, goal, states, slice(begin, count), spare)
+    answer: Floats = np.einsum("ij,j->i", both, found)
+    return answer
+
+
+def _least_within(matrix: Floats, right: Floats, states: States, widths: slice, spare: float) -> Floats:
+    """Return the x of least x'Mx - 2 r'x under the signs of ``states``, its ``widths`` at most ``spare``."""
+    found = _least(matrix, right, states)
+    if float(found[widths].sum()) > spare:
         # One inequality is broken, so it holds as an equation where the error is least.
-        tied, right = form[:-1, :-1].copy(), -form[:-1, -1]
+        tied, goal = matrix.copy(), right.copy()
         heavy = TIE * float(np.diagonal(tied)[widths].max())
         tied[widths, widths] += heavy
-        right[widths] += heavy * unknowns.spare
-        found = _least(tied, right, states)
+        goal[widths] += heavy * spare
+        found = _least(tied, goal, states)
     return found
 
 
@@ -313,15 +337,15 @@ def squared_error(gram: Floats, vector: Floats) -> float:
     return max(quadratic(gram, np.append(vector, -1.0)), 0.0)
 
 
-def squared_error_free_of(gram: Floats, full: Floats, nuisance: slice) -> float:
+def squared_error_free_of(gram: Floats, vector: Floats, nuisance: slice, last: float = -1.0) -> float:
     """Sum of squared errors over the rows of ``gram`` after the nuisance columns are refitted to those rows.
 
     On rows left out, what only they have (the sensor's offset of a log of its own) is not the model's to
-    predict. ``full`` holds the unknowns and (last) the factor of the target or of what is constant.
+    predict. ``last`` is the factor of the last column: -1 of the target, 1 of what is constant.
     """
+    rest = np.append(vector, last)
     if nuisance.start == nuisance.stop:
-        return max(quadratic(gram, full), 0.0)
-    rest = full.copy()
+        return max(quadratic(gram, rest), 0.0)
     rest[nuisance] = 0.0
     products = np.einsum("ij,j->i", gram[nuisance], rest)
     refitted = least_squares(gram[nuisance, nuisance], products)

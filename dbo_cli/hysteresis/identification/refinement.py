@@ -142,7 +142,7 @@ def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -
         full = np.append(vector, -1.0)
         slopes, kinks = penalties(statistics.columns)
         form = rows * (structure.smoothness * slopes + structure.knot_smoothness * kinks)
-        error = squared_error_free_of(gram, full, drift) + quadratic(form, full)
+        error = squared_error_free_of(gram, vector, drift) + quadratic(form, full)
         if error > best * (1.0 - 1e-4):
             break
         first = error if found is None else first

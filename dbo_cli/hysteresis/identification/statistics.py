@@ -108,7 +108,7 @@ class Statistics(FoldProducts):
         found, _ = self.minimum(structure, states, fold)
         moved = unknowns.total - self.columns.total
         own = slice(self.nuisance[fold].start + moved, self.nuisance[fold].stop + moved)
-        return squared_error_free_of(folds[fold], np.append(found, 1.0), own)
+        return squared_error_free_of(folds[fold], found, own, 1.0)
 
 
 def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
