@@ -33,7 +33,6 @@ SPREAD_WEIGHT = 0.6
 LIKELIHOOD_WIDTH = 0.1  # a model whose RMSE is this share above the chosen one's counts exp(-1)
 MAX_RATIO = 2.0  # a group without which the fit falls apart says how far one cannot extrapolate, not this
 
-EXPECTATION_ROWS = 20_000  # the figure is an average; more rows move it by less than 1 %
 LARGE = 0.75  # of the drive's range: without the swings above, the last gears would never be seen
 SMALL = 0.35  # of the drive's range: divides the swings that can be left out into two amplitudes
 LEVELS = (0.4, 0.6)  # of the drive's range: divide them into low, middle and high
@@ -95,7 +94,7 @@ def expect(
     cycles : cross-validated equation error over whole cycles, in the normalised output
     delays : the delays in seconds that explain the logs as well, None where none was looked for
     """
-    some = fewer_rows(logs, EXPECTATION_ROWS)
+    some = fewer_rows(logs)
     statistics = gather(some, basis, structure.segments)
     gram, rows = statistics.total()
     own = solve(gram, statistics.columns, structure, rows)

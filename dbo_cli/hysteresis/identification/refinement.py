@@ -30,6 +30,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 from dbo_cli.hysteresis.identification.recordings import Floats
 from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
 from dbo_cli.hysteresis.identification.statistics import (
+    FIT_ROWS,
     Linearise,
     PreparedLog,
     fewer_rows,
@@ -77,14 +78,14 @@ def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitt
     """Solve the equation-error problem, prune memories, refine on the output error where that helps.
 
     What to prune and whether refining helps is found out on at most ``SELECTION_ROWS`` rows; the model itself
-    is fitted to all of them.
+    is fitted to ``FIT_ROWS``.
 
     Raises
     ------
     FitError
         The solver failed.
     """
-    some = fewer_rows(logs)
+    some, logs = fewer_rows(logs), fewer_rows(logs, FIT_ROWS)
     fitted = _equation_error(some, basis, structure)
     kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * fitted.heights.sum())
     if kept != tuple(range(len(basis.time_constants))):

@@ -186,7 +186,11 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
     basis, structure = search.bend(basis, rule)
     basis, memories, interval = search.lag(basis, structure)
     rule = search.rule(basis, structure, memories)
-    basis = search.bend_again(basis, replace(structure, slopes=rule, memories=memories[0]))
+    settled = replace(structure, slopes=rule, memories=memories[0])
+    again = search.bend_again(basis, settled)
+    if again != basis and basis.delay != orders.delay:
+        again, _, interval = search.delayed(replace(again, delay=0.0), settled)
+    basis = again
     basis, structure, score = search.gears(basis, rule, memories)
     return Choice(basis, structure, score, interval, clockwise)
 
@@ -362,7 +366,7 @@ class _Search:
             return basis, [()], None
         found = [
             (basis, replace(structure, memories=self._memories()[0]), None),
-            *(self._delayed(basis, replace(structure, memories=some)) for some in self._memories()),
+            *(self.delayed(basis, replace(structure, memories=some)) for some in self._memories()),
         ]
         if self._orders.delay is None and basis.delay > 0.0:
             basis, structure, interval = found[-1]
@@ -375,7 +379,7 @@ class _Search:
                 best = short
         return found[best][0], [found[best][1].memories], found[max(best, 1)][2]
 
-    def _delayed(
+    def delayed(
         self, basis: Basis, structure: Structure
     ) -> tuple[Basis, Structure, tuple[float, float] | None]:
         """Return the basis with the delay that the logs ask for beside these memories, and its interval."""
