@@ -15,6 +15,8 @@ POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the 
 MOST_HELD = 0.5  # of the moving samples that repeat the one before: sample-and-hold
 SPEED_CORRELATION = 0.35
 SATURATION = 0.15  # slope at an end, relative to the median slope
+GAINS_APART = 1.01  # greatest over least gain of logs: a piezo's own scatter between runs is below a percent
+GAIN_EXPLAINS = 0.5  # of the squared error, at most, is left by logs of one actuator each with its own gain
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
 
 
@@ -123,6 +125,7 @@ def fit_warnings(
             "this class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
             "column); look at 'dbo report `model`' before using it"
         )
+    warnings.extend(_gain_warnings(recordings, residuals))
     warnings.extend(_shape_warnings(recordings, prepared))
     speed = _speed_correlation(recordings, residuals)
     if abs(speed) > SPEED_CORRELATION and 100.0 * rmse / span > 0.5:
@@ -131,6 +134,26 @@ def fit_warnings(
             "depends on the rate, which this model does not follow; identify at the speed of use"
         )
     return warnings
+
+
+def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> list[str]:
+    """Logs whose gains differ by more than noise: of different actuators, loads or temperatures."""
+    gains, before, after = [], 0.0, 0.0
+    for log, residual in zip(recordings, residuals, strict=True):
+        left = residual.values - residual.values.mean()
+        predicted = log.displacement[residual.rows] - residual.values
+        predicted = predicted - predicted.mean()
+        more = float(np.sum(left * predicted)) / max(float(np.sum(predicted**2)), np.finfo(float).tiny)
+        gains.append(1.0 + more)
+        before += float(np.sum(left**2))
+        after += float(np.sum((left - more * predicted) ** 2))
+    if max(gains) < GAINS_APART * min(gains) or after > GAIN_EXPLAINS * before:
+        return []
+    told = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
+    return [
+        f"the logs' gains differ (over the model's: {told}), and this makes most of the error: different "
+        "actuators, loads or temperatures? identify each by itself"
+    ]
 
 
 def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:

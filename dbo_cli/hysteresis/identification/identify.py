@@ -137,6 +137,12 @@ def identify(
     figures = _figures(
         prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
     )
+    new_moves = figures["expected_rmse"]
+    if isinstance(new_moves, float) and new_moves >= line:
+        warnings.append(
+            f"what is expected on new moves ({new_moves:.4g}) is no better than a straight line's error on "
+            f"the logs ({line:.4g}): record more amplitudes and cycles before using the model"
+        )
     summary = said + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
