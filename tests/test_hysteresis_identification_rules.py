@@ -11,24 +11,29 @@ from test_hysteresis_identification_parts import sine
 from virtual_actuator import PRESETS, VirtualActuator
 
 from dbo_cli.hysteresis.excitation import excitation
-from dbo_cli.hysteresis.identification import diagnostics
-from dbo_cli.hysteresis.identification.assembly import MARGIN, stages_of
-from dbo_cli.hysteresis.identification.evaluation import predict, validation_of
+from dbo_cli.hysteresis.identification.evaluation import log_warnings, predict, validation_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     MAX_STEEPNESS,
     SLOPE_FLOOR,
     Columns,
     Structure,
     penalties,
+    quadratic,
     solve,
 )
 from dbo_cli.hysteresis.identification.paper_method import SHRUNK, _few_heights
 from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
 from dbo_cli.hysteresis.identification.recordings import Recording, first_wiped_row
-from dbo_cli.hysteresis.identification.refinement import Fitted, _rows_about, asymmetry, corners
+from dbo_cli.hysteresis.identification.refinement import (
+    MARGIN,
+    Fitted,
+    _rows_about,
+    asymmetry,
+    corners,
+    stages_of,
+)
 from dbo_cli.hysteresis.identification.regressors import Basis
-from dbo_cli.hysteresis.identification.search import Orders, choose
-from dbo_cli.hysteresis.identification.selection import Score, no_worse
+from dbo_cli.hysteresis.identification.search import Orders, Score, choose, no_worse
 from dbo_cli.hysteresis.identification.statistics import gather
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
 
@@ -241,4 +246,4 @@ def test_a_warm_up_is_found_and_one_that_may_be_creep_is_said() -> None:
     doubtful = prepare([slow], 0.0)
     assert doubtful.logs[0].drift.shape[1] == 1
     assert 0.0 < doubtful.doubtful_drift < 0.045
-    assert any("may be sensor drift or creep" in line for line in diagnostics.log_warnings([slow], doubtful))
+    assert any("may be sensor drift or creep" in line for line in log_warnings([slow], doubtful))

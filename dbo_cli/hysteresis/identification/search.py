@@ -1,4 +1,4 @@
-"""The search for a structure: slopes, asymmetry, lag, gears and smoothness, each judged on data left out."""
+"""The search for a structure: one list of candidates, each judged on data left out."""
 
 from __future__ import annotations
 
@@ -8,19 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.hysteresis.identification.expectation import groups_left_out
-from dbo_cli.hysteresis.identification.normal_equations import Structure, quadratic
+from dbo_cli.hysteresis.identification.normal_equations import (
+    Structure,
+    quadratic,
+    solve,
+    squared_error,
+)
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats
 from dbo_cli.hysteresis.identification.regressors import Basis, relaxed_drive
-from dbo_cli.hysteresis.identification.selection import (
-    INDIFFERENCE,
-    MAX_STANDARD_ERROR,
-    Score,
-    cross_validate,
-    fitted_rmse,
-    no_worse,
-    simplest_of,
-)
 from dbo_cli.hysteresis.identification.statistics import (
     PreparedLog,
     Statistics,
@@ -45,15 +41,15 @@ SEGMENTS = (
     *((count, KNOT_SMOOTHNESS) for count in (1, 2, 4, 8, 16)), (16, 1e-7), (32, 1e-7), (32, 1e-8), (32, 1e-9)
 )  # fmt: skip
 """Segments and smoothness of the asymmetry, simplest first: the error on a saturating curve falls from 0.69 %
-of the range with 8 to 0.33 with more, on a shape-memory wing from 0.52 to 0.21; smooth piezos stay at 8 or 16."""
+of the range with 8 to 0.33, on a shape-memory wing from 0.52 to 0.21; smooth piezos stay at 8 or 16."""
 
 SEGMENTS_ONE_AMPLITUDE = 5
 """How many of them a log of one amplitude may choose from: with more, loop and asymmetry stand in for each
 other (three times the error on a softening loop)."""
 
 FREE_GAIN = 0.9
-"""Free slopes must lower the error on cycles left out, and on swings of an amplitude, level or speed left out,
-to this share. On 20 invented plants (several amplitudes) the geometric mean of the error over the best
+"""Free slopes must lower the error on cycles left out, and on an amplitude, level or speed left out, to
+this share. On 20 invented plants (several amplitudes) the geometric mean of the error over the best
 rival's was 0.61 so; by the cycles alone 0.69."""
 
 ONE_AMPLITUDE_MEMORY = 0.15
@@ -399,7 +395,7 @@ class _Search:
         def error(delay: float) -> float:
             statistics = self._statistics(replace(basis, delay=delay))
             found, _ = statistics.minimum(structure)
-            unknowns, folds = statistics.signed(structure)
+            _, folds = statistics.signed(structure)
             by_fold = np.array([max(quadratic(one, np.append(found, 1.0)), 0.0) for one in folds])
             scanned.append((delay, by_fold, np.asarray(statistics.rows, dtype=float)))
             return float(by_fold.sum())
@@ -467,3 +463,79 @@ def _interval(scanned: list[tuple[float, Floats, Floats]]) -> tuple[float, float
     return min(held), max(held)
 
 
+INDIFFERENCE = 0.02  # a gain in RMSE below this share is not worth a larger model, however certain
+
+MAX_STANDARD_ERROR = 0.03  # of the RMSE: what one standard error can excuse at most
+
+
+@dataclass(frozen=True)
+class Score:
+    """Cross-validated error of one candidate.
+
+    ``mean_squares`` of each fold, shape (folds,), in the square of the normalised output; ``weights`` the
+    folds' share of the rows.
+    """
+
+    mean_squares: Floats
+    weights: Floats
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean square over all rows left out in turn."""
+        return float(np.sqrt(self.weights @ self.mean_squares))
+
+    def excess_over(self, other: Score) -> Floats:
+        """Logarithm of the ratio of the root mean squares, fold by fold; shape (folds,).
+
+        Ratios let a small loop count as much as a large one, and a short log as much as a long one's part.
+        """
+        tiny = np.finfo(float).tiny
+        ratios: Floats = 0.5 * np.log((self.mean_squares + tiny) / (other.mean_squares + tiny))
+        return ratios
+
+
+def cross_validate(statistics: Statistics, structure: Structure) -> Score:
+    """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
+    _, states = statistics.minimum(structure)
+    errors = [
+        statistics.left_out(structure, fold, states) / max(rows, 1)
+        for fold, rows in enumerate(statistics.rows)
+    ]
+    rows_of = np.asarray(statistics.rows, dtype=float)
+    return Score(np.asarray(errors), rows_of / rows_of.sum())
+
+
+def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
+    """RMS error over all rows of a fit to all of them."""
+    gram, rows = statistics.total()
+    vector = solve(gram, statistics.columns, structure, rows).vector
+    return float(np.sqrt(squared_error(gram, vector) / rows))
+
+
+def no_worse(
+    candidate: Score,
+    best: Score,
+    indifference: float = INDIFFERENCE,
+    max_standard_error: float = MAX_STANDARD_ERROR,
+) -> bool:
+    """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
+
+    The standard error is that of the paired ratios between folds, which have most of their scatter in
+    common. With few or uneven folds it says little, so it excuses a loss only up to ``max_standard_error``.
+    """
+    excess = candidate.excess_over(best)
+    mean = float(excess.mean())
+    error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
+    return bool(mean <= max(min(error, max_standard_error), float(np.log1p(indifference))))
+
+
+def simplest_of(
+    scores: Sequence[Score],
+    indifference: float = INDIFFERENCE,
+    max_standard_error: float = MAX_STANDARD_ERROR,
+) -> int:
+    """Index of the first (simplest first) candidate that is no worse than the best of all."""
+    best = min(scores, key=lambda score: float(score.excess_over(scores[0]).mean()))
+    return next(
+        k for k, score in enumerate(scores) if no_worse(score, best, indifference, max_standard_error)
+    )

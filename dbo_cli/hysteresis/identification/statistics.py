@@ -25,9 +25,8 @@ from dbo_cli.hysteresis.initial_states import StartName
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
-SELECTION_ROWS = 20_000  # orders are chosen on at most so many rows: more move the error left out by under 1 %
-FIT_ROWS = 100_000
-"""The model itself is fitted to at most so many: a thousand for each unknown, whose scatter is 3 % of the noise."""
+SELECTION_ROWS = 20_000  # for choosing orders: more rows move the error left out by less than 1 %
+FIT_ROWS = 100_000  # for the model itself: a thousand for each unknown, which scatter by 3 % of the noise
 
 Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
