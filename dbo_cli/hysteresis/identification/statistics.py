@@ -19,6 +19,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     minimum,
     squared_error_free_of,
 )
+from dbo_cli.hysteresis.identification.recordings import drive_shape
 from dbo_cli.hysteresis.identification.regressors import BLOCK_ROWS, Basis, DriveRows, hat_functions
 from dbo_cli.hysteresis.initial_states import StartName
 
@@ -27,6 +28,7 @@ Integers = NDArray[np.int64]
 GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 SELECTION_ROWS = 20_000  # for choosing orders: more rows move the error left out by less than 1 %
 FIT_ROWS = 100_000  # for the model itself: a thousand for each unknown, which scatter by 3 % of the noise
+SWING_ROWS = 1000  # between turns, on average, are kept: the fastest swings of a drive then have 100
 
 Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
@@ -113,13 +115,18 @@ class Statistics(FoldProducts):
 
 
 def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list[PreparedLog]:
-    """Keep about ``limit`` rows, short stretches spread evenly over all logs, for choosing orders on.
+    """Keep about ``limit`` rows: slow logs are thinned, of others short stretches are kept, spread evenly.
 
     Which stretches follows from multiples of the golden ratio, which fill the log without gaps or rhythm.
     """
     total = sum(int(log.used.sum()) for log in logs)
     if total <= limit:
         return list(logs)
+    swing = min(len(log.fold) / (len(drive_shape(log.voltage).turns) + 1) for log in logs)
+    every = int(min(total / limit, swing / SWING_ROWS))
+    if every > 1:
+        logs = [_thinned(log, every) for log in logs]
+        total = sum(int(log.used.sum()) for log in logs)
     length = min(BLOCK_ROWS, max(1, limit // 40))
     kept = []
     for log in logs:
@@ -127,6 +134,24 @@ def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list
         chosen = (stretch * GOLDEN_RATIO) % 1.0 < limit / total
         kept.append(replace(log, fold=np.where(chosen, log.fold, -1)))
     return kept
+
+
+def _thinned(log: PreparedLog, every: int) -> PreparedLog:
+    """Return one in so many rows, those in which the voltage turns among them: all that the gears see."""
+    length = 3 * every
+    blocks = log.voltage[: len(log.voltage) // length * length].reshape(-1, length)
+    begins = length * np.arange(len(blocks))
+    rest = np.arange(length * len(blocks), len(log.voltage))
+    rows = np.unique(np.r_[begins, begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1), rest])
+    seconds = None if log.seconds is None else log.seconds[rows]
+    return replace(
+        log,
+        voltage=log.voltage[rows],
+        output=log.output[rows],
+        seconds=seconds,
+        fold=log.fold[rows],
+        drift=log.drift[rows],
+    )
 
 
 def equation_rows(segments: int) -> Linearise:
