@@ -245,23 +245,33 @@ def fit_warnings(
 
 
 def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> list[str]:
-    """Warn of logs whose gains differ by more than noise: different actuators or loads."""
-    gains, before, after = [], 0.0, 0.0
+    """Warn of a gain that differs between logs, or changes along one, where that makes most of the error."""
+    gains, trends, before, own, along = [], [], 0.0, 0.0, 0.0
     for log, residual in zip(recordings, residuals, strict=True):
         left = residual.values - residual.values.mean()
         predicted = log.displacement[residual.rows] - residual.values
         predicted = predicted - predicted.mean()
         more = float(np.sum(left * predicted)) / max(float(np.sum(predicted**2)), np.finfo(float).tiny)
+        part = predicted * np.linspace(-0.5, 0.5, len(predicted))
+        trend = float(np.sum(left * part)) / max(float(np.sum(part**2)), np.finfo(float).tiny)
         gains.append(1.0 + more)
+        trends.append(trend)
         before += float(np.sum(left**2))
-        after += float(np.sum((left - more * predicted) ** 2))
-    if max(gains) < GAINS_APART * min(gains) or after > GAIN_EXPLAINS * before:
-        return []
-    told = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
-    return [
-        f"the logs' gains differ (over the model's: {told}), and this makes most of the error: different "
-        "actuators, loads or temperatures? identify each by itself"
-    ]
+        own += float(np.sum((left - more * predicted) ** 2))
+        along += float(np.sum((left - trend * part) ** 2))
+    warnings = []
+    if max(gains) >= GAINS_APART * min(gains) and own <= GAIN_EXPLAINS * before:
+        told = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
+        warnings.append(
+            f"the logs' gains differ (over the model's: {told}), and this makes most of the error: different "
+            "actuators, loads or temperatures? identify each by itself"
+        )
+    if max(trends, key=abs) and along <= GAIN_EXPLAINS * before:
+        warnings.append(
+            f"the gain changes by {100.0 * max(trends, key=abs):+.1f} % along the log, and this makes most of "
+            "the error: let the actuator warm up, or settle, before recording"
+        )
+    return warnings
 
 
 def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:

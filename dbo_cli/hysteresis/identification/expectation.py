@@ -212,10 +212,15 @@ def _spread(
             continue
         ratio = float(np.sqrt(squared_error(gram, solution.vector) / rows)) / fitted
         weight = float(np.exp(-max(ratio - 1.0, 0.0) / LIKELIHOOD_WIDTH))
-        apart = float(np.std(_predicted(moves, other, solution, key[1]) - mine))
+        apart = _rms(_predicted(moves, other, solution, key[1]) - mine)
         farthest[kind] = max(farthest.get(kind, 0.0), weight * apart)
     scatter = _scatter_of_folds(moves, basis, structure, statistics, mine)
     return SPREAD_WEIGHT * float(np.sqrt(sum(value**2 for value in farthest.values()) + scatter**2))
+
+
+def _rms(values: Floats) -> float:
+    """Root of the mean square, an offset included: the next move's zero is the model's."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _alternatives(
@@ -263,7 +268,7 @@ def _scatter_of_folds(
             solution = solve(gram, statistics.columns, structure, rows)
         except FitError:
             continue
-        found.append(float(np.var(_predicted(moves, basis, solution, structure.segments) - mine)))
+        found.append(_rms(_predicted(moves, basis, solution, structure.segments) - mine) ** 2)
     return float(np.sqrt((len(found) - 1) * np.mean(found))) if len(found) > 1 else 0.0
 
 
