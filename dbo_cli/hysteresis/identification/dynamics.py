@@ -114,7 +114,8 @@ def _unexplained(signals: Sequence[Signals], chosen: Candidate, fast: Sequence[F
     warnings = []
     left = residuals(signals, chosen.parameters, chosen.structure)
     for part, one, rest in zip(fast, signals, left, strict=True):
-        share = float(np.std(rest) / np.std(one.measured))
+        white = float(np.mean(np.diff(rest, 2) ** 2)) / 6.0  # noise is no move that a model could explain
+        share = math.sqrt(max(float(np.var(rest)) - white, 0.0)) / float(np.std(one.measured))
         if share > TRUSTED:
             warnings.append(
                 f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop} move at "

@@ -79,10 +79,10 @@ def chosen_dynamics(
         if more is None:
             break
         if not _earned(signals, more, best, band):
+            gain = 100.0 * (1.0 - more.left_out / best.left_out)
             doubts.append(
-                f"`dynamics` {asked}: the logs speak against {len(more.resonances)} resonances: with one "
-                f"fewer the error on blocks left out is {best.left_out / more.left_out:.3g} times as large, "
-                "which is no evidence; ask for fewer, or let the logs decide"
+                f"`dynamics` {asked}: the logs speak against {len(more.resonances)} resonances: the last one "
+                f"lowers the error on blocks left out by {gain:.1f} %; ask for fewer, or let the logs decide"
             )
         best = more
     return best, doubts

@@ -268,8 +268,8 @@ def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
         )
     if max(trends, key=abs) and along <= GAIN_EXPLAINS * before:
         warnings.append(
-            f"the gain changes by {100.0 * max(trends, key=abs):+.1f} % along the log, and this makes most of "
-            "the error: let the actuator warm up, or settle, before recording"
+            f"the gain changes by {100.0 * max(trends, key=abs):+.1f} % along the log, and this makes most "
+            "of the error: let the actuator warm up, or settle, before recording"
         )
     return warnings
 

@@ -28,8 +28,9 @@ MAX_STEEPNESS = 15.0
 """Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse. With
 narrower segments the curves of a shape-memory wire and of an end stop fit no better (less than 1 %)."""
 
-RIDGE = 1e-12
-"""Added to each column's own square, as a share of it: a column that was never excited stays harmless."""
+RIDGES = (1e-12, 1e-10, 1e-8)
+"""Added to each column's own square, as a share of it: a column that was never excited stays harmless. The
+first does but where rounding leaves products of hundreds of nearly equal columns without a root."""
 
 TIE = 1e4
 """Weight, over the data's own, of the equation that makes the widths of the segments add up to one, where the
@@ -286,19 +287,22 @@ def _least_within(matrix: Floats, right: Floats, states: States, widths: slice, 
 def _least(matrix: Floats, right: Floats, states: States) -> Floats:
     """Return the x of least x'Mx - 2 r'x under the signs of ``states``."""
     size = np.diagonal(matrix)
-    scale = np.sqrt(np.maximum(size, max(RIDGE * float(size.sum()), np.finfo(float).tiny)))
+    scale = np.sqrt(np.maximum(size, max(RIDGES[0] * float(size.sum()), np.finfo(float).tiny)))
     scaled = matrix / scale[:, None] / scale
-    scaled[np.diag_indices_from(scaled)] += RIDGE
     goal = right / scale
-    x = np.zeros(len(goal))
-    steps = fit_kernel.CHOSEN.minimise(
-        np.ascontiguousarray(scaled), goal, states, x, TOLERANCE * float(np.abs(goal).max()), MOST_STEPS
+    tolerance = TOLERANCE * float(np.abs(goal).max(initial=0.0))
+    for ridge in RIDGES:
+        scaled[np.diag_indices_from(scaled)] += ridge
+        x, tried = np.zeros(len(goal)), states.copy()
+        if (
+            fit_kernel.CHOSEN.minimise(np.ascontiguousarray(scaled), goal, tried, x, tolerance, MOST_STEPS)
+            > 0
+        ):
+            states[:] = tried
+            return x / scale
+    raise FitError(
+        "the least-squares solver did not converge: give fewer gears (`gears`) or leave out bad rows"
     )
-    if steps < 1:
-        raise FitError(
-            "the least-squares solver did not converge: give fewer gears (`gears`) or leave out bad rows"
-        )
-    return x / scale
 
 
 def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -> Solution:
