@@ -158,7 +158,7 @@ FAULTS: list[Fault] = [
         ("keep[:wiped] = False", "pass", "validation leaves the unknown history out"),
     ),
     *_faults(
-        "hysteresis/identification/assembly.py",
+        "hysteresis/identification/refinement.py",
         IDENTIFICATION,
         ("MARGIN = 0.125", "MARGIN = 0.0", "gears beyond the range of the logs"),
         ("(fitted.gains[acting] / basis.span)", "(fitted.gains[acting])", "the unit of the memories' gains"),
@@ -167,9 +167,9 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/normal_equations.py",
         IDENTIFICATION,
-        ("fixed[:gears] = SLOPE_FLOOR / gears", "fixed[:gears] = 0.0", "no gear is flat"),
-        ('if slopes == "growing":', 'if slopes != "free":', "slopes that fall"),
-        ("structure.smoothness * weight * gears**3", "structure.smoothness * weight * gears**2",
+        ("(SLOPE_FLOOR + steps) / gears", "steps / gears", "no gear is flat"),
+        ('if self.slopes == "growing":', 'if self.slopes != "free":', "slopes that fall"),
+        ("gears**3 * np.einsum", "gears**2 * np.einsum",
          "one smoothness means the same for any number of gears"),
     ),
     *_faults(
@@ -178,7 +178,7 @@ FAULTS: list[Fault] = [
         ("np.clip(share, 0.0, 1.0)", "np.zeros(samples)", "delays of parts of a sample, in the fit"),
     ),
     *_faults(
-        "hysteresis/identification/selection.py",
+        "hysteresis/identification/search.py",
         IDENTIFICATION,
         ("/ np.sqrt(max(len(excess) - 1, 1))", "", "the standard error of the mean, not of one fold"),
     ),

@@ -11,8 +11,6 @@ from dbo_cli.hysteresis.identification.expectation import groups_left_out
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     quadratic,
-    solve,
-    squared_error,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats
@@ -394,9 +392,7 @@ class _Search:
 
         def error(delay: float) -> float:
             statistics = self._statistics(replace(basis, delay=delay))
-            found, _ = statistics.minimum(structure)
-            _, folds = statistics.signed(structure)
-            by_fold = np.array([max(quadratic(one, np.append(found, 1.0)), 0.0) for one in folds])
+            by_fold = fitted_squares(statistics, structure)
             scanned.append((delay, by_fold, np.asarray(statistics.rows, dtype=float)))
             return float(by_fold.sum())
 
@@ -505,11 +501,16 @@ def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     return Score(np.asarray(errors), rows_of / rows_of.sum())
 
 
+def fitted_squares(statistics: Statistics, structure: Structure) -> Floats:
+    """Sum of squared errors on each fold of a fit to all of them; shape (folds,)."""
+    found, _ = statistics.minimum(structure)
+    full = np.append(found, 1.0)
+    return np.array([max(quadratic(one, full), 0.0) for one in statistics.signed(structure)[1]])
+
+
 def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
     """RMS error over all rows of a fit to all of them."""
-    gram, rows = statistics.total()
-    vector = solve(gram, statistics.columns, structure, rows).vector
-    return float(np.sqrt(squared_error(gram, vector) / rows))
+    return float(np.sqrt(fitted_squares(statistics, structure).sum() / sum(statistics.rows)))
 
 
 def no_worse(
