@@ -147,7 +147,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/search.py",
         IDENTIFICATION,
-        ("middle = round((interval[0] + interval[1]) / 2.0 / period * 4.0) / 4.0 * period", "middle = interval[0]",
+        ("middle = round((interval[0] + interval[1]) / 2.0 / self._period * 4.0) / 4.0 * self._period", "middle = interval[0]",
          "the middle of the delays that explain the logs"),
         ("return min(held), max(held)", "return held[0], held[0]", "the interval of delays"),
     ),
