@@ -14,6 +14,7 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from dbo_cli.hysteresis.identification.dynamics_fit import (
+    LEAST_DAMPING,
     MOST_BESIDE,
     Band,
     Candidate,
@@ -157,6 +158,8 @@ def _earned(signals: Sequence[Signals], more: Candidate, best: Candidate, band: 
     found = [one.frequency for one in more.resonances]
     found += [one.antiresonance.frequency for one in more.resonances if one.antiresonance]
     if not all(INSIDE * band[0] < one < band[1] for one in found):
+        return False
+    if any(one.damping < INSIDE * LEAST_DAMPING for one in more.resonances):
         return False
     pairs = [(one.damping, one.antiresonance.damping) for one in more.resonances if one.antiresonance]
     if any(max(pair) > MOST_BESIDE / INSIDE for pair in pairs):

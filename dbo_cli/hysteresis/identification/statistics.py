@@ -27,8 +27,8 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 SELECTION_ROWS = 20_000  # for choosing orders: more rows move the error left out by less than 1 %
-FIT_ROWS = 100_000  # for the model itself: a thousand for each unknown, which scatter by 3 % of the noise
-SWING_ROWS = 1000  # between turns, on average, are kept: the fastest swings of a drive then have 100
+FIT_ROWS = 50_000  # for the model itself: five hundred for each unknown, which scatter by 4 % of the noise
+SWING_ROWS = 500  # between turns, on average, are kept: the fastest swings of a drive then have 50
 
 Linearise = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
