@@ -168,7 +168,7 @@ FAULTS: list[Fault] = [
         "hysteresis/identification/normal_equations.py",
         IDENTIFICATION,
         ("(SLOPE_FLOOR + steps) / gears", "steps / gears", "no gear is flat"),
-        ('if self.slopes == "growing":', 'if self.slopes != "free":', "slopes that fall"),
+        ("steps = np.cumsum(heights, axis=0)", "steps = heights", "slopes that fall"),
         ("gears**3 * np.einsum", "gears**2 * np.einsum",
          "one smoothness means the same for any number of gears"),
     ),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis import fit_kernel
-from dbo_cli.hysteresis.fit_kernel import ABSENT, FREE, POSITIVE, States
+from dbo_cli.hysteresis.fit_kernel import ABSENT, AT_ZERO, FREE, POSITIVE, States
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ MAX_STEEPNESS = 15.0
 """Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse. With
 narrower segments the curves of a shape-memory wire and of an end stop fit no better (less than 1 %)."""
 
-RIDGES = (1e-12, 1e-10, 1e-8)
+RIDGES = (1e-12, 1e-10, 1e-8, 1e-6)
 """Added to each column's own square, as a share of it: a column that was never excited stays harmless. The
 first does but where rounding leaves products of hundreds of nearly equal columns without a root."""
 
@@ -36,6 +36,7 @@ TIE = 1e4
 """Weight, over the data's own, of the equation that makes the widths of the segments add up to one, where the
 last of them is at its bound (elsewhere it is what the others leave)."""
 
+LOOSER = 10.0  # the tolerance, each time that the solver is begun again
 TOLERANCE = 1e-8
 """Of the largest gradient at the start: a gradient below it lowers the sum of squares by 1e-16 of itself."""
 
@@ -294,6 +295,9 @@ def _least(matrix: Floats, right: Floats, states: States) -> Floats:
     for ridge in RIDGES:
         scaled[np.diag_indices_from(scaled)] += ridge
         x, tried = np.zeros(len(goal)), states.copy()
+        if ridge > RIDGES[0]:  # the guess led nowhere: begin without one, and less exactly
+            tried[tried == AT_ZERO] = POSITIVE
+            tolerance *= LOOSER
         if (
             fit_kernel.CHOSEN.minimise(np.ascontiguousarray(scaled), goal, tried, x, tolerance, MOST_STEPS)
             > 0
