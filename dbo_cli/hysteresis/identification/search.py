@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.expectation import groups_left_out
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
@@ -255,10 +256,14 @@ class _Search:
         least = np.inf
         for structure in candidates:
             # What is left out is predicted no better than what is fitted: most need not be left out at all.
-            if fitted_rmse(statistics, structure) <= least * (1.0 + indifference):
-                scores.append(cross_validate(statistics, structure))
-                kept.append(structure)
-                least = min(least, scores[-1].rmse)
+            try:
+                if fitted_rmse(statistics, structure) <= least * (1.0 + indifference):
+                    scores.append(cross_validate(statistics, structure))
+                    kept.append(structure)
+                    least = min(least, scores[-1].rmse)
+            except FitError:  # one candidate that cannot be solved is no reason to refuse the log
+                if structure == candidates[-1] and not scores:
+                    raise
         best = simplest_of(scores, indifference, max(indifference, MAX_STANDARD_ERROR))
         return kept[best], scores[best]
 
