@@ -149,7 +149,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/search.py",
         IDENTIFICATION,
-        ("middle = round((interval[0] + interval[1]) / 2.0 / period * 4.0) / 4.0 * period", "middle = interval[0]",
+        ("middle = round((interval[0] + interval[1]) / 2.0 / self._period * 4.0) / 4.0 * self._period", "middle = interval[0]",
          "the middle of the delays that explain the logs"),
         ("return min(held), max(held)", "return held[0], held[0]", "the interval of delays"),
     ),
@@ -160,7 +160,7 @@ FAULTS: list[Fault] = [
         ("keep[:wiped] = False", "pass", "validation leaves the unknown history out"),
     ),
     *_faults(
-        "hysteresis/identification/assembly.py",
+        "hysteresis/identification/refinement.py",
         IDENTIFICATION,
         ("MARGIN = 0.125", "MARGIN = 0.0", "gears beyond the range of the logs"),
         ("(fitted.gains[acting] / basis.span)", "(fitted.gains[acting])", "the unit of the memories' gains"),
@@ -169,9 +169,9 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/normal_equations.py",
         IDENTIFICATION,
-        ("fixed[:gears] = SLOPE_FLOOR / gears", "fixed[:gears] = 0.0", "no gear is flat"),
-        ('if slopes == "growing":', 'if slopes != "free":', "slopes that fall"),
-        ("structure.smoothness * weight * gears**3", "structure.smoothness * weight * gears**2",
+        ("(SLOPE_FLOOR + steps) / gears", "steps / gears", "no gear is flat"),
+        ("steps = np.cumsum(heights, axis=0)", "steps = heights", "slopes that fall"),
+        ("gears**3 * np.einsum", "gears**2 * np.einsum",
          "one smoothness means the same for any number of gears"),
     ),
     *_faults(
@@ -180,7 +180,7 @@ FAULTS: list[Fault] = [
         ("np.clip(share, 0.0, 1.0)", "np.zeros(samples)", "delays of parts of a sample, in the fit"),
     ),
     *_faults(
-        "hysteresis/identification/selection.py",
+        "hysteresis/identification/search.py",
         IDENTIFICATION,
         ("/ np.sqrt(max(len(excess) - 1, 1))", "", "the standard error of the mean, not of one fold"),
     ),

@@ -509,3 +509,38 @@ def test_authors_scale_is_reproduced_and_their_prediction_reached() -> None:
     scale = next(stage for stage in result.model.stages if isinstance(stage, ScaleStage))
     assert (round(scale.gain, 4), round(scale.offset, 4)) == (12.5335, -22.9726)
     assert prediction_error(result, slice(600, 7000)) < 0.678  # that of the authors' own 25 gears
+
+
+def lagging(cycles: int, amplitudes: tuple[float, ...] = (1.0,)) -> Recording:
+    """Return cycles of an actuator whose loop lags, its output saturating at both ends."""
+    shape = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(200) / 200)
+    voltage = 100.0 * np.concatenate([shape * amplitudes[k % len(amplitudes)] for k in range(cycles)])
+    held = np.zeros(20)
+    radii, inner = 50.0 * np.arange(1, 21) / 21, np.empty(len(voltage))
+    for k, value in enumerate(voltage):
+        held = np.maximum(value - radii, np.minimum(value + radii, held))
+        inner[k] = 0.6 * value + 0.4 * float(np.mean(held))
+    output = 10.0 * np.tanh((inner - 45.0) / 30.0)
+    noise = 0.01 * np.random.default_rng(5).normal(size=len(voltage))
+    return Recording("log", voltage, output + noise, sample_period=0.005)
+
+
+def test_on_one_amplitude_neither_memories_nor_free_slopes_stand_in_for_the_loop() -> None:
+    found = identify([lagging(12)])
+    assert found.fit["slopes"] == "growing"
+    assert found.fit["relaxation_seconds"] == []
+
+
+def test_logs_of_different_actuators_are_told_by_their_gains() -> None:
+    one = lagging(15, (1.0, 0.7, 0.4))
+    other = replace(one, name="other", displacement=0.9 * one.displacement)
+    (warning,) = [line for line in identify([one, other]).warnings if line.startswith("the logs' gains")]
+    assert warning.endswith("different actuators, loads or temperatures? identify each by itself")
+
+
+def test_a_gain_that_warms_up_is_said() -> None:
+    log = lagging(15, (1.0, 0.7, 0.4))
+    warming = replace(log, displacement=log.displacement * np.linspace(0.95, 1.0, len(log.voltage)))
+    (warning,) = [line for line in identify([warming]).warnings if line.startswith("the gain changes")]
+    assert warning.endswith("let the actuator warm up, or settle, before recording")
+    assert not any("gain" in line for line in identify([log]).warnings)

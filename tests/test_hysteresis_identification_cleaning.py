@@ -9,9 +9,8 @@ import pytest
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
-from dbo_cli.hysteresis.identification.cleaning import cleaned, spiked_rows, stuck_rows
+from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned, slope, spiked_rows, stuck_rows
 from dbo_cli.hysteresis.identification.preparation import clipped_sensor
-from dbo_cli.hysteresis.identification.sensor import Sensor, slope
 
 STEP = 0.005
 

@@ -211,3 +211,48 @@ def test_creep_of_the_displacement_is_found_behind_the_gears() -> None:
     late = 1.0 - np.prod([one.lead / one.seconds for one in crept])
     assert late == pytest.approx(0.05, rel=0.2)
     assert any(line.startswith("creep of the displacement, behind the gears") for line in found.summary)
+
+
+def late(log: Recording, samples: int) -> Recording:
+    """Return a log whose sensor is late by whole samples."""
+    x = np.concatenate((np.full(samples, log.displacement[0]), log.displacement[:-samples]))
+    return replace(log, displacement=x)
+
+
+def test_a_sensor_s_delay_does_not_hide_a_resonance() -> None:
+    """8 ms turn the phase of 60 Hz around by half a period."""
+    log = late(recorded(plant(Lag(5e-4), Resonance(60.0, 0.02)), swept()), 16)
+    found = identify([log], FEW)
+    assert found.model.dynamics is not None
+    (resonance,) = found.model.dynamics.resonances
+    assert resonance.frequency == pytest.approx(60.0, rel=0.002)
+    assert resonance.damping == pytest.approx(0.02, rel=0.05)
+    assert found.model.delay_seconds == pytest.approx(8e-3, rel=0.02)
+    assert found.fit["delay_seconds"] == found.model.delay_seconds
+
+
+def test_a_resonance_too_many_that_was_asked_for_is_doubted() -> None:
+    found = identify([recorded(plant(Resonance(60.0, 0.02)), swept())], replace(FEW, dynamics=2))
+    assert found.model.dynamics is not None and len(found.model.dynamics.resonances) == 2
+    (doubt,) = found.warnings
+    assert doubt.startswith("`dynamics` 2: the logs speak against 2 resonances: the last one lowers the ")
+
+
+def test_a_sweep_that_nothing_explains_is_said() -> None:
+    log = recorded(plant(), swept())
+    part = split([log])[1][0]
+    shaken = np.zeros(log.voltage.size)
+    random = np.random.default_rng(4).normal(size=part.rows.stop - part.rows.start + 19)
+    shaken[part.rows] = 0.5 * np.convolve(random, np.ones(20) / 20.0, "valid")
+    found = identify([replace(log, displacement=log.displacement + shaken)], FEW)
+    assert found.model.dynamics is None
+    (warning,) = [line for line in found.warnings if "is not explained: no resonance fits them" in line]
+    assert warning.startswith(f"log.csv: rows {part.rows.start + 1} to {part.rows.stop} move at ")
+
+
+def test_a_log_that_is_one_sweep_from_end_to_end_is_read_whole() -> None:
+    log = recorded(plant(Lag(5e-4), Resonance(100.0, 0.02)), sweep(0.0, 100.0, RATE, 200.0))
+    rows = split([log])[1][0].rows
+    swept_only = replace(log, voltage=log.voltage[rows], displacement=log.displacement[rows])
+    (whole,), parts = split([swept_only])
+    assert whole is swept_only and parts == []

@@ -35,7 +35,7 @@ from dbo_cli.hysteresis.identification.regressors import (
     hat_functions,
     relaxed_drive,
 )
-from dbo_cli.hysteresis.identification.selection import Score, no_worse, simplest_of
+from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 
 

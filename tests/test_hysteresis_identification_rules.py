@@ -11,24 +11,29 @@ from test_hysteresis_identification_parts import sine
 from virtual_actuator import PRESETS, VirtualActuator
 
 from dbo_cli.hysteresis.excitation import Excitation
-from dbo_cli.hysteresis.identification import diagnostics
-from dbo_cli.hysteresis.identification.assembly import MARGIN, stages_of
-from dbo_cli.hysteresis.identification.evaluation import predict, validation_of
+from dbo_cli.hysteresis.identification.evaluation import log_warnings, predict, validation_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     MAX_STEEPNESS,
     SLOPE_FLOOR,
     Columns,
     Structure,
     penalties,
+    quadratic,
     solve,
 )
 from dbo_cli.hysteresis.identification.paper_method import SHRUNK, _few_heights
 from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
 from dbo_cli.hysteresis.identification.recordings import Recording, first_wiped_row
-from dbo_cli.hysteresis.identification.refinement import Fitted, _rows_about, asymmetry, corners
+from dbo_cli.hysteresis.identification.refinement import (
+    MARGIN,
+    Fitted,
+    _rows_about,
+    asymmetry,
+    corners,
+    stages_of,
+)
 from dbo_cli.hysteresis.identification.regressors import Basis
-from dbo_cli.hysteresis.identification.search import Orders, choose
-from dbo_cli.hysteresis.identification.selection import Score, no_worse
+from dbo_cli.hysteresis.identification.search import Orders, Score, choose, no_worse
 from dbo_cli.hysteresis.identification.statistics import gather
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
 
@@ -137,9 +142,7 @@ def test_one_smoothness_means_the_same_for_any_number_of_gears() -> None:
     def weight(gears: int) -> float:
         at = (np.arange(gears) + 0.5) / gears
         heights = (0.5 + at**2) / gears
-        return float(
-            heights @ penalties(Columns(gears, 0, 1, 0), Structure("free", (), 1, 1e-6), 1e4) @ heights
-        )
+        return quadratic(penalties(Columns(gears, 0, 1, 0))[0], np.append(heights, 0.0))
 
     assert weight(64) == pytest.approx(weight(512), rel=0.05)
 
@@ -243,4 +246,4 @@ def test_a_warm_up_is_found_and_one_that_may_be_creep_is_said() -> None:
     doubtful = prepare([slow], 0.0)
     assert doubtful.logs[0].drift.shape[1] == 1
     assert 0.0 < doubtful.doubtful_drift < 0.045
-    assert any("may be sensor drift or creep" in line for line in diagnostics.log_warnings([slow], doubtful))
+    assert any("may be sensor drift or creep" in line for line in log_warnings([slow], doubtful))

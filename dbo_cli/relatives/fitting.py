@@ -25,7 +25,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Recording
 from dbo_cli.hysteresis.identification.regressors import Basis
-from dbo_cli.hysteresis.identification.selection import Score, simplest_of
+from dbo_cli.hysteresis.identification.search import Score, simplest_of
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dbo_cli.hysteresis.identification.identify import Identification, identify
+from dbo_cli.hysteresis.identification.identify import identify
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Recording
+from dbo_cli.hysteresis.identification.static import Identification
 
 __all__ = ["Identification", "IdentificationOptions", "Recording", "identify"]

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.hysteresis.identification.recordings import Floats, Recording, drive_shape
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Recording, drive_shape
 
 Booleans = NDArray[np.bool_]
 
-FEWEST_ROWS = 200
+SPECTRUM_ROWS = 200
 """For a spectrum in which noise and drive can be told apart."""
 
 EVEN = 1e-3  # of a sample: a clock written with few digits still counts as even
@@ -75,7 +76,7 @@ def cleaned(recording: Recording) -> Cleaned:
         )
     bad = spikes | stuck
     step = regular_step(recording)
-    if step is not None and len(recording.voltage) >= FEWEST_ROWS:
+    if step is not None and len(recording.voltage) >= SPECTRUM_ROWS:
         recording = _without_hum(recording, bad, step, notes)
         recording = _without_read_back_noise(recording, bad, step, notes)
     return Cleaned(recording, bad, notes)
@@ -240,3 +241,76 @@ def _without_read_back_noise(recording: Recording, bad: Booleans, step: float, n
         f"range): voltage and displacement smoothed above {cutoff:.3g} Hz; log the voltage that was sent"
     )
     return replace(recording, voltage=smooth, displacement=displacement)
+
+
+LARGEST_PART_OF_CYCLE = 0.25  # a sensor later than that shows nothing of what the actuator does
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Delay and first-order lag of the sensor, in seconds."""
+
+    delay: float = 0.0
+    lag: float = 0.0
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to take off."""
+        return self.delay > 0.0 or self.lag > 0.0
+
+    def check(self, cycle: float | None) -> None:
+        """Raise UsageError where the figures are not a sensor's; ``cycle`` is the logs' in seconds."""
+        if not self:
+            return
+        if cycle is None:
+            raise UsageError(
+                "`sensor_delay` and `sensor_lag` need a clock: name the time column (`time`) or give "
+                "`sample_rate`"
+            )
+        for value, name in ((self.delay, "sensor_delay"), (self.lag, "sensor_lag")):
+            if value > LARGEST_PART_OF_CYCLE * cycle:
+                raise UsageError(
+                    f"`{name}` {value:g} s is more than a quarter of a cycle of the logs ({cycle:.3g} s): "
+                    "give it in seconds, or record more slowly"
+                )
+
+    def taken_off(self, recording: Recording) -> Recording:
+        """Return the recording as a sensor without delay and lag would have made it.
+
+        The last rows, for which the sensor answers only after the log's end, are cut off.
+        """
+        seconds = recording.seconds()
+        if not self or seconds is None:
+            return recording
+        known = int(np.searchsorted(seconds, seconds[-1] - self.delay, side="right"))
+        known = max(known, min(FEWEST_ROWS, len(seconds)))
+        ordered = np.maximum.accumulate(seconds)
+        displacement = recording.displacement
+        if self.lag > 0.0:
+            displacement = displacement + self.lag * slope(displacement, ordered, self.lag)
+        if self.delay > 0.0:
+            displacement = np.interp(ordered + self.delay, ordered, displacement)
+        return replace(
+            recording,
+            voltage=recording.voltage[:known],
+            displacement=displacement[:known],
+            time=None if recording.time is None else recording.time[:known],
+        )
+
+
+def slope(values: Floats, seconds: Floats, width: float) -> Floats:
+    """Rate of change of noisy values, from cubics fitted over ``width`` seconds to either side.
+
+    A difference of neighbours would multiply the noise by the lag over the sample period.
+    """
+    from scipy.signal import savgol_filter
+
+    steps = np.diff(seconds)
+    step = float(np.median(steps[steps > 0.0]))
+    if float(np.abs(steps - step).max()) > EVEN * step:
+        even = np.linspace(seconds[0], seconds[-1], max(round((seconds[-1] - seconds[0]) / step) + 1, 5))
+        filled = slope(np.interp(even, seconds, values), even, width)
+        spread: Floats = np.interp(seconds, even, filled)
+        return spread
+    half = min(max(round(width / step), 2), (len(values) - 1) // 2)
+    found: Floats = savgol_filter(values, 2 * half + 1, min(3, 2 * half), deriv=1, delta=step)
+    return found

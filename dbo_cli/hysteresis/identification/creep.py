@@ -9,8 +9,7 @@ of the creep found so far and the gears are identified from it, and the creep is
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import nnls
@@ -20,6 +19,7 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.model import BacklashStage
 
 ROUNDS = 3  # of gears and creep in turn; from the memories' gains two bring it to 2 % of itself
@@ -27,18 +27,17 @@ LEAST_SHARE = 1e-5  # of the displacement: less is no creep
 
 
 def creep_behind(
-    found: Any,
+    found: Identification,
     logs: Sequence[Recording],
     steps: Sequence[float],
     options: IdentificationOptions,
-    identify: Callable[..., Any],
-) -> tuple[Any, tuple[Lag, ...]] | None:
+) -> tuple[Identification, tuple[Lag, ...]] | None:
     """Return what the logs tell when creep stands behind the gears, and its sections; None without creep.
 
     Parameters
     ----------
     found
-        What ``identify`` told with creep beside the gears.
+        What ``identify_static`` found with creep beside the gears.
     logs, steps
         Slow logs, the lag of their drive known, and their even time steps (s).
     options
@@ -49,12 +48,12 @@ def creep_behind(
     if not taus.size:
         return None
     again, sections = None, _sections(taus, shares)
-    asked = dataclasses.replace(options, relaxation=(), slopes=found.fit.get("slopes"))
+    asked = dataclasses.replace(options, relaxation=(), slopes=str(found.fit["slopes"]))
     for _ in range(ROUNDS):
         if not sections:
             return None
         try:
-            again = identify(
+            again = identify_static(
                 [_freed(log, sections, step) for log, step in zip(logs, steps, strict=True)], asked
             )
         except FitError:
@@ -62,7 +61,7 @@ def creep_behind(
         used = sections
         shares = _fitted_shares(again, logs, steps, taus)
         sections = _sections(taus, shares)
-    return again, used
+    return None if again is None else (again, used)
 
 
 def _memories(gears: BacklashStage) -> tuple[Floats, Floats]:
@@ -95,7 +94,9 @@ def _freed(log: Recording, sections: tuple[Lag, ...], step: float) -> Recording:
     return dataclasses.replace(log, displacement=freed)
 
 
-def _fitted_shares(found: Any, logs: Sequence[Recording], steps: Sequence[float], taus: Floats) -> Floats:
+def _fitted_shares(
+    found: Identification, logs: Sequence[Recording], steps: Sequence[float], taus: Floats
+) -> Floats:
     """Return the shares of creep with which the gears' prediction comes nearest to the logs."""
     count = taus.size
     square, along = np.zeros((count + 2, count + 2)), np.zeros(count + 2)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,18 +23,22 @@ from dbo_cli.hysteresis.identification.creep import creep_behind
 from dbo_cli.hysteresis.identification.dynamics_choice import (
     EARNED,
     MOST_RESONANCES,
+    TRUSTED,
     chosen_dynamics,
+    interval,
     one_more,
+    response,
+    said,
+    trusted,
+    with_delay,
 )
 from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
-from dbo_cli.hysteresis.identification.dynamics_told import interval, response, said, trusted
 from dbo_cli.hysteresis.identification.evaluation import validation_of
 from dbo_cli.hysteresis.identification.fast_parts import FastPart, grid_step, split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Recording
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation
-
-Found = tuple[ActuatorModel, dict[str, object], list[str], list[str]]
+from dbo_cli.hysteresis.identification.static import Identification, identify_static
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
 
 AS_GOOD = 1.02  # of the error on cycles left out, up to which creep behind the gears is taken
 STILL_GOOD = 1.25
@@ -55,16 +59,13 @@ def with_dynamics(
     recordings: Sequence[Recording],
     options: IdentificationOptions,
     validation: Sequence[Recording],
-    identify: Callable[..., Any],
-) -> Found | None:
-    """Return a model with dynamics, its figures, summary and warnings; None where the logs show none.
+) -> Identification | list[str]:
+    """Return a model with dynamics, or what to warn of where the logs show none.
 
     Parameters
     ----------
     recordings, options, validation
         As of ``identify``.
-    identify
-        Identifies the slow rows alone.
 
     Raises
     ------
@@ -79,23 +80,24 @@ def with_dynamics(
                 f"`dynamics` {asked}: no log has a small sweep, nor is one ten times as fast as another "
                 "(record a drive of excite with `sweep_to`)"
             )
-        return None
+        return []
     try:
-        base = identify(slow, dataclasses.replace(options, dynamics=0))
+        base = identify_static(slow, dataclasses.replace(options, dynamics=0))
     except FitError:
         if asked:
             raise
-        return None
+        return []
     fast = [_without_sensor(part, options) for part in fast]
     band = lowest, highest = min(part.lowest for part in fast), max(part.highest for part in fast)
     model = _instantaneous(base.model, lowest)
     reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
-    chosen = chosen_dynamics(reading.signals, band, asked)
-    if chosen is None:
-        return None
+    chosen, doubts = chosen_dynamics(reading.signals, band, asked)
+    chosen, doubts = with_delay(reading.signals, band, asked, chosen, doubts)
+    if not chosen.resonances:
+        return _unexplained(reading.signals, chosen, fast)
     chosen = _sharpened(reading.signals, _placed(reading.signals, chosen, band), band)
     for _ in range(MOST_RESONANCES):
-        reading, chosen = _read_again(reading, chosen, slow, fast, band, options, identify)
+        reading, chosen = _read_again(reading, chosen, slow, fast, band, options)
         if asked is not None or len(chosen.resonances) == MOST_RESONANCES:
             break
         # What hides a weak resonance from the first reading of the slow rows is gone with the second.
@@ -104,7 +106,24 @@ def with_dynamics(
         if more is None:
             break
         chosen = _sharpened(reading.signals, more, band)
-    return _assembled(reading, chosen, fast, validation, options, highest)
+    return _assembled(reading, chosen, fast, validation, options, highest, doubts)
+
+
+def _unexplained(signals: Sequence[Signals], chosen: Candidate, fast: Sequence[FastPart]) -> list[str]:
+    """Return a warning for each fast part of which the slow model and a lag leave much over."""
+    warnings = []
+    left = residuals(signals, chosen.parameters, chosen.structure)
+    for part, one, rest in zip(fast, signals, left, strict=True):
+        white = float(np.mean(np.diff(rest, 2) ** 2)) / 6.0  # noise is no move that a model could explain
+        share = math.sqrt(max(float(np.var(rest)) - white, 0.0)) / float(np.std(one.measured))
+        if share > TRUSTED:
+            warnings.append(
+                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop} move at "
+                f"{part.lowest:.3g} to {part.highest:.3g} Hz, and {100.0 * share:.0f} % of what they do is "
+                "not explained: no resonance fits them; the model is for slow moves only (a sweep of more "
+                "volts, or to a higher frequency, may show what moves)"
+            )
+    return warnings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +133,7 @@ class _Reading:
     Attributes
     ----------
     base
-        As ``identify`` told it.
+        As ``identify_static`` found it.
     model : ActuatorModel
         Its gears and points, with creep behind them; lag and delay are left to the dynamics.
     signals : sequence of Signals
@@ -123,7 +142,7 @@ class _Reading:
         The creep behind the gears.
     """
 
-    base: Any
+    base: Identification
     model: ActuatorModel
     signals: Sequence[Signals]
     creep: tuple[Lag, ...]
@@ -136,11 +155,10 @@ def _read_again(
     fast: Sequence[FastPart],
     band: Band,
     options: IdentificationOptions,
-    identify: Callable[..., Any],
 ) -> tuple[_Reading, Candidate]:
     """Return the last reading of the slow rows that the fast ones do not speak against, and the dynamics."""
     best = chosen
-    for again, creep in _again(slow, chosen, options, reading.base, identify, FAST_LAGS / band[0]):
+    for again, creep in _again(slow, chosen, options, reading.base, FAST_LAGS / band[0]):
         model = _instantaneous(again.model, band[0])
         if creep:
             model = dataclasses.replace(model, stages=(*model.stages, DynamicsStage(creep)))
@@ -175,10 +193,9 @@ def _again(
     slow: Sequence[Recording],
     chosen: Candidate,
     options: IdentificationOptions,
-    base: Any,
-    identify: Callable[..., Any],
+    base: Identification,
     shortest: float,
-) -> list[tuple[Any, tuple[Lag, ...]]]:
+) -> list[tuple[Identification, tuple[Lag, ...]]]:
     """Return what the slow rows tell once the lag is known.
 
     Without it they take the lag for memories of milliseconds or for wider loops. Measured on a stage whose
@@ -194,7 +211,8 @@ def _again(
     known: dict[str, Any] = {"dynamics": 0}
     if options.delay is None:
         known["delay"] = late
-    points = base.fit.get("points", 0)
+    points = base.fit["points"]
+    assert isinstance(points, int)
     if options.points is None and points > 0:
         known["points"] = min(FINER * points, MOST_POINTS)
     lagged = slow
@@ -202,16 +220,16 @@ def _again(
         lagged = [_led(log, chosen.lag_before) for log in slow]
     asked = dataclasses.replace(options, **known)
     try:
-        again = identify(lagged, asked)
+        again = identify_static(lagged, asked)
     except FitError:
         return []
     same_range = dataclasses.replace(again, model=dataclasses.replace(again.model, input=base.model.input))
-    found: list[tuple[Any, tuple[Lag, ...]]] = [(same_range, ())]
+    found: list[tuple[Identification, tuple[Lag, ...]]] = [(same_range, ())]
     steps = [grid_step(log) for log in lagged]
     if options.relaxation is None and all(step is not None for step in steps):
         slower = dataclasses.replace(again, model=_without_short(again.model, shortest))
         even = [step for step in steps if step is not None]
-        creeping = creep_behind(slower, lagged, even, asked, identify)
+        creeping = creep_behind(slower, lagged, even, asked)
         if creeping is not None and _as_good(creeping[0], again):
             model = dataclasses.replace(creeping[0].model, input=base.model.input)
             found.append((dataclasses.replace(creeping[0], model=model), creeping[1]))
@@ -221,12 +239,14 @@ def _again(
 def _late(chosen: Candidate) -> float:
     """Return the lag (s) of what is behind the gears, for slow moves."""
     late = sum(one.damping / (math.pi * one.frequency) for one in chosen.resonances)
-    return late + chosen.lag - chosen.lag_before
+    return late + chosen.lag - chosen.lag_before + chosen.structure.delay
 
 
-def _as_good(one: Any, other: Any) -> bool:
+def _as_good(one: Identification, other: Identification) -> bool:
     left_out = "cross_validated_rmse"
-    return bool(one.fit[left_out] <= AS_GOOD * other.fit[left_out])
+    mine, its = one.fit[left_out], other.fit[left_out]
+    assert isinstance(mine, float) and isinstance(its, float)
+    return mine <= AS_GOOD * its
 
 
 def _led(log: Recording, lag: float) -> Recording:
@@ -289,12 +309,15 @@ def _assembled(
     validation: Sequence[Recording],
     options: IdentificationOptions,
     highest: float,
-) -> Found:
+    doubts: Sequence[str],
+) -> Identification:
     """Return the whole model with what is to be said of it."""
     base, model, signals, creep = reading.base, reading.model, reading.signals, reading.creep
     first = (DynamicsStage((Lag(chosen.lag_before),)),) if chosen.lag_before > 0.0 else ()
     slow = [stage for stage in model.stages if not isinstance(stage, DynamicsStage)]
-    stages = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
+    stages: tuple[Stage, ...] = (*first, *slow, DynamicsStage((*creep, *chosen.behind)))
+    if chosen.structure.delay:
+        stages = (*stages, DelayStage(chosen.structure.delay))
     low, high = slow_output_range(stages, model.input.minimum, model.input.maximum)
     output = dataclasses.replace(model.output, minimum=low, maximum=high)
     trusted_hz, why = trusted(signals, chosen, highest)
@@ -322,8 +345,11 @@ def _assembled(
     figures["trusted_hz"] = trusted_hz
     terms = model.backlash.relaxation
     figures["relaxation_seconds"] = list(terms.tau) if terms else []
-    figures["delay_seconds"], figures["delay_interval_seconds"] = 0.0, None
+    figures["delay_seconds"], figures["delay_interval_seconds"] = chosen.structure.delay, None
     figures["lag_seconds"] = _late(chosen) + chosen.lag_before
+    warnings = [*base.warnings, *doubts]
+    if warnings:
+        figures["warnings"] = warnings
     whole = dataclasses.replace(model, stages=stages, output=output, fit={})
     checks = [validation_of(whole, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     unit = f" {model.output.unit}" if model.output.unit else ""
@@ -339,4 +365,4 @@ def _assembled(
             {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
         ]
         summary += [f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE, offset removed" for one in checks]
-    return dataclasses.replace(whole, fit=figures), figures, summary, list(base.warnings)
+    return Identification(dataclasses.replace(whole, fit=figures), figures, summary, warnings)

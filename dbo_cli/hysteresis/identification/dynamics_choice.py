@@ -1,6 +1,7 @@
 """Which dynamics a log asks for: how many resonances, with an antiresonance or without.
 
 One resonance after the other is offered, and judged by the error on blocks of rows left out.
+And what is said of them: intervals, the measured response, how far the model is trusted.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from dbo_cli.hysteresis.identification.dynamics_fit import (
+    LEAST_DAMPING,
     MOST_BESIDE,
     Band,
     Candidate,
@@ -21,7 +23,6 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
     fitted,
     residuals,
 )
-from dbo_cli.hysteresis.identification.dynamics_told import ENERGY
 from dbo_cli.hysteresis.identification.recordings import Floats
 
 MOST_RESONANCES = 2
@@ -52,21 +53,86 @@ WHITE = 4.0
 That of n samples of white noise, of the ratio of their mean square to the one by their second differences, is
 (2/n)^1/2.
 """
+SEEN_DELAY = 0.1
+"""Periods of the highest swept frequency: an amplifier's lag of a tenth of one is fitted as a lag."""
+SAME_GAIN = 0.3  # of the logarithm: a resonance of 2 % damping has this at half its frequency
+FINEST_DELAY = 0.002  # of itself: a delay of 2 ms to 4 us, 0.4 degrees at 250 Hz
 DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # a refinement starts from each: the error has several minima in it
 
 
-def chosen_dynamics(signals: Sequence[Signals], band: Band, asked: int | None) -> Candidate | None:
-    """Return the dynamics that earn their place, or as many resonances as are asked for; None without any."""
+def chosen_dynamics(
+    signals: Sequence[Signals], band: Band, asked: int | None, delay: float = 0.0
+) -> tuple[Candidate, list[str]]:
+    """Return the dynamics that earn their place, or as many resonances as are asked for, and doubts of these.
+
+    Parameters
+    ----------
+    delay
+        A pure delay behind them (s).
+    """
     lag_starts = [np.log([value]) for value in (0.02 / band[1], 0.3 / band[1])]
-    best = fitted(signals, lag_starts, Structure(0), band)
+    best = fitted(signals, lag_starts, Structure(0, delay=delay), band)
+    doubts = []
     for _ in range(MOST_RESONANCES if asked is None else asked):
         if asked is None and best.resonances and _white(signals, best):
             break
         more = one_more(signals, best, band, always=asked is not None)
         if more is None:
             break
+        if not _earned(signals, more, best, band):
+            gain = 100.0 * (1.0 - more.left_out / best.left_out)
+            doubts.append(
+                f"`dynamics` {asked}: the logs speak against {len(more.resonances)} resonances: the last one "
+                f"lowers the error on blocks left out by {gain:.1f} %; ask for fewer, or let the logs decide"
+            )
         best = more
-    return best if best.resonances else None
+    return best, doubts
+
+
+def with_delay(
+    signals: Sequence[Signals], band: Band, asked: int | None, without: Candidate, doubts: list[str]
+) -> tuple[Candidate, list[str]]:
+    """Return dynamics with a pure delay behind them, where the fast rows ask for one, else those without.
+
+    A sensor that is late by half a period of a resonance turns its phase around: without the delay no
+    resonance fits (250 Hz behind 2 ms were not found, and moves at a fifth of it missed by 21 %).
+    """
+    if without.resonances and _white(signals, without):
+        return without, doubts
+    late = _phase_delay(signals, band)
+    if late * band[1] < SEEN_DELAY:
+        return without, doubts
+    best, more_doubts = chosen_dynamics(signals, band, asked, late)
+    tried = {late: best}
+    step = 0.25 * late
+    while step > FINEST_DELAY * late:  # the lag took its part of the lateness: look to both sides
+        centre = best.structure.delay
+        for delay in (centre - step, centre + step):
+            if delay > 0.0 and delay not in tried:
+                structure = dataclasses.replace(best.structure, delay=delay)
+                tried[delay] = fitted(signals, [best.parameters], structure, band)
+        nearest = min(tried.values(), key=lambda one: one.left_out)
+        step = step if nearest.left_out < best.left_out else 0.5 * step
+        best = nearest
+    return (best, more_doubts) if best.left_out <= EARNED * without.left_out else (without, doubts)
+
+
+def _phase_delay(signals: Sequence[Signals], band: Band) -> float:
+    """Return how late the measured is (s), by the phase where its gain is still that of slow moves."""
+    one = max(signals, key=lambda part: part.measured.size)
+    rate, before = 1.0 / one.time_step, one.predicted()
+    size = min(before.size, max(256, round(8.0 / (band[0] * one.time_step))))
+    frequency, power = welch(before, rate, nperseg=size)
+    both = csd(before, one.measured, rate, nperseg=size)[1]
+    rows = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & (power > ENERGY**2 * power.max()))
+    if rows.size < 3:
+        return 0.0
+    gain = np.abs(both[rows]) / power[rows]
+    changed = np.flatnonzero(np.abs(np.log(gain / np.median(gain[:3]))) > SAME_GAIN)
+    rows = rows[: max(int(changed[0]) if changed.size else rows.size, 3)]
+    phase, w = np.unwrap(np.angle(both[rows])), 2.0 * np.pi * frequency[rows]
+    weight = power[rows]
+    return max(-float(np.sum(weight * w * phase) / np.sum(weight * w * w)), 0.0)
 
 
 def one_more(
@@ -92,6 +158,8 @@ def _earned(signals: Sequence[Signals], more: Candidate, best: Candidate, band: 
     found = [one.frequency for one in more.resonances]
     found += [one.antiresonance.frequency for one in more.resonances if one.antiresonance]
     if not all(INSIDE * band[0] < one < band[1] for one in found):
+        return False
+    if any(one.damping < INSIDE * LEAST_DAMPING for one in more.resonances):
         return False
     pairs = [(one.damping, one.antiresonance.damping) for one in more.resonances if one.antiresonance]
     if any(max(pair) > MOST_BESIDE / INSIDE for pair in pairs):
@@ -160,3 +228,97 @@ def _peak(signals: Sequence[Signals], best: Candidate, band: Band) -> float:
     if not inside.any():
         return 0.7 * band[1]
     return float(frequency[inside][np.argmax(ratio[inside])])
+
+
+ENERGY = 0.003  # of the strongest third of an octave of the drive (amplitude): with less, nothing is known
+TRUSTED = 0.1  # of what was predicted, in a third of an octave: the error up to which a model is trusted
+TRUSTED_PART = 0.7  # of the lowest resonance, the most that is trusted: a change of 5 % there costs a tenth
+COHERENT = 0.5  # of the square of the response, at least, is no noise where it is shown
+MOST_SHOWN = 60  # frequencies of the response that the model keeps, for its figure
+OVERLAP = 2.776  # standard errors on either side: Student's t of the jackknife's five folds, 95 %
+
+
+def response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[str, list[float]]:
+    """Return the measured response to what the gears make of the drive: Hz, gain (1 at rest), degrees."""
+    one = max(signals, key=lambda part: part.measured.size)
+    before, rate = one.predicted(), 1.0 / one.time_step
+    size = min(before.size, max(256, round(8.0 / (lowest * one.time_step))))
+    frequency, power = welch(before, rate, nperseg=size)
+    both, other = csd(before, one.measured, rate, nperseg=size)[1], welch(one.measured, rate, nperseg=size)[1]
+    ratio = both / np.maximum(power, 1e-12 * power.max())
+    inside = (frequency >= lowest) & (frequency <= highest) & (np.abs(both) ** 2 > COHERENT * power * other)
+    rows = np.flatnonzero(inside)
+    if not rows.size:
+        return {"frequency": [], "gain": [], "phase_degrees": []}
+    wanted = np.geomspace(frequency[rows[0]], frequency[rows[-1]], MOST_SHOWN)
+    rows = np.unique(rows[np.argmin(np.abs(frequency[rows][None] - wanted[:, None]), axis=1)])
+    found = {"frequency": frequency[rows], "gain": np.abs(ratio[rows]),
+             "phase_degrees": np.degrees(np.unwrap(np.angle(ratio[rows])))}  # fmt: skip
+    return {key: [float(f"{value:.4g}") for value in values] for key, values in found.items()}
+
+
+def interval(value: float, spread: float) -> list[float]:
+    """Return both ends of the interval of a parameter, from the standard error of its logarithm."""
+    return [value * float(np.exp(-OVERLAP * spread)), value * float(np.exp(OVERLAP * spread))]
+
+
+def trusted(signals: Sequence[Signals], chosen: Candidate, highest: float) -> tuple[float, str]:
+    """Return the frequency (Hz) up to which the model is good, and what ends it."""
+    one = max(signals, key=lambda part: part.measured.size)
+    moved = one.moved(chosen.parameters, chosen.structure)
+    (left,) = residuals([one], chosen.parameters, chosen.structure)
+    size = min(moved.size, 8192)
+    frequency, power = welch(moved, 1.0 / one.time_step, nperseg=size)
+    off = welch(left, 1.0 / one.time_step, nperseg=size)[1]
+    band = np.floor(3.0 * np.log2(np.maximum(frequency[1:] / frequency[1], 1.0))).astype(int)
+    energy = np.sqrt(np.bincount(band, power[1:]))
+    error = np.sqrt(np.bincount(band, off[1:]))
+    tops = frequency[1] * 2.0 ** ((np.arange(energy.size) + 1) / 3.0)
+    ceiling = TRUSTED_PART * chosen.resonances[0].frequency
+    trusted = float(frequency[1])
+    for top, has, wrong in zip(tops.tolist(), energy.tolist(), error.tolist(), strict=True):
+        if has <= ENERGY * float(energy.max()):
+            if top < highest / 50.0:
+                continue
+            return min(trusted, ceiling), "beyond, the sweep was too small" if trusted < ceiling else ""
+        if wrong > TRUSTED * has and top > 0.02 * highest:
+            return min(trusted, ceiling), "beyond, the error grows" if trusted < ceiling else ""
+        trusted = top
+    return min(trusted, ceiling, highest), ""
+
+
+def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str, unit: str) -> list[str]:
+    """Return the lines about the dynamics."""
+    parts = []
+    for k, one in enumerate(chosen.resonances):
+        low, high = interval(one.frequency, chosen.spread[2 * k])
+        thin, wide = interval(one.damping, chosen.spread[2 * k + 1])
+        parts.append(
+            f"resonance at {one.frequency:.5g} Hz ({low:.5g} to {high:.5g}), damping {one.damping:.3g} "
+            f"({thin:.3g} to {wide:.3g})"
+        )
+        if one.antiresonance:
+            parts[-1] += f" with an antiresonance at {one.antiresonance.frequency:.5g} Hz"
+    place = "before" if chosen.structure.lag_before else "behind"
+    lag = f", lag {1e3 * chosen.lag:.3g} ms {place} the gears" if chosen.lag > 0.0 else ""
+    if chosen.structure.delay:
+        lag += f", delay {1e3 * chosen.structure.delay:.4g} ms behind all"
+    crept = figures.get("creep", [])
+    assert isinstance(crept, list)
+    told = ", ".join(f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept)
+    beside = figures["relaxation_seconds"]
+    assert isinstance(beside, list)
+    memories = ", ".join(f"{tau:.3g}" for tau in beside)
+    return [
+        *([f"creep of the displacement, behind the gears: {told}"] if told else []),
+        *([f"relaxation beside the gears: {memories} s"] if memories else []),
+        f"dynamics: {'; '.join(parts)}{lag}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "
+        f"{chosen.left_out:.3g}{unit}"
+        + (
+            "; whether the actuator or its sensor is late a log cannot tell: all of it will be compensated "
+            "(`sensor_delay`, `sensor_lag` take the sensor's part off)"
+            if max(chosen.lag, chosen.structure.delay) > 0.0 and "sensor" not in figures
+            else ""
+        ),
+        f"trust the model to {trusted:.3g} Hz{': ' + why if why else ''}",
+    ]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.identification.fast_parts import FastPart
 from dbo_cli.hysteresis.identification.recordings import Floats
@@ -43,12 +44,15 @@ class Structure:
         Whether the lag stands before the gears, not behind them.
     sampled_lag : bool
         Whether it is the lag of the stage, not an exact one (see ``lagged``).
+    delay : float
+        Pure delay behind all (s): of a sensor, mostly.
     """
 
     resonances: int
     antiresonance: bool = False
     lag_before: bool = False
     sampled_lag: bool = False
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +143,7 @@ class Signals:
             moved = lagged(self.predicted(), lag.seconds, self.time_step, structure.sampled_lag)
         if resonances:
             moved, _ = DynamicsStage(tuple(resonances)).run(moved, self.time_step, None)
-        return moved
+        return DelayStage(structure.delay).lag(moved, self.time_step, None)[0] if structure.delay else moved
 
 
 def lagged(x: Floats, seconds: float, time_step: float, sampled: bool = False) -> Floats:

@@ -1,14 +1,17 @@
-"""How well a model follows a recording, judged with the very operators that will be used."""
+"""How well a model follows a recording, judged with the very operators of use, and what to warn of."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, Integers, Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
@@ -114,3 +117,207 @@ def loop_width_percent(model: ActuatorModel) -> float:
     )
     rising, falling = slow.y[: len(up)], slow.y[: len(up) - 1 : -1]
     return 100.0 * float(np.abs(falling - rising).max()) / float(np.ptp(slow.y))
+
+
+POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
+MOST_HELD = 0.5  # of the moving samples that repeat the one before: sample-and-hold
+SPEED_CORRELATION = 0.35
+SATURATION = 0.15  # slope at an end, relative to the median slope
+GAINS_APART = 1.01  # greatest over least gain of logs: a piezo's own scatter between runs is below a percent
+GAIN_EXPLAINS = 0.5  # of the squared error, at most, is left by logs of one actuator each with its own gain
+CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
+
+
+def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
+    """Warnings about the recordings themselves."""
+    warnings = []
+    for log in recordings:
+        moving = np.abs(np.diff(log.voltage)) > 0.0
+        held = (np.diff(log.displacement) == 0.0) & moving
+        if moving.any() and held.sum() > MOST_HELD * moving.sum() and not _stepped(log.displacement):
+            warnings.append(
+                f"{log.name}: {100.0 * held.sum() / moving.sum():.0f} % of the displacements repeat the one "
+                "before while the drive moves: the sensor is slower than the log (sample-and-hold); log at "
+                "the sensor's rate, or the fit sees a lag that is not the actuator's"
+            )
+        seconds = log.seconds()
+        if seconds is not None and log.time is not None:
+            steps = np.diff(seconds)
+            if (steps < 0.0).any():
+                warnings.append(
+                    f"{log.name}: time runs backwards {int((steps < 0).sum())} times (first at row "
+                    f"{int(np.argmax(steps < 0)) + 2}): lag and delay found from it are not to be trusted; "
+                    "repair the clock or cut the log with `rows`"
+                )
+            elif (steps == 0.0).any():
+                warnings.append(
+                    f"{log.name}: {int((steps == 0).sum())} repeated time stamps (first at row "
+                    f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time with more "
+                    "digits"
+                )
+    if prepared.one_amplitude:
+        warnings.append(
+            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, loop width "
+            "and delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a "
+            "drive)"
+        )
+    if prepared.doubtful_drift:
+        unit = f" {recordings[0].displacement_unit}" if recordings[0].displacement_unit else ""
+        size = f"{prepared.doubtful_drift * abs(prepared.scale):.2g}{unit}"
+        warnings.append(
+            f"the logs' slow part may be sensor drift or creep: a drift of {size} explains them as well, and "
+            "creep was taken; where the sensor had just been switched on, record again with it warm"
+        )
+    if all(shape.cycle_count < 2 for shape in prepared.shapes):
+        warnings.append(
+            "less than two whole cycles: nothing could be left out to test the model on; record at least "
+            "three"
+        )
+    return warnings
+
+
+def _stepped(displacement: Floats) -> bool:
+    """Whether a sensor repeats itself because its steps are coarse, not because it is slow."""
+    steps = np.abs(np.diff(displacement))
+    steps = steps[steps > 0.0]
+    return len(steps) == 0 or float(np.median(steps)) < 1.5 * float(steps.min())
+
+
+def rated_warnings(prepared: Prepared, rated: tuple[float, float] | None) -> list[str]:
+    """Warn where the logs cover less or more than the drive's rated range (both in the voltage's unit)."""
+    if rated is None:
+        return []
+    low, high = rated
+    slack = 0.01 * (high - low)
+    warnings = []
+    if prepared.low < low - slack or prepared.high > high + slack:
+        warnings.append(
+            f"the logs go from {prepared.low:g} to {prepared.high:g}, beyond the rated range {low:g} to "
+            f"{high:g}: check the voltage column, or give compensate `v_min` and `v_max`"
+        )
+    covered = 100.0 * (min(prepared.high, high) - max(prepared.low, low)) / (high - low)
+    if covered < 95.0:
+        warnings.append(
+            f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range "
+            f"{low:g} to {high:g}: outside, the model goes straight on; record the whole range before using "
+            "it there"
+        )
+    return warnings
+
+
+def fit_warnings(
+    recordings: Sequence[Recording],
+    prepared: Prepared,
+    choice: Choice,
+    residuals: Sequence[Residual],
+) -> list[str]:
+    """Warnings about the fitted model and what it leaves over."""
+    warnings = []
+    span = abs(prepared.scale)
+    rows = sum(len(one.values) for one in residuals)
+    rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in residuals) / rows))
+    if rows < ROWS_PER_SLOPE * choice.basis.gears:
+        warnings.append(
+            f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
+            "each that are safe: record longer, or give fewer gears (`gears`)"
+        )
+    if choice.clockwise > CLOCKWISE:
+        warnings.append(
+            "the loop runs clockwise: the displacement leads the voltage. Either the actuator softens after "
+            "a turn (friction, magnetics), or voltage and displacement are swapped: check `voltage` and "
+            "`displacement`"
+        )
+    if 100.0 * rmse / span > POOR_PERCENT:
+        warnings.append(
+            f"the model leaves {100.0 * rmse / span:.1f} % of the range unexplained: the log shows something "
+            "this class of models cannot follow (a loop that crosses itself, resonance, slip, a wrong "
+            "column); look at 'dbo report `model`' before using it"
+        )
+    warnings.extend(_gain_warnings(recordings, residuals))
+    warnings.extend(_shape_warnings(recordings, prepared))
+    speed = _speed_correlation(recordings, residuals)
+    if abs(speed) > SPEED_CORRELATION and 100.0 * rmse / span > 0.5:
+        warnings.append(
+            f"what is left over follows the drive's speed (correlation {speed:.2f}): the actuator's loop "
+            "depends on the rate, which this model does not follow; identify at the speed of use"
+        )
+    return warnings
+
+
+def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> list[str]:
+    """Warn of a gain that differs between logs, or changes along one, where that makes most of the error."""
+    gains, trends, before, own, along = [], [], 0.0, 0.0, 0.0
+    for log, residual in zip(recordings, residuals, strict=True):
+        left = residual.values - residual.values.mean()
+        predicted = log.displacement[residual.rows] - residual.values
+        predicted = predicted - predicted.mean()
+        more = float(np.sum(left * predicted)) / max(float(np.sum(predicted**2)), np.finfo(float).tiny)
+        part = predicted * np.linspace(-0.5, 0.5, len(predicted))
+        trend = float(np.sum(left * part)) / max(float(np.sum(part**2)), np.finfo(float).tiny)
+        gains.append(1.0 + more)
+        trends.append(trend)
+        before += float(np.sum(left**2))
+        own += float(np.sum((left - more * predicted) ** 2))
+        along += float(np.sum((left - trend * part) ** 2))
+    warnings = []
+    if max(gains) >= GAINS_APART * min(gains) and own <= GAIN_EXPLAINS * before:
+        told = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
+        warnings.append(
+            f"the logs' gains differ (over the model's: {told}), and this makes most of the error: different "
+            "actuators, loads or temperatures? identify each by itself"
+        )
+    if max(trends, key=abs) and along <= GAIN_EXPLAINS * before:
+        warnings.append(
+            f"the gain changes by {100.0 * max(trends, key=abs):+.1f} % along the log, and this makes most "
+            "of the error: let the actuator warm up, or settle, before recording"
+        )
+    return warnings
+
+
+def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
+    """Butterfly and saturation, from the mean curve of displacement over voltage."""
+    warnings = []
+    for log, ready in zip(recordings, prepared.logs, strict=True):
+        voltage = (log.voltage[ready.used] - prepared.low) / prepared.span
+        place = np.clip((voltage * 20).astype(np.int64), 0, 19)
+        counts = np.bincount(place, minlength=20)
+        full = counts > 0
+        mean = np.bincount(place, log.displacement[ready.used], minlength=20)[full] / counts[full]
+        climbs = np.diff(mean) * np.sign(prepared.scale)
+        if len(climbs) < 8:
+            continue
+        falls = -float(climbs[climbs < 0.0].sum())
+        if falls > 0.25 * float(climbs[climbs > 0.0].sum()):
+            warnings.append(
+                f"{log.name}: the displacement rises and falls again as the voltage rises (a butterfly, or a "
+                "turning direction of motion): no invertible model follows that; stay on one side of the "
+                "turn"
+            )
+        elif min(float(climbs[1:3].mean()), float(climbs[-3:-1].mean())) < SATURATION * float(
+            np.median(climbs)
+        ):
+            warnings.append(
+                f"{log.name}: the displacement hardly moves at an end of the drive's range (saturation, or "
+                "an end stop): the inverse asks for large voltages there; keep trajectories away from it"
+            )
+    return warnings
+
+
+def _speed_correlation(recordings: Sequence[Recording], residuals: Sequence[Residual]) -> float:
+    """Correlation of the residual with the drive's speed, over all logs."""
+    left, speed = [], []
+    for log, residual in zip(recordings, residuals, strict=True):
+        seconds = log.seconds()
+        steps = np.gradient(log.voltage) if seconds is None else _speed(log.voltage, seconds)
+        left.append(residual.values - residual.values.mean())
+        speed.append(steps[residual.rows] - steps[residual.rows].mean())
+    a, b = np.concatenate(left), np.concatenate(speed)
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else 0.0
+
+
+def _speed(voltage: Floats, seconds: Floats) -> Floats:
+    """Drive's rate of change; zero where the clock stands still."""
+    rise, run = np.gradient(voltage), np.gradient(seconds)
+    out: Floats = np.divide(rise, run, out=np.zeros(len(voltage)), where=run > 0.0)
+    return out

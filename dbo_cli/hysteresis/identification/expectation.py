@@ -33,7 +33,6 @@ SPREAD_WEIGHT = 0.6
 LIKELIHOOD_WIDTH = 0.1  # a model whose RMSE is this share above the chosen one's counts exp(-1)
 MAX_RATIO = 2.0  # a group without which the fit falls apart says how far one cannot extrapolate, not this
 
-EXPECTATION_ROWS = 20_000  # the figure is an average; more rows move it by less than 1 %
 LARGE = 0.75  # of the drive's range: without the swings above, the last gears would never be seen
 SMALL = 0.35  # of the drive's range: divides the swings that can be left out into two amplitudes
 LEVELS = (0.4, 0.6)  # of the drive's range: divide them into low, middle and high
@@ -95,12 +94,12 @@ def expect(
     cycles : cross-validated equation error over whole cycles, in the normalised output
     delays : the delays in seconds that explain the logs as well, None where none was looked for
     """
-    some = fewer_rows(logs, EXPECTATION_ROWS)
+    some = fewer_rows(logs)
     statistics = gather(some, basis, structure.segments)
     gram, rows = statistics.total()
     own = solve(gram, statistics.columns, structure, rows)
     fitted = max(float(np.sqrt(squared_error(gram, own.vector) / rows)), 1e-12)
-    held_out, left_out = _groups_left_out(some, basis, structure, max(cycles, fitted))
+    held_out, left_out = groups_left_out(some, basis, structure, max(cycles, fitted))
     spread = _spread(some, basis, structure, statistics, own, fitted, delays)
     swings = sum(len(drive_shape(log.voltage).turns) + 1 for log in logs)
     return Expectation(held_out, fitted, spread, left_out, swings)
@@ -109,7 +108,7 @@ def expect(
 # --- what the logs can tell ---
 
 
-def _groups_left_out(
+def groups_left_out(
     logs: Sequence[PreparedLog], basis: Basis, structure: Structure, cycles: float
 ) -> tuple[float, tuple[str, ...]]:
     """RMS error of groups of swings left out, the worst of three ways to group, and the ways there were."""
@@ -213,10 +212,15 @@ def _spread(
             continue
         ratio = float(np.sqrt(squared_error(gram, solution.vector) / rows)) / fitted
         weight = float(np.exp(-max(ratio - 1.0, 0.0) / LIKELIHOOD_WIDTH))
-        apart = float(np.std(_predicted(moves, other, solution, key[1]) - mine))
+        apart = _rms(_predicted(moves, other, solution, key[1]) - mine)
         farthest[kind] = max(farthest.get(kind, 0.0), weight * apart)
     scatter = _scatter_of_folds(moves, basis, structure, statistics, mine)
     return SPREAD_WEIGHT * float(np.sqrt(sum(value**2 for value in farthest.values()) + scatter**2))
+
+
+def _rms(values: Floats) -> float:
+    """Root of the mean square, an offset included: the next move's zero is the model's."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _alternatives(
@@ -264,7 +268,7 @@ def _scatter_of_folds(
             solution = solve(gram, statistics.columns, structure, rows)
         except FitError:
             continue
-        found.append(float(np.var(_predicted(moves, basis, solution, structure.segments) - mine)))
+        found.append(_rms(_predicted(moves, basis, solution, structure.segments) - mine) ** 2)
     return float(np.sqrt((len(found) - 1) * np.mean(found))) if len(found) > 1 else 0.0
 
 

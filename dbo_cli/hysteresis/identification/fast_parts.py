@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dbo_cli.hysteresis.identification.recordings import Floats, Recording, turning_points
+from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Recording, turning_points
 
 SMALLEST_SWING = 5e-4  # of the log's range: smaller reversals of the drive are converter steps and noise
 LARGEST_SWING = 0.35  # of the range, in a sweep: larger swings are loops
@@ -50,6 +50,11 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     steps = [grid_step(log) for log in recordings]
     sweeps = [
         None if step is None else _sweep(log, span, step) for log, step in zip(recordings, steps, strict=True)
+    ]
+    # A log that is a sweep from end to end has nothing else to tell the gears from.
+    sweeps = [
+        found if found is None or _without(log, found.rows).voltage.size >= FEWEST_ROWS else None
+        for log, found in zip(recordings, sweeps, strict=True)
     ]
     # Beside loops, a sweep's many swings do not make a log a fast one.
     loops = [

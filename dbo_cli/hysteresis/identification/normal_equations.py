@@ -1,7 +1,14 @@
-"""Solution of the problem from its sufficient statistics, under the sign rules that keep it invertible."""
+"""Solution of the problem from its sufficient statistics, under the sign rules that keep it invertible.
+
+The unknowns of the gears, the memories, the asymmetry and the drift are linear in others for which the rules
+are plain signs: the steps from slope to slope, the gains, the widths of segments beyond the least. The
+products of all rows are brought into these once; after that a structure is a choice of unknowns and two
+penalties, and costs a fifth of a millisecond to solve (``hysteresis/fit_kernel.py``).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -9,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis import fit_kernel
+from dbo_cli.hysteresis.fit_kernel import ABSENT, AT_ZERO, FREE, POSITIVE, States
 
 Floats = NDArray[np.float64]
 
@@ -19,11 +28,19 @@ MAX_STEEPNESS = 15.0
 """Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse. With
 narrower segments the curves of a shape-memory wire and of an end stop fit no better (less than 1 %)."""
 
-RIDGE = 1e-12
-"""Added to each column's own square, as a share of it: a column that was never excited stays harmless."""
+RIDGES = (1e-12, 1e-10, 1e-8, 1e-6)
+"""Added to each column's own square, as a share of it: a column that was never excited stays harmless. The
+first does but where rounding leaves products of hundreds of nearly equal columns without a root."""
 
-TIE = 1e3
-"""Weight of the equation that makes the widths of the segments add up to one, over the data's own."""
+TIE = 1e4
+"""Weight, over the data's own, of the equation that makes the widths of the segments add up to one, where the
+last of them is at its bound (elsewhere it is what the others leave)."""
+
+LOOSER = 10.0  # the tolerance, each time that the solver is begun again
+TOLERANCE = 1e-8
+"""Of the largest gradient at the start: a gradient below it lowers the sum of squares by 1e-16 of itself."""
+
+MOST_STEPS = 1000  # of the solver, which takes 3 to 30
 
 
 @dataclass(frozen=True)
@@ -75,16 +92,11 @@ class Solution:
     gains: Floats
     knots: Floats
     drift: Floats
-    vector: Floats
 
-
-def slope_map(gears: int, slopes: str) -> Floats:
-    """Matrix that turns non-negative unknowns into slopes; shape (gears, gears)."""
-    if slopes == "growing":
-        return np.tril(np.ones((gears, gears)))
-    if slopes == "falling":
-        return np.triu(np.ones((gears, gears)))
-    return np.eye(gears)
+    @property
+    def vector(self) -> Floats:
+        """All unknowns, in the order of the statistics' columns."""
+        return np.concatenate((self.heights, self.gains, self.knots, self.drift))
 
 
 def knot_map(fine: int, coarse: int) -> Floats:
@@ -104,23 +116,197 @@ def second_differences(count: int) -> Floats:
     return rows - 2.0 * np.eye(count - 2, count, 1) + np.eye(count - 2, count, 2)
 
 
-def penalties(columns: Columns, structure: Structure, weight: float) -> Floats:
-    """Quadratic form (in heights, gains, knots, drift) that keeps slopes and asymmetry smooth.
+@lru_cache(maxsize=32)
+def penalties(columns: Columns) -> tuple[Floats, Floats]:
+    """Quadratic forms, in all unknowns and the target, of what bends slopes and asymmetry.
 
     Scaled as integrals over the range, so that one value of ``smoothness`` means the same for any number
     of gears.
     """
-    gears = columns.gears
-    form = np.zeros((columns.total, columns.total))
+    gears, at = columns.gears, columns.gears + columns.memories
+    slopes, knots = np.zeros((2, columns.total + 1, columns.total + 1))
     bending = second_differences(gears) * gears  # heights -> slopes on a unit range
-    form[:gears, :gears] = structure.smoothness * weight * gears**3 * (bending.T @ bending)
-    if columns.hats:
-        at = gears + columns.memories
-        bent = second_differences(columns.segments + 1)[:, 1:-1]
-        form[at : at + columns.hats, at : at + columns.hats] = (
-            structure.knot_smoothness * weight * columns.segments**3 * (bent.T @ bent)
-        )
-    return form
+    slopes[:gears, :gears] = gears**3 * np.einsum("ki,kj->ij", bending, bending)
+    bent = second_differences(columns.segments + 1)[:, 1:-1]
+    inner = slice(at, at + columns.hats)
+    knots[inner, inner] = columns.segments**3 * np.einsum("ki,kj->ij", bent, bent)
+    return slopes, knots
+
+
+@dataclass(frozen=True)
+class SignedUnknowns:
+    """The unknowns that have a sign, and what the columns' own are of them.
+
+    heights = floor + steps added up, from the first (growing slopes) or from the last (falling); gains as
+    they are; inner knots = those of the least widths + widths beyond them added up, all but the last
+    segment's, which is what is left; drift as it is.
+    """
+
+    columns: Columns
+    slopes: str
+    segments: int
+
+    @property
+    def total(self) -> int:
+        """Number of unknowns."""
+        return self.columns.gears + self.columns.memories + self.widths + self.columns.drift
+
+    @property
+    def widths(self) -> int:
+        """Number of unknown widths."""
+        return self.segments - 1
+
+    @property
+    def spare(self) -> float:
+        """What the widths beyond the least ones may add up to."""
+        return 1.0 - 1.0 / MAX_STEEPNESS
+
+    def states(self, memories: Sequence[int]) -> States:
+        """Return the states from which the solver begins: no guess which unknowns are zero."""
+        gears, count = self.columns.gears, self.columns.memories
+        states = np.full(self.total, POSITIVE, np.uint8)
+        states[gears : gears + count] = ABSENT
+        states[[gears + k for k in memories]] = POSITIVE
+        states[self.total - self.columns.drift :] = FREE
+        return states
+
+    def _along(self, table: Floats) -> Floats:
+        """Return the transpose of the map, applied to rows for all columns and the target."""
+        columns = self.columns
+        gears, at = columns.gears, columns.gears + columns.memories
+        heights = table[:gears] / gears
+        steps = heights
+        if self.slopes == "growing":
+            steps = np.cumsum(heights[::-1], axis=0)[::-1]
+        elif self.slopes == "falling":
+            steps = np.cumsum(heights, axis=0)
+        knots = table[at : at + columns.hats]
+        constant = SLOPE_FLOOR * np.add.reduce(heights, axis=0) - table[-1]
+        if self.widths:
+            at_bound, wider = _segment_widths(columns.segments, self.segments)
+            constant = constant + np.einsum("h,hc->c", at_bound, knots)
+            knots = np.einsum("hw,hc->wc", wider, knots)
+        else:
+            knots = knots[:0]
+        return np.vstack((steps, table[gears:at], knots, table[at + columns.hats : -1], constant))
+
+    def products(self, gram: Floats) -> Floats:
+        """Return the products of rows in these unknowns and (last) what is constant; (total + 1) square."""
+        return self._along(self._along(gram).T)
+
+    def solution(self, unknowns: Floats) -> Solution:
+        """Return the columns' own unknowns."""
+        columns = self.columns
+        gears, at = columns.gears, columns.gears + columns.memories
+        steps = unknowns[:gears]
+        if self.slopes == "growing":
+            steps = np.cumsum(steps)
+        elif self.slopes == "falling":
+            steps = np.cumsum(steps[::-1])[::-1]
+        knots = np.zeros(columns.hats)
+        if self.widths:
+            at_bound, wider = _segment_widths(columns.segments, self.segments)
+            knots = at_bound + np.einsum("hw,w->h", wider, unknowns[at : at + self.widths])
+        drift = unknowns[self.total - columns.drift :]
+        return Solution((SLOPE_FLOOR + steps) / gears, unknowns[gears:at], knots, drift)
+
+
+@lru_cache(maxsize=32)
+def _segment_widths(fine: int, segments: int) -> tuple[Floats, Floats]:
+    """Inner knots of an asymmetry whose segments are at least 1 / (MAX_STEEPNESS segments) wide.
+
+    Returns the deviations of the inner knots of ``fine`` segments with all segments at the bound, shape
+    (fine - 1,), and what each segment but the last adds per unit of width beyond it, shape (fine - 1,
+    segments - 1).
+    """
+    narrowest = 1.0 / (MAX_STEEPNESS * segments)
+    knots = knot_map(fine, segments)
+    at_bound = np.einsum("hk,k->h", knots, np.arange(1, segments) * (narrowest - 1.0 / segments))
+    return at_bound, np.cumsum(knots[:, ::-1], axis=1)[:, ::-1].copy()
+
+
+@lru_cache(maxsize=32)
+def _signed_penalties(unknowns: SignedUnknowns) -> tuple[Floats, Floats]:
+    slopes, knots = penalties(unknowns.columns)
+    return unknowns.products(slopes), unknowns.products(knots)
+
+
+def minimum(
+    products: Floats, unknowns: SignedUnknowns, structure: Structure, weight: float, states: States
+) -> Floats:
+    """Return the signed unknowns of least penalised error; ``states`` is the guess, and becomes the answer.
+
+    Parameters
+    ----------
+    products : of rows, in these unknowns (see ``SignedUnknowns.products``)
+    weight : number of rows that went into them (scales the penalties)
+
+    Raises
+    ------
+    FitError
+        The solver did not reach the optimum.
+    """
+    slopes, knots = _signed_penalties(unknowns)
+    form = products + weight * (structure.smoothness * slopes + structure.knot_smoothness * knots)
+    at = unknowns.columns.gears + unknowns.columns.memories
+    widths = slice(at, at + unknowns.widths)
+    return _least_within(form[:-1, :-1], -form[:-1, -1], states, widths, unknowns.spare)
+
+
+def bounded_minimum(
+    matrix: Floats, right: Floats, bounded: Floats, free: Floats, tie: tuple[int, float] | None
+) -> Floats:
+    """Minimise x'Mx - 2r'x over x = bounded p + free q, p >= 0.
+
+    ``tie``: the unknowns p from this index on add up to this number; the last of them moves nothing.
+    """
+    begin, spare = tie or (bounded.shape[1] + 1, 0.0)
+    both = np.hstack((bounded[:, : bounded.shape[1] - (tie is not None)], free))
+    count = both.shape[1] - free.shape[1]
+    states = np.full(both.shape[1], POSITIVE, np.uint8)
+    states[count:] = FREE
+    form = np.einsum("ij,jk->ik", np.einsum("ji,jk->ik", both, matrix), both)
+    goal = np.einsum("ji,j->i", both, right)
+    found = _least_within(form, goal, states, slice(begin, count), spare)
+    answer: Floats = np.einsum("ij,j->i", both, found)
+    return answer
+
+
+def _least_within(matrix: Floats, right: Floats, states: States, widths: slice, spare: float) -> Floats:
+    """Return the x of least x'Mx - 2 r'x under the signs of ``states``, its ``widths`` at most ``spare``."""
+    found = _least(matrix, right, states)
+    if float(found[widths].sum()) > spare:
+        # One inequality is broken, so it holds as an equation where the error is least.
+        tied, goal = matrix.copy(), right.copy()
+        heavy = TIE * float(np.diagonal(tied)[widths].max())
+        tied[widths, widths] += heavy
+        goal[widths] += heavy * spare
+        found = _least(tied, goal, states)
+    return found
+
+
+def _least(matrix: Floats, right: Floats, states: States) -> Floats:
+    """Return the x of least x'Mx - 2 r'x under the signs of ``states``."""
+    size = np.diagonal(matrix)
+    scale = np.sqrt(np.maximum(size, max(RIDGES[0] * float(size.sum()), np.finfo(float).tiny)))
+    scaled = matrix / scale[:, None] / scale
+    goal = right / scale
+    tolerance = TOLERANCE * float(np.abs(goal).max(initial=0.0))
+    for ridge in RIDGES:
+        scaled[np.diag_indices_from(scaled)] += ridge
+        x, tried = np.zeros(len(goal)), states.copy()
+        if ridge > RIDGES[0]:  # the guess led nowhere: begin without one, and less exactly
+            tried[tried == AT_ZERO] = POSITIVE
+            tolerance *= LOOSER
+        if (
+            fit_kernel.CHOSEN.minimise(np.ascontiguousarray(scaled), goal, tried, x, tolerance, MOST_STEPS)
+            > 0
+        ):
+            states[:] = tried
+            return x / scale
+    raise FitError(
+        "the least-squares solver did not converge: give fewer gears (`gears`) or leave out bad rows"
+    )
 
 
 def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -> Solution:
@@ -138,129 +324,37 @@ def solve(gram: Floats, columns: Columns, structure: Structure, weight: float) -
     FitError
         The solver did not reach the optimum.
     """
-    total, gears = columns.total, columns.gears
-    matrix = gram[:total, :total] + penalties(columns, structure, weight)
-    right = gram[:total, total]
-    fixed = np.zeros(total)
-    fixed[:gears] = SLOPE_FLOOR / gears
-    bounded = np.zeros((total, gears + len(structure.memories)))
-    bounded[:gears, :gears] = slope_map(gears, structure.slopes) / gears
-    for place, memory in enumerate(structure.memories):
-        bounded[gears + memory, gears + place] = 1.0
-    at = gears + columns.memories
-    free = np.zeros((total, columns.drift))
-    free[at + columns.hats :, :] = np.eye(columns.drift)
-    tie = None
-    if structure.segments > 1:
-        least, widths, spare = _bounded_widths(columns.segments, structure.segments)
-        tie = bounded.shape[1], spare
-        bounded = np.hstack((bounded, np.zeros((total, structure.segments))))
-        bounded[at : at + columns.hats, tie[0] :] = widths
-        fixed[at : at + columns.hats] = least
-    vector = fixed + bounded_minimum(matrix, right - matrix @ fixed, bounded, free, tie)
-    return Solution(
-        heights=vector[:gears],
-        gains=vector[gears:at],
-        knots=vector[at : at + columns.hats],
-        drift=vector[at + columns.hats :],
-        vector=vector,
-    )
-
-
-@lru_cache(maxsize=32)  # a search solves hundreds of problems of a handful of shapes
-def _bounded_widths(fine: int, segments: int) -> tuple[Floats, Floats, float]:
-    """Inner knots of an asymmetry whose segments are at least 1 / (MAX_STEEPNESS segments) wide.
-
-    Returns the deviations of the inner knots of ``fine`` segments with all segments at the bound, shape
-    (fine - 1,); what each segment adds per unit of width beyond it, shape (fine - 1, segments), the last one
-    nothing; and what all add up to.
-    """
-    narrowest = 1.0 / (MAX_STEEPNESS * segments)
-    knots = knot_map(fine, segments)
-    at_bound: Floats = knots @ (np.arange(1, segments) * (narrowest - 1.0 / segments))
-    wider = knots @ np.tril(np.ones((segments - 1, segments - 1)))
-    return at_bound, np.hstack((wider, np.zeros((len(wider), 1)))), 1.0 - segments * narrowest
-
-
-def bounded_minimum(
-    matrix: Floats, right: Floats, bounded: Floats, free: Floats, tie: tuple[int, float] | None
-) -> Floats:
-    """Minimise x'Mx - 2r'x over x = bounded p + free q, p >= 0; the free unknowns are eliminated first.
-
-    ``tie``: the unknowns p from this index on add up to this number.
-    """
-    from scipy.linalg import cholesky, qr, solve_triangular
-    from scipy.optimize import nnls
-
-    # The factor is taken in the gears' own coordinates, where neighbours differ, not in those of the slope
-    # increments, whose columns are sums over gears and nearly collinear.
-    scale = np.sqrt(np.maximum(np.diag(matrix), RIDGE * float(np.trace(matrix))))
-    scaled = matrix / np.outer(scale, scale)
-    scaled[np.diag_indices_from(scaled)] += RIDGE
-    factor = cholesky(scaled, check_finite=False)
-    goal: Floats = solve_triangular(factor, right / scale, trans="T", check_finite=False)
-    both = np.hstack((free, bounded))
-    rows = factor @ (scale[:, None] * both)
-    if tie is not None:
-        weight = TIE * float(np.linalg.norm(goal))
-        equation = np.zeros((1, both.shape[1]))
-        equation[0, free.shape[1] + tie[0] :] = weight
-        rows = np.vstack((rows, equation))
-        goal = np.append(goal, weight * tie[1])
-    length = np.linalg.norm(rows, axis=0)
-    rotated = qr(np.column_stack((rows / length, goal)), mode="r", check_finite=False)[0]
-    factor, target = rotated[: len(length), :-1], rotated[: len(length), -1]
-    count = free.shape[1]
-    corner = factor[count:, count:]
-    try:
-        positive, _ = nnls(corner, target[count:], maxiter=60 * corner.shape[1])
-    except RuntimeError as problem:
-        raise FitError(
-            "the least-squares solver did not converge: give fewer gears (`gears`) or leave out bad rows"
-        ) from problem
-    _check_optimum(corner, target[count:], positive)
-    others = solve_triangular(
-        factor[:count, :count], target[:count] - factor[:count, count:] @ positive, check_finite=False
-    )
-    answer: Floats = both @ (np.concatenate((others, positive)) / length)
-    return answer
-
-
-def _check_optimum(matrix: Floats, target: Floats, answer: Floats) -> None:
-    """Hold the Karush-Kuhn-Tucker conditions of the non-negative problem; a solver may stop early unsaid."""
-    gradient = matrix.T @ (matrix @ answer - target)
-    size = float(np.linalg.norm(matrix.T @ target)) or 1.0
-    falls_short = max(
-        float(-gradient.min(initial=0.0)), float(np.abs(gradient[answer > 0.0]).max(initial=0.0))
-    )
-    if not falls_short <= 1e-7 * size:
-        raise FitError(
-            f"the least-squares solver stopped away from the optimum (gradient {falls_short / size:.1e} of "
-            "its size): give fewer gears (`gears`) or leave out bad rows"
-        )
+    unknowns = SignedUnknowns(columns, structure.slopes, structure.segments)
+    states = unknowns.states(structure.memories)
+    return unknowns.solution(minimum(unknowns.products(gram), unknowns, structure, weight, states))
 
 
 def least_squares(gram: Floats, products: Floats) -> Floats:
     """Solve symmetric normal equations; columns that say the same, or nothing, share or get zero."""
-    return np.asarray(np.linalg.lstsq(gram, products, rcond=1e-10)[0], dtype=np.float64)
+    states = np.full(len(products), FREE, np.uint8)
+    return _least(gram, products, states) if len(products) else np.zeros(0)
+
+
+def quadratic(form: Floats, vector: Floats) -> float:
+    """Return x'Qx."""
+    return float(np.sum(np.einsum("ij,j->i", form, vector) * vector))
 
 
 def squared_error(gram: Floats, vector: Floats) -> float:
     """Sum of squared equation errors of ``vector`` over the rows of ``gram``."""
-    full = np.append(vector, -1.0)
-    return max(float(full @ gram @ full), 0.0)
+    return max(quadratic(gram, np.append(vector, -1.0)), 0.0)
 
 
-def squared_error_free_of(gram: Floats, vector: Floats, nuisance: slice) -> float:
+def squared_error_free_of(gram: Floats, vector: Floats, nuisance: slice, last: float = -1.0) -> float:
     """Sum of squared errors over the rows of ``gram`` after the nuisance columns are refitted to those rows.
 
     On rows left out, what only they have (the sensor's offset of a log of its own) is not the model's to
-    predict.
+    predict. ``last`` is the factor of the last column: -1 of the target, 1 of what is constant.
     """
+    rest = np.append(vector, last)
     if nuisance.start == nuisance.stop:
-        return squared_error(gram, vector)
-    full = np.append(vector, -1.0)
-    full[nuisance] = 0.0
-    left = float(full @ gram @ full)
-    products = gram[nuisance, :] @ full
-    return max(left - float(products @ least_squares(gram[nuisance, nuisance], products)), 0.0)
+        return max(quadratic(gram, rest), 0.0)
+    rest[nuisance] = 0.0
+    products = np.einsum("ij,j->i", gram[nuisance], rest)
+    refitted = least_squares(gram[nuisance, nuisance], products)
+    return max(quadratic(gram, rest) - float(np.sum(products * refitted)), 0.0)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.identification.sensor import Sensor
+from dbo_cli.hysteresis.identification.cleaning import Sensor
 
 METHODS = ("least-squares", "paper")
 SLOPES = ("growing", "falling", "free")

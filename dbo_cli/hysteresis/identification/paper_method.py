@@ -14,10 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.assembly import zero_shift
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
-from dbo_cli.hysteresis.identification.refinement import corners
+from dbo_cli.hysteresis.identification.refinement import corners, zero_shift
 from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, gather
 from dbo_cli.hysteresis.model import (

@@ -7,6 +7,7 @@ For y = S(w), w = Gamma(v) + sum c L + w0, with S piecewise linear and given by 
     dy = S'(w) (dw - sum_k hat_k(y) dX_k),
 
 exactly on each segment, so that a step is the same bounded least-squares problem with other rows.
+What was fitted becomes stages in the actuator's own units last.
 """
 
 from __future__ import annotations
@@ -23,16 +24,30 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     least_squares,
     penalties,
+    quadratic,
     solve,
     squared_error_free_of,
 )
-from dbo_cli.hysteresis.identification.recordings import Floats
+from dbo_cli.hysteresis.identification.preparation import Prepared
+from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
 from dbo_cli.hysteresis.identification.statistics import (
+    FIT_ROWS,
     Linearise,
     PreparedLog,
     fewer_rows,
     gather,
+)
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    PointStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    Stage,
+    slow_output_range,
 )
 
 STEPS = 4
@@ -76,14 +91,14 @@ def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitt
     """Solve the equation-error problem, prune memories, refine on the output error where that helps.
 
     What to prune and whether refining helps is found out on at most ``SELECTION_ROWS`` rows; the model itself
-    is fitted to all of them.
+    is fitted to ``FIT_ROWS``.
 
     Raises
     ------
     FitError
         The solver failed.
     """
-    some = fewer_rows(logs)
+    some, logs = fewer_rows(logs), fewer_rows(logs, FIT_ROWS)
     fitted = _equation_error(some, basis, structure)
     kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * fitted.heights.sum())
     if kept != tuple(range(len(basis.time_constants))):
@@ -138,8 +153,10 @@ def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -
         statistics = gather(logs, current.basis, segments, _rows_about(current))
         gram, rows = statistics.total()
         vector, drift = _vector_of(current, statistics.columns)
-        form = penalties(statistics.columns, structure, rows)
-        error = squared_error_free_of(gram, vector, drift) + float(vector @ form @ vector)
+        full = np.append(vector, -1.0)
+        slopes, kinks = penalties(statistics.columns)
+        form = rows * (structure.smoothness * slopes + structure.knot_smoothness * kinks)
+        error = squared_error_free_of(gram, vector, drift) + quadratic(form, full)
         if error > best * (1.0 - 1e-4):
             break
         first = error if found is None else first
@@ -177,3 +194,73 @@ def _with_drift(fitted: Fitted, gram: Floats, vector: Floats, drift: slice) -> F
     """Return the same model with offset and drift fitted to what it leaves over."""
     full = np.append(vector, -1.0)
     return replace(fitted, drift=-least_squares(gram[drift, drift], gram[drift, :] @ full))
+
+
+MARGIN = 0.125  # of the range, in gears beyond its top
+
+
+def zero_shift(recording: Recording, zero: str | float) -> float:
+    """Displacement that counts as zero: 'none' (as logged), 'mean' or 'first' of the log, or a value.
+
+    Returns it in the unit of the displacement.
+    """
+    if zero == "none":
+        return 0.0
+    if zero == "mean":
+        return float(recording.displacement.mean())
+    if zero == "first":
+        return float(recording.displacement[0])
+    return float(zero)
+
+
+def stages_of(
+    fitted: Fitted, prepared: Prepared, shift: float, gears: int | None = None
+) -> tuple[Stage, ...]:
+    """Stages of the forward cascade: points on the drive, backlash with relaxation, point, scale, delay.
+
+    Gears are in the unit of the voltage on their input and without a unit on their output (sum about 1);
+    the scale stage carries the displacement's unit. ``shift`` is taken off the displacement. ``gears``: their
+    number where the user fixed it.
+    """
+    basis = fitted.basis
+    relaxation = None
+    if fitted.gains.any():
+        acting = fitted.gains > 0.0
+        relaxation = Relaxation(
+            basis.low,
+            tuple(float(tau) for tau, on in zip(basis.time_constants, acting, strict=True) if on),
+            tuple((fitted.gains[acting] / basis.span).tolist()),
+        )
+    count = gears or basis.gears * basis.split
+    slope = np.minimum((np.arange(count) + 0.5) * basis.gears / count, basis.gears - 1).astype(np.int64)
+    heights = fitted.heights[slope] * basis.gears / count
+    x0, y0 = basis.low, fitted.origin
+    spare = 0 if gears is not None else int(MARGIN * count)
+    # A drive that goes a little further than the logs did shall turn there as it does inside.
+    heights = np.append(heights, np.full(2 * spare, heights[-1]))
+    widths = np.full(len(heights), basis.span / count)
+    x0, y0 = x0 - spare * widths[0], y0 - spare * heights[-1]
+    stages: list[Stage] = [basis.bend_points()] if basis.bend else []
+    stages.append(BacklashStage(widths, heights, x0, y0, relaxation))
+    segments = len(fitted.knots) - 1
+    if segments > 1:
+        stages.append(PointStage(np.diff(fitted.knots), np.full(segments, 1.0 / segments), 0.0, 0.0))
+    level = float(fitted.drift[0])  # the first log's offset; the later terms are its drift
+    stages.append(ScaleStage(prepared.scale, prepared.offset + prepared.scale * level - shift))
+    if basis.delay > 0.0:
+        stages.append(DelayStage(basis.delay))
+    return tuple(stages)
+
+
+def model_of(
+    fitted: Fitted, prepared: Prepared, recording: Recording, zero: str | float, gears: int | None = None
+) -> ActuatorModel:
+    """Build the forward model; its input range is what the logs cover."""
+    stages = stages_of(fitted, prepared, zero_shift(recording, zero), gears)
+    low, high = slow_output_range(stages, prepared.low, prepared.high)
+    return ActuatorModel(
+        direction="forward",
+        input=Quantity("voltage", recording.voltage_unit, prepared.low, prepared.high),
+        output=Quantity("displacement", recording.displacement_unit, low, high),
+        stages=stages,
+    )

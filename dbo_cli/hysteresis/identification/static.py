@@ -1,0 +1,317 @@
+"""Identification of gears, memories, asymmetry and delay: all but dynamics, from recordings to a model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned
+from dbo_cli.hysteresis.identification.evaluation import (
+    Residual,
+    fit_warnings,
+    log_warnings,
+    loop_width_percent,
+    rated_warnings,
+    residual_of,
+    straight_line,
+    validation_of,
+)
+from dbo_cli.hysteresis.identification.expectation import Expectation, expect
+from dbo_cli.hysteresis.identification.options import IdentificationOptions
+from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
+from dbo_cli.hysteresis.identification.recordings import (
+    Recording,
+    median_cycle_seconds,
+    without_voltage_glitches,
+)
+from dbo_cli.hysteresis.identification.refinement import Fitted, fit, model_of
+from dbo_cli.hysteresis.identification.search import Choice, Orders, choose
+from dbo_cli.hysteresis.identification.statistics import PreparedLog
+from dbo_cli.hysteresis.model import ActuatorModel
+
+NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
+
+FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A model and what must be said of it: ``summary`` and ``warnings`` are lines of plain words."""
+
+    model: ActuatorModel
+    fit: dict[str, object]
+    summary: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def identify_static(
+    recordings: Sequence[Recording],
+    options: IdentificationOptions,
+    validation: Sequence[Recording] = (),
+    warned: Sequence[str] = (),
+) -> Identification:
+    """Identify a model without dynamics from recordings that were checked (see ``identify``).
+
+    Parameters
+    ----------
+    warned : warnings that come before those found here
+
+    Raises
+    ------
+    FitError
+        Nothing trustworthy can be identified.
+    """
+    clocked = all(log.seconds() is not None for log in recordings)
+    cycle = median_cycle_seconds(recordings) if clocked else None
+    options.sensor.check(cycle)
+    begins = [float(log.voltage[0]) for log in recordings]
+    recordings, said = without_voltage_glitches([options.sensor.taken_off(log) for log in recordings])
+    logs = [cleaned(log) for log in recordings]
+    recordings = [one.recording for one in logs]
+    said += [note for one in logs for note in one.notes]
+    prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs])
+    orders = Orders(
+        options.gears,
+        None if options.points is None else max(options.points, 1),
+        None if options.relaxation is None else tuple(options.relaxation),
+        options.delay,
+        options.slopes,
+    )
+    choice = choose(prepared, orders, cycle)
+    fitted = fit(prepared.logs, choice.basis, choice.structure)
+    model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
+    residuals = [residual_of(model, log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)]
+    line = pooled(
+        [straight_line(log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)], residuals
+    )
+    rmse = pooled([one.rmse for one in residuals], residuals)
+    warnings = [
+        *warned,
+        *log_warnings(recordings, prepared),
+        *rated_warnings(prepared, options.rated),
+        *fit_warnings(recordings, prepared, choice, residuals),
+    ]
+    if not clocked:
+        warnings.append(
+            "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
+            "`sample_rate`"
+        )
+    if rmse > NO_BETTER * line:
+        message = (
+            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows "
+            "no loop that this class of models can follow; check the columns and the sensor"
+        )
+        if not options.force:
+            raise FitError(f"{message} (`force` keeps the model)")
+        warnings.append(message)
+    checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
+    expected = expect(prepared.logs, choice.basis, choice.structure, choice.score.rmse, choice.delay_interval)
+    figures = _figures(
+        prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
+    )
+    new_moves = figures["expected_rmse"]
+    if isinstance(new_moves, float) and new_moves >= line:
+        warnings.append(
+            f"what is expected on new moves ({new_moves:.4g}) is no better than a straight line's error on "
+            f"the logs ({line:.4g}): record more amplitudes and cycles before using the model"
+        )
+    summary = said + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
+    if options.sensor:
+        figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
+    figures["warnings"] = list(warnings)
+    return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+
+
+def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
+    """Root of the mean square over all logs, weighted by their rows."""
+    weights = np.array([len(one.values) for one in residuals], dtype=float)
+    return float(np.sqrt(weights @ np.square(values) / weights.sum()))
+
+
+def _figures(
+    prepared: Prepared,
+    choice: Choice,
+    fitted: Fitted,
+    model: ActuatorModel,
+    residuals: Sequence[Residual],
+    checks: Sequence[Residual],
+    rmse: float,
+    line: float,
+    cycle: float | None,
+    expected: Expectation,
+    begins: Sequence[float],
+) -> dict[str, object]:
+    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds.
+
+    ``begins`` is the first voltage of each log.
+    """
+    span = abs(prepared.scale)
+    cross = rmse * choice.score.rmse / expected.fitted
+    new_moves = expected.rmse(rmse / span)
+    gears = fitted.basis
+    figures: dict[str, object] = {
+        "method": "least-squares",
+        "rmse": rmse,
+        "rmse_percent": 100.0 * rmse / span,
+        "cross_validated_rmse": cross,
+        "cross_validated_percent": 100.0 * cross / span,
+        "expected_rmse": None if new_moves is None else span * new_moves,
+        "expected_percent": None if new_moves is None else 100.0 * new_moves,
+        "expected_from": expected.words(),
+        "straight_line_rmse": line,
+        "fastest_drive": fastest_drive(prepared.logs),
+    }
+    if checks:
+        value = pooled([one.rmse for one in checks], checks)
+        figures["validation_rmse"] = value
+        figures["validation_percent"] = 100.0 * value / span
+    figures |= {
+        "samples": sum(len(one.values) for one in residuals),
+        "gears": model.backlash.n,
+        "different_slopes": gears.gears,
+        "points": len(fitted.knots) - 1 if len(fitted.knots) > 2 else 0,
+        "drive_bend": gears.bend,
+        "slopes": choice.structure.slopes,
+        "smoothness": choice.structure.smoothness,
+        "loop_width_percent": loop_width_percent(model),
+        "relaxation_seconds": [
+            float(t) for t, c in zip(gears.time_constants, fitted.gains, strict=True) if c > 0.0
+        ],
+        "delay_seconds": gears.delay,
+        "delay_interval_seconds": list(choice.delay_interval) if choice.delay_interval else None,
+        "lag_seconds": lag_seconds(fitted, cycle),
+        "logs": [
+            {
+                "name": residual.name,
+                "samples": len(residual.values),
+                "rmse": residual.rmse,
+                "drift": residual.drift_span,
+                "begins_at": begins[k],
+                "start": None if prepared.transient_rows[k] or log.stretches else log.start,
+                "transient_rows": prepared.transient_rows[k],
+                "outlier_rows": prepared.outlier_rows[k],
+                "clipped_rows": prepared.clipped_rows[k],
+            }
+            for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
+        ],
+    }
+    if checks:
+        figures["validation"] = [
+            {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
+        ]
+    return figures
+
+
+def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:
+    """Rate of the voltage a second that one of the logs exceeds in 2 % of its steps; None without a clock."""
+    found = []
+    for log in logs:
+        if log.seconds is None:
+            return None
+        steps = np.diff(log.seconds)
+        forward = steps > 0.0
+        rates = np.abs(np.diff(log.voltage)[forward]) / steps[forward]
+        found.append(float(np.percentile(rates, FASTEST)) if rates.size else 0.0)
+    return max(found)
+
+
+def lag_seconds(fitted: Fitted, cycle: float | None) -> float:
+    """Lag of the displacement in seconds at the logs' own frequency, the loop's own lag left out.
+
+    To a slow sine of angular frequency w the gears answer with their mean slope s, a memory with
+    c / (1 + i w tau): together a gain whose phase, over w, is a time; the delay adds to it.
+
+    Parameters
+    ----------
+    fitted : the model in normalised terms
+    cycle : duration of a cycle in seconds, None without a clock
+    """
+    if cycle is None or not len(fitted.gains):
+        return fitted.basis.delay
+    w = 2.0 * np.pi / cycle
+    gain = (
+        fitted.heights.sum() + (fitted.gains / (1.0 + 1j * w * np.asarray(fitted.basis.time_constants))).sum()
+    )
+    return fitted.basis.delay - float(np.angle(gain)) / w
+
+
+def _summary(
+    figures: dict[str, object],
+    model: ActuatorModel,
+    prepared: Prepared,
+    choice: Choice,
+    checks: Sequence[Residual],
+    sensor: Sensor,
+) -> list[str]:
+    """Lines for the person at the terminal."""
+    unit = f" {model.output.unit}" if model.output.unit else ""
+    volt = f" {model.input.unit}" if model.input.unit else ""
+    lines = [
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles left "
+        f"out {figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
+        f"straight line {figures['straight_line_rmse']:.4g}{unit}"
+    ]
+    lines.extend(
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / abs(prepared.scale):.2f} "
+        "% of range), offset removed"
+        for one in checks
+    )
+    if figures["expected_rmse"] is None:
+        lines.append(f"what error to expect on new moves cannot be told: {figures['expected_from']}")
+    else:
+        lines.append(
+            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+            f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
+        )
+    lines.append(
+        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, "
+        f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "
+        f"{prepared.high:g}{volt}"
+    )
+    lines.append(_lag_line(figures, choice, sensor))
+    lines.extend(
+        f"{log.name}: sensor drift of {drift:.3g}{unit} fitted beside the model and left out of it"
+        for log, drift in zip(prepared.logs, _drifts(figures), strict=True)
+        if drift > 0.002 * abs(prepared.scale)
+    )
+    return lines
+
+
+def _drifts(figures: dict[str, object]) -> list[float]:
+    logs = figures["logs"]
+    assert isinstance(logs, list)
+    return [float(log["drift"]) for log in logs]
+
+
+def _lag_line(figures: dict[str, object], choice: Choice, sensor: Sensor) -> str:
+    """Say what lag was found and how well it is determined."""
+    taus = figures["relaxation_seconds"]
+    assert isinstance(taus, list)
+    memories = ", ".join(f"{tau:.3g}" for tau in taus) + " s" if taus else "none"
+    lag = figures["lag_seconds"]
+    assert isinstance(lag, float)
+    line = (
+        f"lag {1e3 * lag:.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories}), drive "
+        f"bent by {100.0 * choice.basis.bend:.0f} %"
+    )
+    if choice.delay_interval is not None:
+        low, high = choice.delay_interval
+        if high > low:
+            line += f"; a delay from {1e3 * low:.3g} to {1e3 * high:.3g} ms explains the logs as well" + (
+                ", the middle was taken" if choice.basis.delay > 0.0 else ""
+            )
+    if sensor:
+        return (
+            f"{line}; the sensor's delay of {1e3 * sensor.delay:.3g} ms and lag of {1e3 * sensor.lag:.3g} ms "
+            "were taken off before and are not compensated"
+        )
+    if lag > 0.0:
+        line += (
+            "; whether the actuator or its sensor is late a log cannot tell: all of it is taken for the "
+            "actuator's and will be compensated (`sensor_delay`, `sensor_lag` take the sensor's part off)"
+        )
+    return line
