@@ -75,6 +75,14 @@ static double remember(const dbo_lookup *t, double *memory, double signal) {
     return sum;
 }
 
+/* last + step, rounded towards `last`, as in the kernel: a slew limit is kept to the last bit. */
+static double towards(double last, double step) {
+    const double sum = last + step, part = sum - last;
+    const double lost = (last - (sum - part)) + (step - part);
+    const double digit = (sum < 0.0 ? -sum : sum) * 2.220446049250313e-16;
+    return step > 0.0 ? (lost < 0.0 ? sum - digit : sum) : (lost > 0.0 ? sum + digit : sum);
+}
+
 double dbo_lookup_step(const dbo_lookup *t, dbo_lookup_state *s, double x, const dbo_limits *limits) {
     const dbo_backlash *op = t->op;
     double remembered = 0.0, u = x - op->x0, y;
@@ -88,7 +96,7 @@ double dbo_lookup_step(const dbo_lookup *t, dbo_lookup_state *s, double x, const
     if (limits) {
         double low = limits->low, high = limits->high;
         if (limits->step) { /* the range wins over the slew limit */
-            const double least = s->last - *limits->step, most = s->last + *limits->step;
+            const double least = towards(s->last, -*limits->step), most = towards(s->last, *limits->step);
             low = least < low ? low : least > high ? high : least;
             high = most > high ? high : most < limits->low ? limits->low : most;
         }
