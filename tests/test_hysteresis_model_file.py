@@ -114,8 +114,8 @@ REFUSED: list[tuple[dict[str, Any] | str, str]] = [
     (changed("stages.0", 7), "stages[0]: is not an object"),
     (changed("stages.0.type", ...), "stages[0].type: is missing"),
     (changed("stages.0.type", "gear"),
-     "stages[0].type: 'gear' is not a known stage; there are: backlash, point, scale, dynamics, delay, plays, "
-     "rate-plays, singular-plays, one-sided-plays"),
+     "stages[0].type: 'gear' is not a known stage; there are: backlash, point, scale, dynamics, delay, "
+     "plays, rate-plays, singular-plays, one-sided-plays"),
     (changed("stages.0.dx", 1.2), "stages[0].dx: is not a list of numbers"),
     (changed("stages.0.dx.2", -0.1), "stages[0].dx[2]: -0.1 is not a finite width greater than 0"),
     (changed("stages.0.dx.1", 0), "stages[0].dx[1]: 0.0 is not a finite width greater than 0"),

@@ -298,15 +298,18 @@ def report(given: Given) -> None:
     Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
     from dbo_cli.runs.reporting import Limits, report_logs
+    from dbo_cli.runs.tracking import TrackingOptions
 
+    rest = [options.REPORT_TRAJECTORY, options.MATCH, options.COUNT_SWEEP]
+    asked = TrackingOptions(**given.of([*options.SCORING, *options.REPORT_COLUMNS, *rest]))
     written = report_logs(
         given.log,
         given.output,
         given.reading,
+        asked,
         form=given.format,
         model_file=given.model,
-        **given.of([*options.SCORING, *options.REPORT_COLUMNS, options.FIGURES]),
-        **given.of([options.REPORT_TRAJECTORY, options.MATCH, options.COUNT_SWEEP]),
+        figures=given.figures,
         listener=Progress(given.reporter, "compared"),
     )
     given.reporter.remarks(written.remarks)
@@ -377,9 +380,9 @@ def compare(given: Given) -> None:
 
     Example: dbo compare recorded.csv --validate other.csv --figures figures
     """
-    from dbo_cli.runs.comparing import ComparisonOptions, compare_logs
+    from dbo_cli.runs.model_table import TableOptions, compare_logs
 
-    asked = ComparisonOptions(
+    asked = TableOptions(
         given.models, given.skip, not given.no_timings, given.format, given.figures, given.save_models
     )
     remarks = compare_logs(

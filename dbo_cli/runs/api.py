@@ -7,7 +7,7 @@ import hashlib
 import os
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,8 +24,8 @@ from dbo_cli.runs.roles import recording_wishes, short_names
 if TYPE_CHECKING:
     import pandas
 
-    from dbo_cli.runs.comparison import ComparisonReport
     from dbo_cli.runs.identifying import RecordedLog
+    from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
 
 __all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
 
@@ -80,7 +80,9 @@ def read_log(
     with open_log(os.fspath(path), want, options, digest=True) as log:
         if not log.columns:
             recording = recording_wishes(voltage, displacement)
-            open_log(os.fspath(path), recording, options).close()  # says what is there and what to give
+            open_log(
+                os.fspath(path), recording, options
+            ).close()  # the message lists what is there
         block = log.read()
         record = dict(log.record()) | {"read": log.reading_record()}
         line = log.reading_line()
@@ -180,15 +182,9 @@ def report(
     voltage: Any = None,
     model: Model | str | os.PathLike[str] | None = None,
     unit: str | None = None,
-    lag: int | str = 0,
-    remove_offset: bool = False,
-    segment: float | str | None = None,
-    trajectory: str | os.PathLike[str] | None = None,
-    match: Literal["auto", "time", "rows"] = "auto",
-    count_sweep: bool = False,
     name: str = "log",
-    **columns: Any,
-) -> ComparisonReport:
+    **options: Any,
+) -> TrackingReport:
     """Report how well what was measured follows what was wanted, or what a model predicts.
 
     Parameters
@@ -206,27 +202,16 @@ def report(
         Compare its prediction with the measurement.
     unit : str, optional
         Unit of arrays.
-    lag : int or "auto"
-        Samples by which measured is taken later than desired.
-    remove_offset : bool
-        Take the mean of the error off first.
-    segment : "cycles" or float, optional
-        Also report every cycle, or every so many seconds.
-    trajectory : file name, optional
-        Where the desired signal lies, if not in the log itself; for a log that is a file.
-    match : {"auto", "time", "rows"}
-        How log and trajectory belong together; auto: by time where both have one.
-    count_sweep : bool
-        Let a conditioning sweep (rows before time 0, where others follow) take part.
     name : str
         What the report calls arrays.
-    **columns
-        For a table or file: ``desired``, ``measured``, and how it is to be read. ``rows`` are the desired
-        rows that count; a model is run from the first row on.
+    **options
+        What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``, ``trajectory``, ``match``,
+        ``count_sweep``, ``desired``; and how tables and files are to be read. ``rows`` are the desired rows
+        that count; a model is run from the first row on.
 
     Returns
     -------
-    ComparisonReport
+    TrackingReport
         ``report`` holds the numbers; ``to_frame()``, ``to_html()``, ``figures(folder)`` and so on show them.
 
     Raises
@@ -236,58 +221,87 @@ def report(
     UsageError
         The options contradict each other.
     """
-    from dbo_cli.reports.report import ReportOptions
-    from dbo_cli.runs.comparison import Comparison, comparison_wishes
-    from dbo_cli.runs.reporting import add_file, rows_to_score
-
-    predicting = None if model is None else _model(model).actuator
-    labels = ("desired", "measured") if model is None else ("model", "measured")
-    how = ReportOptions(_lag(lag), remove_offset, _segment(segment), labels)
-    comparison = Comparison(how, predicting, traced=True)
     logs = [] if measured is not None else _logs(wanted)
-    selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
-    stamps = time if time is None or isinstance(time, str) else None
-    columns["sample_rate"] = checked_rate(sample_rate)
-    reading = _reading(stamps, columns.pop("rows", None), columns)
-    told, score = rows_to_score(reading, how.lag, from_first=predicting is not None)
-    sweep = count_sweep or reading.rows != ALL_ROWS
-    if trajectory is not None and not (logs and all(map(is_file, logs))):
+    asked = _tracking_options(options, voltage if logs else None)
+    predicting = None if model is None else _model(model).actuator
+    from dbo_cli.runs.tracking import TrackingRun
+
+    tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
+    stamps = time if isinstance(time, str) else None
+    options["sample_rate"] = checked_rate(sample_rate)
+    reading = _reading(stamps, options.pop("rows", None), options)
+    if asked.trajectory is not None and not (logs and all(map(is_file, logs))):
         raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
-    names = short_names([os.fspath(one) for one in logs if is_file(one)])
-    for number, one in enumerate(logs, 1):
-        if is_table(one):
-            want = comparison_wishes(*selectors, with_model=model is not None)
-            called = name if len(logs) == 1 else f"{name} {number}"
-            table = table_source(one, want, time, sample_rate, told.rows)
-            comparison.add(table, called, score_rows=score, count_sweep=sweep)
-            continue
-        add_file(
-            comparison,
-            os.fspath(one),
-            reading,
-            selectors,
-            trajectory=None if trajectory is None else os.fspath(trajectory),
-            match=match,
-            count_sweep=count_sweep,
-            name=names.get(os.fspath(one)),
-        )
     if logs:
-        return comparison.result()
+        _add_logs(tracking, logs, asked, reading, time, name)
+        return tracking.result()
     if measured is None:
         raise InputError(
             "what was measured is missing: give two arrays, or a table or file with both columns"
         )
-    first = "desired" if model is None else "voltage"
-    values = {first: wanted, "measured": measured}
-    if voltage is not None and model is None:
+    values = {"desired" if predicting is None else "voltage": wanted, "measured": measured}
+    if voltage is not None and predicting is None:
         values["voltage"] = voltage
-    source = ArraySource(values, time, sample_rate, rows=told.rows)
+    _add_arrays(tracking, values, asked, reading, time, unit, name)
+    return tracking.result()
+
+
+def _tracking_options(options: dict[str, Any], voltage: Any) -> TrackingOptions:
+    """Take what belongs to ``TrackingOptions`` out of the options of ``report``; the others remain."""
+    from dbo_cli.runs.tracking import TrackingOptions
+
+    known = {field.name for field in dataclasses.fields(TrackingOptions)}
+    asked = {key: options.pop(key) for key in known & options.keys()}
+    if asked.get("trajectory") is not None:
+        asked["trajectory"] = os.fspath(asked["trajectory"])
+    asked |= {"lag": _lag(asked.get("lag", 0)), "segment": _segment(asked.get("segment"))}
+    return TrackingOptions(**asked | {"voltage": voltage})
+
+
+def _add_logs(
+    tracking: TrackingRun,
+    logs: Sequence[Any],
+    options: TrackingOptions,
+    reading: ReadingOptions,
+    time: Any,
+    name: str,
+) -> None:
+    """Compare tables and files."""
+    from dbo_cli.runs.reporting import add_file, rows_to_score
+
+    with_model = tracking.model is not None
+    own, score = rows_to_score(reading, options.lag, from_first=with_model)
+    names = short_names([os.fspath(one) for one in logs if is_file(one)])
+    for number, one in enumerate(logs, 1):
+        if is_file(one):
+            add_file(tracking, os.fspath(one), reading, options, names.get(os.fspath(one)))
+            continue
+        table = table_source(one, options.wishes(with_model), time, reading.sample_rate, own.rows)
+        sweep = options.count_sweep or reading.rows != ALL_ROWS
+        called = name if len(logs) == 1 else f"{name} {number}"
+        tracking.add(table, called, score_rows=score, count_sweep=sweep)
+
+
+def _add_arrays(
+    tracking: TrackingRun,
+    values: dict[str, Any],
+    options: TrackingOptions,
+    reading: ReadingOptions,
+    time: Any,
+    unit: str | None,
+    name: str,
+) -> None:
+    """Compare arrays, by role; all but the drive are in ``unit``."""
+    from dbo_cli.runs.reporting import rows_to_score
+
+    own, score = rows_to_score(reading, options.lag, from_first=tracking.model is not None)
+    source = ArraySource(values, time, reading.sample_rate, rows=own.rows)
     source.columns = {
         role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
         for role, column in source.columns.items()
     }
-    comparison.add(source, name, score_rows=score, count_sweep=sweep)
-    return comparison.result()
+    sweep = options.count_sweep or reading.rows != ALL_ROWS
+    tracking.add(source, name, score_rows=score, count_sweep=sweep)
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:
@@ -327,8 +341,8 @@ def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     source = table_source(log, recording_wishes(None, None), time, sample_rate)
     record = log.attrs.get("provenance") or _record(source)
-    said = {key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")}
-    return RecordedLog(recording_of(source, record["name"]), record, Remarks(**said))
+    remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
+    return RecordedLog(recording_of(source, record["name"]), record, remarks)
 
 
 def _recorded_arrays(
@@ -348,7 +362,7 @@ def _recorded_arrays(
 
 
 def _record(source: ArraySource) -> dict[str, Any]:
-    """Return what a model says of arrays it was identified from: a digest of their numbers."""
+    """Return what a model keeps of arrays it was identified from: a digest of their numbers."""
     digest = hashlib.sha256()
     for values in source.values.values():
         digest.update(values.astype("<f8").tobytes())

@@ -12,15 +12,15 @@ import numpy as np
 from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
 from dbo_cli.errors import LimitError
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.addresses import check_document, format_for, selected_files
+from dbo_cli.logs.addresses import check_document, selected_files
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock, joined
-from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import Remarks, plain
+from dbo_cli.runs.roles import open_file
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ def _read(
     address: str, voltage: str | None, reading: ReadingOptions
 ) -> tuple[SampleBlock, str | None, float | None, Remarks]:
     """Return a drive read whole, its unit and its even step (s); rows that hold no number are dropped."""
-    options = dataclasses.replace(reading, skip_bad=True, format=format_for(address, reading.format))
-    with open_log(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
+    options = dataclasses.replace(reading, skip_bad=True)
+    with open_file(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
         block = joined(list(log.blocks()))
         step = 1.0 / log.stated_rate if log.stated_rate else None
         if step is None and block.time is not None:
