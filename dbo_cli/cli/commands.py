@@ -230,13 +230,7 @@ def compensate(given: Given) -> None:
     options.DRIVE,
     *options.READING_OF_LOGS,
     *options.REPORTING,
-    options.CHECK_MIN,
-    options.CHECK_MAX,
-    options.MAX_SLEW,
-    options.FROM,
-    options.LOOP,
-    options.AGAINST,
-    options.TOLERANCE,
+    *options.CHECKING,
     options.SHOW_FORMAT,
     options.DRIVE_COLUMN,
     options.OUTPUT,
@@ -252,34 +246,15 @@ def check(given: Given) -> None:
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 
-    limits = [
-        options.CHECK_MIN,
-        options.CHECK_MAX,
-        options.MAX_SLEW,
-        options.FROM,
-        options.LOOP,
-        options.TOLERANCE,
-    ]
-    remarks = check_file(
-        given.drive,
-        given.output,
-        given.format,
-        given.reading,
-        CheckOptions(**given.of(limits)),
-        **given.of([options.DRIVE_COLUMN, options.AGAINST]),
-    )
-    given.reporter.remarks(remarks)
+    asked = CheckOptions(**given.of(options.CHECKING), voltage=given.voltage)
+    given.reporter.remarks(check_file(given.drive, given.output, given.format, given.reading, asked))
 
 
 @_command(
     options.LOGS,
     *options.READING_OF_LOGS,
     *options.REPORTING,
-    *options.SCORING,
-    options.REPORT_MODEL,
-    options.REPORT_TRAJECTORY,
-    options.MATCH,
-    options.COUNT_SWEEP,
+    *options.TRACKING,
     *options.LIMITS,
     options.FIGURES,
     options.REPORT_FORMAT,
@@ -300,15 +275,13 @@ def report(given: Given) -> None:
     from dbo_cli.runs.reporting import Limits, report_logs
     from dbo_cli.runs.tracking import TrackingOptions
 
-    rest = [options.REPORT_TRAJECTORY, options.MATCH, options.COUNT_SWEEP]
-    asked = TrackingOptions(**given.of([*options.SCORING, *options.REPORT_COLUMNS, *rest]))
+    asked = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
     written = report_logs(
         given.log,
         given.output,
         given.reading,
         asked,
         form=given.format,
-        model_file=given.model,
         figures=given.figures,
         listener=Progress(given.reporter, "compared"),
     )

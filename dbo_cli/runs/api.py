@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
-from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, checked_rate, is_file, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
-from dbo_cli.runs.model import Model, read_model
+from dbo_cli.runs.model import Model, read_model, require_known
 from dbo_cli.runs.roles import recording_wishes, short_names
 
 if TYPE_CHECKING:
@@ -69,8 +69,6 @@ def read_log(
     UsageError
         An option is senseless.
     """
-    import pandas as pd
-
     options = _reading(time, rows, reading)
     want = {
         "voltage": wish("voltage", voltage, required=False, option="voltage"),
@@ -78,20 +76,26 @@ def read_log(
         "displacement": wish("displacement", displacement, required=False, option="displacement"),
     }
     with open_log(os.fspath(path), want, options, digest=True) as log:
-        if not log.columns:
-            recording = recording_wishes(voltage, displacement)
-            open_log(
-                os.fspath(path), recording, options
-            ).close()  # the message lists what is there
-        block = log.read()
-        record = dict(log.record()) | {"read": log.reading_record()}
-        line = log.reading_line()
+        if not log.columns:  # refused by this, with what there is to choose from
+            open_log(os.fspath(path), recording_wishes(voltage, displacement), options).close()
+        return _frame(log)
+
+
+def _frame(log: SignalLog) -> pandas.DataFrame:
+    """Read a log whole into a table."""
+    import pandas as pd
+
+    block = log.read()
     stamps = {"time": block.time} if block.time is not None and log.even_rate is None else {}
     frame = pd.DataFrame(stamps | dict(block.values))
     units = {role: column.unit for role, column in log.columns.items()}
-    frame.attrs |= {"units": ({"time": "s"} if stamps else {}) | units, "notes": list(log.notes)}
-    frame.attrs |= {"warnings": list(log.warnings), "read": [line]}
-    frame.attrs["provenance"] = record
+    frame.attrs |= {
+        "units": ({"time": "s"} if stamps else {}) | units,
+        "notes": list(log.notes),
+        "warnings": list(log.warnings),
+        "read": [log.reading_line()],
+        "provenance": dict(log.record()) | {"read": log.reading_record()},
+    }
     if log.even_rate is not None:
         frame.attrs["sample_rate"] = log.even_rate
     return frame
@@ -144,10 +148,7 @@ def identify(
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings
 
-    known = {field.name for field in dataclasses.fields(IdentificationOptions)}
-    for name in options:
-        if name not in known:
-            raise UsageError(f"`{name}` is no parameter of identify; there are: {', '.join(sorted(known))}")
+    require_known(IdentificationOptions, options, "is no parameter of identify")
     asked = IdentificationOptions(**options)
     if displacement is not None:
         units = {"voltage": voltage_unit, "displacement": displacement_unit}
@@ -155,8 +156,7 @@ def identify(
     else:
         logs = [_recorded(one, time, sample_rate) for one in _listed(log)]
     checks = [_recorded(one, time, sample_rate) for one in _listed(validate)]
-    names = [[str(one.record["name"]) for one in some] for some in (logs, checks)]
-    arguments = arguments_of(names[0], names[1], chosen_of(asked))
+    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked))
     found = identify_recordings(logs, asked, checks, arguments)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
@@ -200,10 +200,8 @@ def report(
         The drive beside the two, for the figures.
     model : Model, optional
         Compare its prediction with the measurement.
-    unit : str, optional
-        Unit of arrays.
-    name : str
-        What the report calls arrays.
+    unit, name : str, optional
+        Unit of arrays, and what the report calls them.
     **options
         What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``, ``trajectory``, ``match``,
         ``count_sweep``, ``desired``; and how tables and files are to be read. ``rows`` are the desired rows
@@ -222,40 +220,32 @@ def report(
         The options contradict each other.
     """
     logs = [] if measured is not None else _logs(wanted)
-    asked = _tracking_options(options, voltage if logs else None)
+    asked = _tracking_options(options, logs, voltage)
     predicting = None if model is None else _model(model).actuator
     from dbo_cli.runs.tracking import TrackingRun
 
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
-    stamps = time if isinstance(time, str) else None
     options["sample_rate"] = checked_rate(sample_rate)
-    reading = _reading(stamps, options.pop("rows", None), options)
-    if asked.trajectory is not None and not (logs and all(map(is_file, logs))):
-        raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
+    reading = _reading(time if isinstance(time, str) else None, options.pop("rows", None), options)
     if logs:
         _add_logs(tracking, logs, asked, reading, time, name)
-        return tracking.result()
-    if measured is None:
-        raise InputError(
-            "what was measured is missing: give two arrays, or a table or file with both columns"
-        )
-    values = {"desired" if predicting is None else "voltage": wanted, "measured": measured}
-    if voltage is not None and predicting is None:
-        values["voltage"] = voltage
-    _add_arrays(tracking, values, asked, reading, time, unit, name)
+    else:
+        _add_arrays(tracking, (wanted, measured, voltage), asked, reading, time, unit, name)
     return tracking.result()
 
 
-def _tracking_options(options: dict[str, Any], voltage: Any) -> TrackingOptions:
+def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any) -> TrackingOptions:
     """Take what belongs to ``TrackingOptions`` out of the options of ``report``; the others remain."""
     from dbo_cli.runs.tracking import TrackingOptions
 
     known = {field.name for field in dataclasses.fields(TrackingOptions)}
     asked = {key: options.pop(key) for key in known & options.keys()}
     if asked.get("trajectory") is not None:
+        if not logs or not all(map(is_file, logs)):
+            raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
         asked["trajectory"] = os.fspath(asked["trajectory"])
     asked |= {"lag": _lag(asked.get("lag", 0)), "segment": _segment(asked.get("segment"))}
-    return TrackingOptions(**asked | {"voltage": voltage})
+    return TrackingOptions(**asked | {"voltage": voltage if logs else None})
 
 
 def _add_logs(
@@ -284,16 +274,24 @@ def _add_logs(
 
 def _add_arrays(
     tracking: TrackingRun,
-    values: dict[str, Any],
+    signals: tuple[Any, Any, Any],
     options: TrackingOptions,
     reading: ReadingOptions,
     time: Any,
     unit: str | None,
     name: str,
 ) -> None:
-    """Compare arrays, by role; all but the drive are in ``unit``."""
+    """Compare arrays: what was wanted (with a model: the drive), what was measured, perhaps the drive."""
     from dbo_cli.runs.reporting import rows_to_score
 
+    wanted, measured, voltage = signals
+    if measured is None:
+        raise InputError(
+            "what was measured is missing: give two arrays, or a table or file with both columns"
+        )
+    values = {"desired" if tracking.model is None else "voltage": wanted, "measured": measured}
+    if voltage is not None and tracking.model is None:
+        values["voltage"] = voltage
     own, score = rows_to_score(reading, options.lag, from_first=tracking.model is not None)
     source = ArraySource(values, time, reading.sample_rate, rows=own.rows)
     source.columns = {
@@ -309,12 +307,7 @@ def _model(model: Model | str | os.PathLike[str]) -> Model:
 
 
 def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    known = {field.name for field in dataclasses.fields(ReadingOptions)}
-    for name in options:
-        if name not in known:
-            raise UsageError(
-                f"`{name}` says nothing about reading a log; there are: {', '.join(sorted(known))}"
-            )
+    require_known(ReadingOptions, options, "says nothing about reading a log")
     return ReadingOptions(time=time, rows=ALL_ROWS if rows is None else parse_rows(rows), **options)
 
 
@@ -328,6 +321,10 @@ def _logs(given: Any) -> list[Any]:
 
 def _listed(logs: Any) -> Sequence[Any]:
     return [logs] if is_file(logs) or is_table(logs) else list(logs)
+
+
+def _names(logs: Sequence[RecordedLog]) -> list[str]:
+    return [str(one.record["name"]) for one in logs]
 
 
 def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:

@@ -25,14 +25,20 @@ from dbo_cli.runs.roles import open_file
 
 @dataclass(frozen=True)
 class CheckOptions:
-    """What a drive is checked for: limits (infinite where not given), start, seam, and what was played."""
+    """What a drive is checked for.
+
+    Limits are infinite where not given. With ``against``, the drive is a recording of what was played, and
+    ``against`` the file of what was to be. ``voltage`` is the drive's column.
+    """
 
     v_min: float | None = None
     v_max: float | None = None
     max_slew: float | None = None
     from_: float | None = None
     loop: bool = False
+    against: str | None = None
     tolerance: float | None = None
+    voltage: str | None = None
 
     def limits(self) -> DriveLimits:
         """Return the limits."""
@@ -41,29 +47,21 @@ class CheckOptions:
 
 
 def check_file(
-    drive: str,
-    output: str,
-    form: str | None,
-    reading: ReadingOptions,
-    options: CheckOptions,
-    *,
-    voltage: str | None = None,
-    against: str | None = None,
+    drive: str, output: str, form: str | None, reading: ReadingOptions, options: CheckOptions
 ) -> Remarks:
     """Write what is wrong with a drive, as text or JSON (``dbo-check``).
-
-    With ``against``, the drive is a recording of what was played, and ``against`` what was to be.
 
     Raises
     ------
     LimitError
         A limit is broken, or something else was played; the report is written all the same.
     """
+    against = options.against
     chosen = form or ("json" if output.lower().endswith(".json") else "text")
     check_document(output, "a check", chosen)
-    inputs = [drive, *([] if against is None else [against]), *selected_files(voltage, reading.time)]
+    inputs = [drive, *([] if against is None else [against]), *selected_files(options.voltage, reading.time)]
     check_output(output, inputs)
-    block, unit, step, remarks = _read(drive, voltage, reading)
+    block, unit, step, remarks = _read(drive, options.voltage, reading)
     values, rows = block.values["voltage"], np.asarray(block.rows)
     checked = check_drive(
         values,

@@ -266,11 +266,7 @@ class Model:
         from dbo_cli.drives.options import DriveOptions
         from dbo_cli.drives.planning import compensation
 
-        known = {field.name for field in dataclasses.fields(DriveOptions)}
-        for name in options:
-            if name not in known:
-                there_are = ", ".join(sorted(known))
-                raise UsageError(f"`{name}` is no parameter of compensate; there are: {there_are}")
+        require_known(DriveOptions, options, "is no parameter of compensate")
         asked = DriveOptions(**options | {"state": self._start(options.get("state", "auto"))})
         self.actuator.require("forward")
         want = quantity_wish(self.output, option="wanted", trajectory=True)
@@ -344,6 +340,14 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     actuator = read_model_file(os.fspath(path))
     kept = actuator.fit.get("warnings")
     return Model(actuator, remarks=Remarks(warnings=list(kept) if isinstance(kept, list) else []))
+
+
+def require_known(record: Any, given: Mapping[str, Any], what: str) -> None:
+    """Refuse keywords that are no fields of a record of options (UsageError, which lists the fields)."""
+    known = {field.name for field in dataclasses.fields(record)}
+    for name in given:
+        if name not in known:
+            raise UsageError(f"`{name}` {what}; there are: {', '.join(sorted(known))}")
 
 
 def _source(

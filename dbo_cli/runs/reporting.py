@@ -55,24 +55,23 @@ def report_logs(
     options: TrackingOptions,
     *,
     form: str | None = None,
-    model_file: str | None = None,
     figures: str | None = None,
     listener: Listener = SILENT,
 ) -> Written:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
-    if model_file is not None and options.trajectory is not None:
+    if options.model is not None and options.trajectory is not None:
         refuse_both()
     chosen = report_form(output, form)
     check_document(output, "a report", chosen)
-    inputs = [*logs, *(name for name in (model_file, options.trajectory) if name is not None)]
+    inputs = [*logs, *(name for name in (options.model, options.trajectory) if name is not None)]
     inputs += selected_files(options.desired, options.measured, options.voltage, reading.time)
     check_output(output, inputs)
     if figures is not None:
         refuse_picture(figures)
         prepare_folder(figures)
-    model = None if model_file is None else read_model(model_file)
+    model = None if options.model is None else read_model(options.model)
     traced = figures is not None or chosen == "html"
-    tracking = TrackingRun(options.scoring(model is not None), model, str(model_file), traced)
+    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model), traced)
     names = short_names(logs)
     for address in logs:
         add_file(tracking, address, reading, options, names.get(address), listener)

@@ -44,6 +44,8 @@ class TrackingOptions:
         Also report every cycle, or every so many seconds.
     desired, measured, voltage : str, optional
         The columns, guessed where not given.
+    model : str, optional
+        A model file: its prediction takes the place of the desired signal.
     trajectory : str, optional
         The file with the desired signal, if that is not in the logs.
     match : {"auto", "time", "rows"}
@@ -58,6 +60,7 @@ class TrackingOptions:
     desired: str | None = None
     measured: str | None = None
     voltage: str | None = None
+    model: str | None = None
     trajectory: str | None = None
     match: Match = "auto"
     count_sweep: bool = False
