@@ -91,6 +91,7 @@ def identify(given: Given) -> None:
 
     Example: dbo identify recorded.csv -o model.json
     """
+    reading = given.reading
     refuse_terminal(given.output)
     if (given.v_min is None) != (given.v_max is None):
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
@@ -106,7 +107,7 @@ def identify(given: Given) -> None:
         given.log,
         given.validate or [],
         given.output,
-        given.reading,
+        reading,
         asked,
         **given.of([options.VOLTAGE, options.DISPLACEMENT]),
         listener=Progress(given.reporter, "read"),

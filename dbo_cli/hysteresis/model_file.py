@@ -158,7 +158,7 @@ class Node:
             raise ModelError(f"{self.file}: {self.at(str(problem))}") from None
 
 
-OTHER_STAGES = "dbo_cli.relatives.model_file"
+OTHER_STAGES = "dbo_cli.relatives.play_files"
 """The module that reads another hysteresis than that of gears; imported where a file has such a stage."""
 
 

@@ -13,7 +13,7 @@ from dbo_cli.logs.addresses import check_format
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
-from dbo_cli.relatives.comparison import NAMES, compare
+from dbo_cli.relatives.judging import NAMES, compare
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import save
 from dbo_cli.reports.models import ModelTable
