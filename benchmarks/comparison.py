@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import DboError
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import Recording
-from dbo_cli.relatives.comparison import NAMES, Row, compare
+from dbo_cli.relatives.judging import NAMES, Row, compare
 
 ROOT = Path(__file__).resolve().parents[1]
 Floats = NDArray[np.float64]

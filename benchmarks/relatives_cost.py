@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
-from dbo_cli.relatives.comparison import processor_ns
-from dbo_cli.relatives.operators import PlayOperator
+from dbo_cli.relatives.judging import processor_ns
+from dbo_cli.relatives.plays import PlayOperator
 
 Floats = NDArray[np.float64]
 

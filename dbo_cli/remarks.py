@@ -1,4 +1,4 @@
-"""What must be said of a run: returned as data, said by whoever called."""
+"""The messages of a run, returned as data; the caller prints them."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ class DboWarning(UserWarning):
 
 
 class Listener(Protocol):
-    """Hears how far a run has come."""
+    """Is called while a run goes on."""
 
     def opened(self, what: str) -> None:
-        """Learn how a log was understood."""
+        """Take how a log was understood."""
 
     def reading(self, what: str) -> None:
-        """Learn what is being read of a stream that may never end."""
+        """Take what is being read of a stream that may never end."""
 
     def progressed(self, rows: int) -> None:
-        """Learn that so many rows more are done."""
+        """Take the number of rows that were done since the last call."""
 
     def working(self, what: str) -> None:
-        """Learn of something long that gives no rows, such as a fit."""
+        """Take the name of something long that gives no rows, such as a fit."""
 
     def finished(self) -> None:
-        """Learn that all rows are done, or the work."""
+        """Take note that all rows are done, or the work."""
 
 
-class _Silence:
-    """Hears, and says nothing."""
+class _Ignoring:
+    """A listener that does nothing."""
 
     def opened(self, what: str) -> None:
-        """Say nothing."""
+        """Do nothing."""
 
     def reading(self, what: str) -> None:
-        """Say nothing."""
+        """Do nothing."""
 
     def progressed(self, rows: int) -> None:
-        """Say nothing."""
+        """Do nothing."""
 
     def working(self, what: str) -> None:
-        """Say nothing."""
+        """Do nothing."""
 
     def finished(self) -> None:
-        """Say nothing."""
+        """Do nothing."""
 
 
-SILENT: Listener = _Silence()
+SILENT: Listener = _Ignoring()
 
 
 def plain(text: str) -> str:
@@ -59,9 +59,9 @@ def plain(text: str) -> str:
 
 @dataclass
 class Remarks:
-    """Lines in the library's words.
+    """Messages that name parameters in backticks.
 
-    ``read`` says what was read of which log, ``notes`` are good to know, ``warnings`` may spoil the result.
+    ``read``: what was read of which log, ``notes`` are good to know, ``warnings`` may spoil the result.
     """
 
     notes: list[str] = field(default_factory=list)
@@ -73,7 +73,7 @@ class Remarks:
         self.notes.extend(texts)
 
     def add(self, other: Remarks) -> None:
-        """Add all that another run had to say."""
+        """Add the messages of another run."""
         self.read.extend(other.read)
         self.notes.extend(other.notes)
         self.warnings.extend(other.warnings)

@@ -91,6 +91,7 @@ def identify(given: Given) -> None:
 
     Example: dbo identify recorded.csv -o model.json
     """
+    reading = given.reading
     refuse_terminal(given.output)
     if (given.v_min is None) != (given.v_max is None):
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
@@ -106,7 +107,7 @@ def identify(given: Given) -> None:
         given.log,
         given.validate or [],
         given.output,
-        given.reading,
+        reading,
         asked,
         **given.of([options.VOLTAGE, options.DISPLACEMENT]),
         listener=Progress(given.reporter, "read"),
@@ -230,13 +231,7 @@ def compensate(given: Given) -> None:
     options.DRIVE,
     *options.READING_OF_LOGS,
     *options.REPORTING,
-    options.CHECK_MIN,
-    options.CHECK_MAX,
-    options.MAX_SLEW,
-    options.FROM,
-    options.LOOP,
-    options.AGAINST,
-    options.TOLERANCE,
+    *options.CHECKING,
     options.SHOW_FORMAT,
     options.DRIVE_COLUMN,
     options.OUTPUT,
@@ -252,34 +247,15 @@ def check(given: Given) -> None:
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 
-    limits = [
-        options.CHECK_MIN,
-        options.CHECK_MAX,
-        options.MAX_SLEW,
-        options.FROM,
-        options.LOOP,
-        options.TOLERANCE,
-    ]
-    remarks = check_file(
-        given.drive,
-        given.output,
-        given.format,
-        given.reading,
-        CheckOptions(**given.of(limits)),
-        **given.of([options.DRIVE_COLUMN, options.AGAINST]),
-    )
-    given.reporter.remarks(remarks)
+    asked = CheckOptions(**given.of(options.CHECKING), voltage=given.voltage)
+    given.reporter.remarks(check_file(given.drive, given.output, given.format, given.reading, asked))
 
 
 @_command(
     options.LOGS,
     *options.READING_OF_LOGS,
     *options.REPORTING,
-    *options.SCORING,
-    options.REPORT_MODEL,
-    options.REPORT_TRAJECTORY,
-    options.MATCH,
-    options.COUNT_SWEEP,
+    *options.TRACKING,
     *options.LIMITS,
     options.FIGURES,
     options.REPORT_FORMAT,
@@ -298,15 +274,16 @@ def report(given: Given) -> None:
     Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
     from dbo_cli.runs.reporting import Limits, report_logs
+    from dbo_cli.runs.tracking import TrackingOptions
 
+    asked = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
     written = report_logs(
         given.log,
         given.output,
         given.reading,
+        asked,
         form=given.format,
-        model_file=given.model,
-        **given.of([*options.SCORING, *options.REPORT_COLUMNS, options.FIGURES]),
-        **given.of([options.REPORT_TRAJECTORY, options.MATCH, options.COUNT_SWEEP]),
+        figures=given.figures,
         listener=Progress(given.reporter, "compared"),
     )
     given.reporter.remarks(written.remarks)
@@ -378,9 +355,9 @@ def compare(given: Given) -> None:
 
     Example: dbo compare recorded.csv --validate other.csv --figures figures
     """
-    from dbo_cli.runs.comparing import ComparisonOptions, compare_logs
+    from dbo_cli.runs.model_table import TableOptions, compare_logs
 
-    asked = ComparisonOptions(
+    asked = TableOptions(
         given.models, given.skip, not given.no_timings, given.format, given.figures, given.save_models
     )
     remarks = compare_logs(

@@ -241,8 +241,7 @@ VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's
 VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].", number)
 MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive.", positive)
 FROM = Option("--from VOLT", "What the amplifier stands at before the first row.", number)
-# the fields of ``DriveOptions`` but for the state, which is read with the model
-DRIVING = (
+DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read with the model
     VOLTAGE_MIN,
     VOLTAGE_MAX,
     MAX_SLEW,
@@ -283,33 +282,36 @@ TRACKED = Option(
     "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
     repeated=True,
 )
-CHECK_MIN = Option("--v-min VOLT", "Lowest voltage allowed.", number)
-CHECK_MAX = Option("--v-max VOLT", "Highest voltage allowed.", number)
-LOOP = Option("--loop", "The drive is looped: from its last row to its first, too.")
-AGAINST = Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset.")
-TOLERANCE = Option(
-    "--tolerance VOLT",
-    "With --against, the largest difference allowed [default: a thousandth of the range].",
-    positive,
+CHECKING = (  # the fields of ``CheckOptions``
+    Option("--v-min VOLT", "Lowest voltage allowed.", number),
+    Option("--v-max VOLT", "Highest voltage allowed.", number),
+    MAX_SLEW,
+    FROM,
+    Option("--loop", "The drive is looped: from its last row to its first, too."),
+    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset."),
+    Option(
+        "--tolerance VOLT",
+        "With --against, the largest difference allowed [default: a thousandth of the range].",
+        positive,
+    ),
 )
 
 # --- report, show ---
-SCORING = (
+TRACKING = (  # with the columns, the fields of ``TrackingOptions``
     Option("--lag N|auto", "Samples by which measured is taken later than desired.", lag, "0"),
     Option("--remove-offset", "Take the mean of the error off before anything else."),
     Option("--segment cycles|SECONDS", "Also report every cycle, or every so many seconds.", segment),
-)
-REPORT_MODEL = Option("--model MODEL", "Compare this model's prediction with the measurement.")
-REPORT_TRAJECTORY = Option(
-    "--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."
-)
-MATCH = _choice(
-    "--match auto|time|rows",
-    "How logs and --trajectory belong together; auto: by time where both have one.",
-    "auto",
-)
-COUNT_SWEEP = Option(
-    "--count-sweep", "Let a conditioning sweep (rows before time 0) take part; so do --rows that cover it."
+    Option("--model MODEL", "Compare this model's prediction with the measurement."),
+    Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."),
+    _choice(
+        "--match auto|time|rows",
+        "How logs and --trajectory belong together; auto: by time where both have one.",
+        "auto",
+    ),
+    Option(
+        "--count-sweep",
+        "Let a conditioning sweep (rows before time 0) take part; so do --rows that cover it.",
+    ),
 )
 LIMITS = (
     Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this.", not_negative),

@@ -29,9 +29,9 @@ from dbo_cli.hysteresis.identification.search import Score, simplest_of
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator
-from dbo_cli.relatives.model import RelativeModel
-from dbo_cli.relatives.operators import Floats, Kind, PlayOperator
-from dbo_cli.relatives.regressors import Design, Products, gather, rates_of
+from dbo_cli.relatives.play_model import RelativeModel
+from dbo_cli.relatives.play_regressors import Design, Products, gather, rates_of
+from dbo_cli.relatives.plays import Floats, Kind, PlayOperator
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
 PLAYS_CHOICES = (12, 25, 50, 100)

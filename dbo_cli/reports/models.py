@@ -31,7 +31,7 @@ from dbo_cli.reports.running_statistics import Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from dbo_cli.relatives.comparison import Row
+    from dbo_cli.relatives.judging import Row
 
 FEW = 40  # gears or segments that are marked one by one
 JSON_VERSION = 1  # of the form dbo-compare; a change of meaning would need another
@@ -346,7 +346,7 @@ def _paint_cost(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
 
 
 def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
-    from dbo_cli.relatives.comparison import without_lateness
+    from dbo_cli.relatives.judging import without_lateness
 
     line = None
     for number, row in enumerate(rows):

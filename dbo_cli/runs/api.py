@@ -7,7 +7,7 @@ import hashlib
 import os
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
-from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, checked_rate, is_file, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
-from dbo_cli.runs.model import Model, read_model
+from dbo_cli.runs.model import Model, read_model, require_known
 from dbo_cli.runs.roles import recording_wishes, short_names
 
 if TYPE_CHECKING:
     import pandas
 
-    from dbo_cli.runs.comparison import ComparisonReport
     from dbo_cli.runs.identifying import RecordedLog
+    from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
 
 __all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
 
@@ -69,8 +69,6 @@ def read_log(
     UsageError
         An option is senseless.
     """
-    import pandas as pd
-
     options = _reading(time, rows, reading)
     want = {
         "voltage": wish("voltage", voltage, required=False, option="voltage"),
@@ -78,18 +76,26 @@ def read_log(
         "displacement": wish("displacement", displacement, required=False, option="displacement"),
     }
     with open_log(os.fspath(path), want, options, digest=True) as log:
-        if not log.columns:
-            recording = recording_wishes(voltage, displacement)
-            open_log(os.fspath(path), recording, options).close()  # says what is there and what to give
-        block = log.read()
-        record = dict(log.record()) | {"read": log.reading_record()}
-        line = log.reading_line()
+        if not log.columns:  # refused by this, with what there is to choose from
+            open_log(os.fspath(path), recording_wishes(voltage, displacement), options).close()
+        return _frame(log)
+
+
+def _frame(log: SignalLog) -> pandas.DataFrame:
+    """Read a log whole into a table."""
+    import pandas as pd
+
+    block = log.read()
     stamps = {"time": block.time} if block.time is not None and log.even_rate is None else {}
     frame = pd.DataFrame(stamps | dict(block.values))
     units = {role: column.unit for role, column in log.columns.items()}
-    frame.attrs |= {"units": ({"time": "s"} if stamps else {}) | units, "notes": list(log.notes)}
-    frame.attrs |= {"warnings": list(log.warnings), "read": [line]}
-    frame.attrs["provenance"] = record
+    frame.attrs |= {
+        "units": ({"time": "s"} if stamps else {}) | units,
+        "notes": list(log.notes),
+        "warnings": list(log.warnings),
+        "read": [log.reading_line()],
+        "provenance": dict(log.record()) | {"read": log.reading_record()},
+    }
     if log.even_rate is not None:
         frame.attrs["sample_rate"] = log.even_rate
     return frame
@@ -142,10 +148,7 @@ def identify(
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings
 
-    known = {field.name for field in dataclasses.fields(IdentificationOptions)}
-    for name in options:
-        if name not in known:
-            raise UsageError(f"`{name}` is no parameter of identify; there are: {', '.join(sorted(known))}")
+    require_known(IdentificationOptions, options, "is no parameter of identify")
     asked = IdentificationOptions(**options)
     if displacement is not None:
         units = {"voltage": voltage_unit, "displacement": displacement_unit}
@@ -153,8 +156,7 @@ def identify(
     else:
         logs = [_recorded(one, time, sample_rate) for one in _listed(log)]
     checks = [_recorded(one, time, sample_rate) for one in _listed(validate)]
-    names = [[str(one.record["name"]) for one in some] for some in (logs, checks)]
-    arguments = arguments_of(names[0], names[1], chosen_of(asked))
+    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked))
     found = identify_recordings(logs, asked, checks, arguments)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
@@ -180,15 +182,9 @@ def report(
     voltage: Any = None,
     model: Model | str | os.PathLike[str] | None = None,
     unit: str | None = None,
-    lag: int | str = 0,
-    remove_offset: bool = False,
-    segment: float | str | None = None,
-    trajectory: str | os.PathLike[str] | None = None,
-    match: Literal["auto", "time", "rows"] = "auto",
-    count_sweep: bool = False,
     name: str = "log",
-    **columns: Any,
-) -> ComparisonReport:
+    **options: Any,
+) -> TrackingReport:
     """Report how well what was measured follows what was wanted, or what a model predicts.
 
     Parameters
@@ -204,29 +200,16 @@ def report(
         The drive beside the two, for the figures.
     model : Model, optional
         Compare its prediction with the measurement.
-    unit : str, optional
-        Unit of arrays.
-    lag : int or "auto"
-        Samples by which measured is taken later than desired.
-    remove_offset : bool
-        Take the mean of the error off first.
-    segment : "cycles" or float, optional
-        Also report every cycle, or every so many seconds.
-    trajectory : file name, optional
-        Where the desired signal lies, if not in the log itself; for a log that is a file.
-    match : {"auto", "time", "rows"}
-        How log and trajectory belong together; auto: by time where both have one.
-    count_sweep : bool
-        Let a conditioning sweep (rows before time 0, where others follow) take part.
-    name : str
-        What the report calls arrays.
-    **columns
-        For a table or file: ``desired``, ``measured``, and how it is to be read. ``rows`` are the desired
-        rows that count; a model is run from the first row on.
+    unit, name : str, optional
+        Unit of arrays, and what the report calls them.
+    **options
+        What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``, ``trajectory``, ``match``,
+        ``count_sweep``, ``desired``; and how tables and files are to be read. ``rows`` are the desired rows
+        that count; a model is run from the first row on.
 
     Returns
     -------
-    ComparisonReport
+    TrackingReport
         ``report`` holds the numbers; ``to_frame()``, ``to_html()``, ``figures(folder)`` and so on show them.
 
     Raises
@@ -236,58 +219,87 @@ def report(
     UsageError
         The options contradict each other.
     """
-    from dbo_cli.reports.report import ReportOptions
-    from dbo_cli.runs.comparison import Comparison, comparison_wishes
+    logs = [] if measured is not None else _logs(wanted)
+    asked = _tracking_options(options, logs, voltage)
+    predicting = None if model is None else _model(model).actuator
+    from dbo_cli.runs.tracking import TrackingRun
+
+    tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
+    options["sample_rate"] = checked_rate(sample_rate)
+    reading = _reading(time if isinstance(time, str) else None, options.pop("rows", None), options)
+    if logs:
+        _add_logs(tracking, logs, asked, reading, time, name)
+    else:
+        _add_arrays(tracking, (wanted, measured, voltage), asked, reading, time, unit, name)
+    return tracking.result()
+
+
+def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any) -> TrackingOptions:
+    """Take what belongs to ``TrackingOptions`` out of the options of ``report``; the others remain."""
+    from dbo_cli.runs.tracking import TrackingOptions
+
+    known = {field.name for field in dataclasses.fields(TrackingOptions)}
+    asked = {key: options.pop(key) for key in known & options.keys()}
+    if asked.get("trajectory") is not None:
+        if not logs or not all(map(is_file, logs)):
+            raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
+        asked["trajectory"] = os.fspath(asked["trajectory"])
+    asked |= {"lag": _lag(asked.get("lag", 0)), "segment": _segment(asked.get("segment"))}
+    return TrackingOptions(**asked | {"voltage": voltage if logs else None})
+
+
+def _add_logs(
+    tracking: TrackingRun,
+    logs: Sequence[Any],
+    options: TrackingOptions,
+    reading: ReadingOptions,
+    time: Any,
+    name: str,
+) -> None:
+    """Compare tables and files."""
     from dbo_cli.runs.reporting import add_file, rows_to_score
 
-    predicting = None if model is None else _model(model).actuator
-    labels = ("desired", "measured") if model is None else ("model", "measured")
-    how = ReportOptions(_lag(lag), remove_offset, _segment(segment), labels)
-    comparison = Comparison(how, predicting, traced=True)
-    logs = [] if measured is not None else _logs(wanted)
-    selectors = (columns.pop("desired", None), columns.pop("measured", None), voltage)
-    stamps = time if time is None or isinstance(time, str) else None
-    columns["sample_rate"] = checked_rate(sample_rate)
-    reading = _reading(stamps, columns.pop("rows", None), columns)
-    told, score = rows_to_score(reading, how.lag, from_first=predicting is not None)
-    sweep = count_sweep or reading.rows != ALL_ROWS
-    if trajectory is not None and not (logs and all(map(is_file, logs))):
-        raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
+    with_model = tracking.model is not None
+    own, score = rows_to_score(reading, options.lag, from_first=with_model)
     names = short_names([os.fspath(one) for one in logs if is_file(one)])
     for number, one in enumerate(logs, 1):
-        if is_table(one):
-            want = comparison_wishes(*selectors, with_model=model is not None)
-            called = name if len(logs) == 1 else f"{name} {number}"
-            table = table_source(one, want, time, sample_rate, told.rows)
-            comparison.add(table, called, score_rows=score, count_sweep=sweep)
+        if is_file(one):
+            add_file(tracking, os.fspath(one), reading, options, names.get(os.fspath(one)))
             continue
-        add_file(
-            comparison,
-            os.fspath(one),
-            reading,
-            selectors,
-            trajectory=None if trajectory is None else os.fspath(trajectory),
-            match=match,
-            count_sweep=count_sweep,
-            name=names.get(os.fspath(one)),
-        )
-    if logs:
-        return comparison.result()
+        table = table_source(one, options.wishes(with_model), time, reading.sample_rate, own.rows)
+        sweep = options.count_sweep or reading.rows != ALL_ROWS
+        called = name if len(logs) == 1 else f"{name} {number}"
+        tracking.add(table, called, score_rows=score, count_sweep=sweep)
+
+
+def _add_arrays(
+    tracking: TrackingRun,
+    signals: tuple[Any, Any, Any],
+    options: TrackingOptions,
+    reading: ReadingOptions,
+    time: Any,
+    unit: str | None,
+    name: str,
+) -> None:
+    """Compare arrays: what was wanted (with a model: the drive), what was measured, perhaps the drive."""
+    from dbo_cli.runs.reporting import rows_to_score
+
+    wanted, measured, voltage = signals
     if measured is None:
         raise InputError(
             "what was measured is missing: give two arrays, or a table or file with both columns"
         )
-    first = "desired" if model is None else "voltage"
-    values = {first: wanted, "measured": measured}
-    if voltage is not None and model is None:
+    values = {"desired" if tracking.model is None else "voltage": wanted, "measured": measured}
+    if voltage is not None and tracking.model is None:
         values["voltage"] = voltage
-    source = ArraySource(values, time, sample_rate, rows=told.rows)
+    own, score = rows_to_score(reading, options.lag, from_first=tracking.model is not None)
+    source = ArraySource(values, time, reading.sample_rate, rows=own.rows)
     source.columns = {
         role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
         for role, column in source.columns.items()
     }
-    comparison.add(source, name, score_rows=score, count_sweep=sweep)
-    return comparison.result()
+    sweep = options.count_sweep or reading.rows != ALL_ROWS
+    tracking.add(source, name, score_rows=score, count_sweep=sweep)
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:
@@ -295,12 +307,7 @@ def _model(model: Model | str | os.PathLike[str]) -> Model:
 
 
 def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    known = {field.name for field in dataclasses.fields(ReadingOptions)}
-    for name in options:
-        if name not in known:
-            raise UsageError(
-                f"`{name}` says nothing about reading a log; there are: {', '.join(sorted(known))}"
-            )
+    require_known(ReadingOptions, options, "says nothing about reading a log")
     return ReadingOptions(time=time, rows=ALL_ROWS if rows is None else parse_rows(rows), **options)
 
 
@@ -316,6 +323,10 @@ def _listed(logs: Any) -> Sequence[Any]:
     return [logs] if is_file(logs) or is_table(logs) else list(logs)
 
 
+def _names(logs: Sequence[RecordedLog]) -> list[str]:
+    return [str(one.record["name"]) for one in logs]
+
+
 def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
     """Return one log, a table or a file, ready to be identified from."""
     from dbo_cli.runs.identifying import RecordedLog, read_recordings, recording_of
@@ -327,8 +338,8 @@ def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     source = table_source(log, recording_wishes(None, None), time, sample_rate)
     record = log.attrs.get("provenance") or _record(source)
-    said = {key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")}
-    return RecordedLog(recording_of(source, record["name"]), record, Remarks(**said))
+    remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
+    return RecordedLog(recording_of(source, record["name"]), record, remarks)
 
 
 def _recorded_arrays(
@@ -348,7 +359,7 @@ def _recorded_arrays(
 
 
 def _record(source: ArraySource) -> dict[str, Any]:
-    """Return what a model says of arrays it was identified from: a digest of their numbers."""
+    """Return what a model keeps of arrays it was identified from: a digest of their numbers."""
     digest = hashlib.sha256()
     for values in source.values.values():
         digest.update(values.astype("<f8").tobytes())

@@ -12,27 +12,33 @@ import numpy as np
 from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
 from dbo_cli.errors import LimitError
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.addresses import check_document, format_for, selected_files
+from dbo_cli.logs.addresses import check_document, selected_files
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock, joined
-from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import Remarks, plain
+from dbo_cli.runs.roles import open_file
 
 
 @dataclass(frozen=True)
 class CheckOptions:
-    """What a drive is checked for: limits (infinite where not given), start, seam, and what was played."""
+    """What a drive is checked for.
+
+    Limits are infinite where not given. With ``against``, the drive is a recording of what was played, and
+    ``against`` the file of what was to be. ``voltage`` is the drive's column.
+    """
 
     v_min: float | None = None
     v_max: float | None = None
     max_slew: float | None = None
     from_: float | None = None
     loop: bool = False
+    against: str | None = None
     tolerance: float | None = None
+    voltage: str | None = None
 
     def limits(self) -> DriveLimits:
         """Return the limits."""
@@ -41,29 +47,21 @@ class CheckOptions:
 
 
 def check_file(
-    drive: str,
-    output: str,
-    form: str | None,
-    reading: ReadingOptions,
-    options: CheckOptions,
-    *,
-    voltage: str | None = None,
-    against: str | None = None,
+    drive: str, output: str, form: str | None, reading: ReadingOptions, options: CheckOptions
 ) -> Remarks:
     """Write what is wrong with a drive, as text or JSON (``dbo-check``).
-
-    With ``against``, the drive is a recording of what was played, and ``against`` what was to be.
 
     Raises
     ------
     LimitError
         A limit is broken, or something else was played; the report is written all the same.
     """
+    against = options.against
     chosen = form or ("json" if output.lower().endswith(".json") else "text")
     check_document(output, "a check", chosen)
-    inputs = [drive, *([] if against is None else [against]), *selected_files(voltage, reading.time)]
+    inputs = [drive, *([] if against is None else [against]), *selected_files(options.voltage, reading.time)]
     check_output(output, inputs)
-    block, unit, step, remarks = _read(drive, voltage, reading)
+    block, unit, step, remarks = _read(drive, options.voltage, reading)
     values, rows = block.values["voltage"], np.asarray(block.rows)
     checked = check_drive(
         values,
@@ -97,8 +95,8 @@ def _read(
     address: str, voltage: str | None, reading: ReadingOptions
 ) -> tuple[SampleBlock, str | None, float | None, Remarks]:
     """Return a drive read whole, its unit and its even step (s); rows that hold no number are dropped."""
-    options = dataclasses.replace(reading, skip_bad=True, format=format_for(address, reading.format))
-    with open_log(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
+    options = dataclasses.replace(reading, skip_bad=True)
+    with open_file(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
         block = joined(list(log.blocks()))
         step = 1.0 / log.stated_rate if log.stated_rate else None
         if step is None and block.time is not None:

@@ -17,7 +17,7 @@ from dbo_cli.logs.addresses import check_format, format_for
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.files import Destination, check_order, opened, spoken, write_response
+from dbo_cli.runs.files import Destination, check_order, opened, shown_name, write_response
 from dbo_cli.runs.roles import bring_to, quantity_wish, tracked_of, tracked_wishes
 from dbo_cli.runs.starts import start_of
 
@@ -46,13 +46,13 @@ def compensate_trajectory(
     check_order(model_file, trajectory)
     check_format(reading.format, [trajectory, destination.output])
     model = read_model(model_file)
-    model.require("forward", spoken(model_file))
+    model.require("forward", shown_name(model_file))
     wanted = model.output
     want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
     ahead = (reads_ahead(model) or options.bandwidth is not None) and not (tracked or options.periodic)
     recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
     with opened(trajectory, want, reading, destination.live, listener, ahead) as log:
-        bring_to(log, wanted.quantity, wanted, spoken(model_file))
+        bring_to(log, wanted.quantity, wanted, shown_name(model_file))
         options = dataclasses.replace(options, state=start_of(state, model))
         run = compensation(model, log, options, recordings, reading.rows[1] if ahead else None)
         # Not under the name of what will be measured: a drive must not be taken for a recording.

@@ -1,6 +1,7 @@
-"""The use cases from files to files, in constant memory: what a command does, without its words.
+"""The use cases from files to files, in constant memory: what a command does, without its messages.
 
-``reading.format`` tells the format where no file name does; ``live`` hands on each row as it arrives.
+``reading.format`` is for addresses whose ending does not show their format. With ``live`` every row is
+handed on as it arrives.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ from dbo_cli.logs.addresses import (
 )
 from dbo_cli.logs.columns import ColumnWish, split_header
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks, plain
-from dbo_cli.runs.roles import bring_to, quantity_wish
+from dbo_cli.runs.roles import bring_to, open_file, quantity_wish
 from dbo_cli.runs.starts import start_of
 
 
 class Destination(NamedTuple):
-    """Where a response goes: the file, the state after it, and the inputs that must not be overwritten.
+    """Where a result goes: the file, the state after it, and the inputs that must not be overwritten.
 
-    ``command`` is what an HDF5 output says it was made by; ``summary`` a file for what was done, as JSON.
+    ``command`` is the command line that an HDF5 output names; ``summary`` a file for what was done, as JSON.
     """
 
     output: str
@@ -88,7 +89,7 @@ def simulate_log(
     want = {taken.quantity: quantity_wish(taken, column, option="input")}
     ahead = model.direction == "inverse" and reads_ahead(model)
     with opened(log_file, want, reading, destination.live, listener, ahead) as log:
-        bring_to(log, taken.quantity, taken, spoken(model_file))
+        bring_to(log, taken.quantity, taken, shown_name(model_file))
         last = reading.rows[1] if ahead else None
         run = ModelRun(model, log, start_of(state, model), outside, last)
         given = _column_of(log, taken)
@@ -112,10 +113,9 @@ def opened(
     ahead: bool = False,
 ) -> SignalLog:
     """Open a log; where it is to be read ahead, the rows after the last one asked for are there, too."""
-    options = dataclasses.replace(reading, format=format_for(address, reading.format))
     if ahead and reading.resample is None:
-        options = dataclasses.replace(options, rows=(reading.rows[0], None))
-    log = open_log(address, want, options, live=live)
+        reading = dataclasses.replace(reading, rows=(reading.rows[0], None))
+    log = open_file(address, want, reading, live=live)
     listener.opened(log.describe())
     if live:
         listener.reading(log.opening_line())
@@ -169,10 +169,10 @@ def write_response(
         if destination.summary is not None:
             done = summary_of(run, log.reading_record(), figures, destination.command)
             write_whole(destination.summary, (json.dumps(done, indent=2, ensure_ascii=False) + "\n").encode())
-    told = run.remarks()
+    remarks = run.remarks()
     if destination.live:
-        told.read.clear()  # it was said when the stream began
-    return told
+        remarks.read.clear()  # printed when the stream began
+    return remarks
 
 
 def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:
@@ -218,7 +218,7 @@ def check_order(model_file: str, log_file: str) -> None:
 
 
 def _is_model(path: str) -> bool:
-    """Tell whether a file begins as a model does; a pipe is not looked into: it could not be read again."""
+    """Return whether a file begins as a model does; a pipe is not read: that could not be done again."""
     if not os.path.isfile(path):
         return False
     try:
@@ -228,6 +228,6 @@ def _is_model(path: str) -> bool:
         return False
 
 
-def spoken(address: str) -> str:
-    """Return an address as messages call it."""
+def shown_name(address: str) -> str:
+    """Return an address as messages show it."""
     return "standard input" if address == "-" else address

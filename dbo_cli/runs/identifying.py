@@ -12,22 +12,21 @@ from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.logs.addresses import check_document, check_format, format_for, selected_files, without_folder
+from dbo_cli.logs.addresses import check_document, check_format, selected_files, without_folder
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
-from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import recording_wishes, short_names
+from dbo_cli.runs.roles import open_file, recording_wishes, short_names
 
 
 @dataclass(frozen=True)
 class RecordedLog:
-    """A recording ready to be identified from, and what the model says of where it came from."""
+    """A recording ready to be identified from, and what the model keeps of where it came from."""
 
     recording: Recording
     record: Mapping[str, Any]
@@ -36,7 +35,7 @@ class RecordedLog:
 
 @dataclass(frozen=True)
 class Identified:
-    """A model, what was found (``summary``), and what was said on the way."""
+    """A model, what was found (``summary``), and the remarks of the run."""
 
     model: ActuatorModel
     summary: list[str]
@@ -75,9 +74,8 @@ def read_recordings(
     units: dict[str, str | None] = {}
 
     def read(address: str, options: ReadingOptions) -> RecordedLog:
-        told = dataclasses.replace(options, format=format_for(address, options.format))
         wishes = recording_wishes(voltage, displacement)
-        with open_log(address, wishes, told, digest=True) as log:
+        with open_file(address, wishes, options, digest=True) as log:
             listener.opened(log.describe())
             taken = log.columns["displacement"]
             if is_order(taken, wishes["displacement"]):

@@ -74,7 +74,7 @@ class Model:
     actuator : ActuatorModel
         The cascade of stages.
     summary, remarks
-        What was said when it was identified.
+        The messages of its identification.
     """
 
     def __init__(
@@ -266,11 +266,7 @@ class Model:
         from dbo_cli.drives.options import DriveOptions
         from dbo_cli.drives.planning import compensation
 
-        known = {field.name for field in dataclasses.fields(DriveOptions)}
-        for name in options:
-            if name not in known:
-                there_are = ", ".join(sorted(known))
-                raise UsageError(f"`{name}` is no parameter of compensate; there are: {there_are}")
+        require_known(DriveOptions, options, "is no parameter of compensate")
         asked = DriveOptions(**options | {"state": self._start(options.get("state", "auto"))})
         self.actuator.require("forward")
         want = quantity_wish(self.output, option="wanted", trajectory=True)
@@ -342,8 +338,16 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         The file cannot be read, is no model, or contradicts itself; the message names file and key.
     """
     actuator = read_model_file(os.fspath(path))
-    said = actuator.fit.get("warnings")
-    return Model(actuator, remarks=Remarks(warnings=list(said) if isinstance(said, list) else []))
+    kept = actuator.fit.get("warnings")
+    return Model(actuator, remarks=Remarks(warnings=list(kept) if isinstance(kept, list) else []))
+
+
+def require_known(record: Any, given: Mapping[str, Any], what: str) -> None:
+    """Refuse keywords that are no fields of a record of options (UsageError, which lists the fields)."""
+    known = {field.name for field in dataclasses.fields(record)}
+    for name in given:
+        if name not in known:
+            raise UsageError(f"`{name}` {what}; there are: {', '.join(sorted(known))}")
 
 
 def _source(
@@ -405,7 +409,7 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
         if isinstance(run.source, SignalLog):
             run.source.close()
     values = np.concatenate([response.result for response in responses])
-    told = run.remarks()
+    remarks = run.remarks()
     assert run.state is not None
     run.state = dataclasses.replace(run.state, model=run.model.digest)
     if details:
@@ -414,12 +418,12 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
             values,
             np.concatenate(times) if times else None,
             run.state,
-            told.notes,
-            told.warnings,
+            remarks.notes,
+            remarks.warnings,
             run.clipped.count if isinstance(run, Compensation) else 0,
             run.beyond.count,
         )
-    for text in told.warnings:
+    for text in remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=3)
     return (values, run.state) if return_state else values
 

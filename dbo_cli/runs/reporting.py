@@ -7,26 +7,20 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model_file import read_model
-from dbo_cli.logs.addresses import check_document, format_for, selected_files
+from dbo_cli.logs.addresses import check_document, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
-from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import check_folder, refuse_picture
-from dbo_cli.reports.report import Report, ReportOptions, check_limits
+from dbo_cli.reports.report import Report, check_limits
 from dbo_cli.reports.sample_pairs import rows_to_read
-from dbo_cli.runs.comparison import (
-    Comparison,
-    Match,
-    comparison_wishes,
-    refuse_both,
-    trajectory_wishes,
-)
-from dbo_cli.runs.roles import short_names
+from dbo_cli.runs.roles import open_file, short_names
+from dbo_cli.runs.tracking import TrackingOptions, TrackingRun, refuse_both, trajectory_wishes
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 
@@ -58,58 +52,30 @@ def report_logs(
     logs: Sequence[str],
     output: str,
     reading: ReadingOptions,
+    options: TrackingOptions,
     *,
     form: str | None = None,
-    model_file: str | None = None,
-    lag: Any = 0,
-    remove_offset: bool = False,
-    segment: Any = None,
     figures: str | None = None,
-    desired: str | None = None,
-    measured: str | None = None,
-    voltage: str | None = None,
-    trajectory: str | None = None,
-    match: Match = "auto",
-    count_sweep: bool = False,
     listener: Listener = SILENT,
 ) -> Written:
-    """Compare logs and write the report, by default in the form that the output's name tells, else text.
-
-    With ``trajectory`` the desired signal lies in that file, for every log.
-    """
-    if model_file is not None and trajectory is not None:
+    """Compare logs and write the report, by default in the form of the output's ending, else text."""
+    if options.model is not None and options.trajectory is not None:
         refuse_both()
-    chosen = form or ENDINGS.get(Path(output).suffix.lower(), "text")
-    labels = ("desired", "measured") if model_file is None else ("model", "measured")
-    if form is not None and ENDINGS.get(Path(output).suffix.lower(), form) != form:
-        raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
+    chosen = report_form(output, form)
     check_document(output, "a report", chosen)
-    inputs = [*logs, *(name for name in (model_file, trajectory) if name is not None)]
-    inputs += selected_files(desired, measured, voltage, reading.time)
+    inputs = [*logs, *(name for name in (options.model, options.trajectory) if name is not None)]
+    inputs += selected_files(options.desired, options.measured, options.voltage, reading.time)
     check_output(output, inputs)
     if figures is not None:
         refuse_picture(figures)
-        with contextlib.suppress(OutputError):  # check_folder words it
-            make_folder(figures)
-        check_folder(figures)
-    model = None if model_file is None else read_model(model_file)
-    options = ReportOptions(lag, remove_offset, segment, labels)
+        prepare_folder(figures)
+    model = None if options.model is None else read_model(options.model)
     traced = figures is not None or chosen == "html"
-    comparison = Comparison(options, model, str(model_file), traced)
+    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model), traced)
     names = short_names(logs)
     for address in logs:
-        add_file(
-            comparison,
-            address,
-            reading,
-            (desired, measured, voltage),
-            trajectory=trajectory,
-            match=match,
-            count_sweep=count_sweep,
-            name=names.get(address),
-            listener=listener,
-        )
-    result = comparison.result()
+        add_file(tracking, address, reading, options, names.get(address), listener)
+    result = tracking.result()
     if figures is not None:
         result.figures(figures)
     try:
@@ -120,39 +86,54 @@ def report_logs(
     return Written(result.report, chosen, result.remarks)
 
 
+def report_form(output: str, form: str | None) -> str:
+    """Return the form of a report: as asked for, by the output's ending, else text.
+
+    Raises
+    ------
+    UsageError
+        The ending says another form than the one asked for.
+    """
+    named = ENDINGS.get(Path(output).suffix.lower())
+    if form is not None and named not in (None, form):
+        raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
+    return form or named or "text"
+
+
+def prepare_folder(folder: str) -> None:
+    """Make a folder for outputs where there is none, and refuse one that cannot be written to."""
+    with contextlib.suppress(OutputError):  # check_folder has the better message
+        make_folder(folder)
+    check_folder(folder)
+
+
 def add_file(
-    comparison: Comparison,
+    tracking: TrackingRun,
     address: str,
     reading: ReadingOptions,
-    selectors: tuple[str | None, str | None, str | None],
-    *,
-    trajectory: str | None = None,
-    match: Match = "auto",
-    count_sweep: bool = False,
+    options: TrackingOptions,
     name: str | None = None,
     listener: Listener = SILENT,
 ) -> None:
-    """Compare one log; ``selectors`` are the columns desired, measured and voltage, None where guessed."""
-    from_first = comparison.model is not None or trajectory is not None
-    want = comparison_wishes(*selectors, comparison.model is not None, trajectory is not None)
-    asked = reading.rows != ALL_ROWS
-    told = dataclasses.replace(reading, format=format_for(address, reading.format))
-    told, score_rows = rows_to_score(told, comparison.options.lag, from_first=from_first)
+    """Compare one log."""
+    with_model, trajectory = tracking.model is not None, options.trajectory
+    from_first = with_model or trajectory is not None
+    own, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
     with contextlib.ExitStack() as stack:
-        log = stack.enter_context(open_log(address, want, told))
+        log = stack.enter_context(open_file(address, options.wishes(with_model), own))
         listener.opened(log.describe())
         wished = None
         if trajectory is not None:
-            wished = stack.enter_context(open_trajectory(trajectory, selectors[0], reading))
+            wished = stack.enter_context(open_trajectory(trajectory, options.desired, reading))
             listener.opened(wished.describe())
-        comparison.add(
+        tracking.add(
             log,
             name,
             listener,
             score_rows=score_rows,
-            count_sweep=count_sweep or asked,
+            count_sweep=options.count_sweep or reading.rows != ALL_ROWS,
             trajectory=wished,
-            match=match,
+            match=options.match,
         )
 
 
@@ -190,12 +171,10 @@ def rows_to_score(
 
 def open_trajectory(address: str, desired: str | None, reading: ReadingOptions) -> SignalLog:
     """Open the file with the desired signal, on its own clock where it has one."""
-    own = dataclasses.replace(
-        reading, rows=ALL_ROWS, time=None, sample_rate=None, format=format_for(address, reading.format)
-    )
-    log = open_log(address, trajectory_wishes(desired), own)
+    own = dataclasses.replace(reading, rows=ALL_ROWS, time=None, sample_rate=None)
+    log = open_file(address, trajectory_wishes(desired), own)
     if log.has_time or reading.sample_rate is None:
         return log
     log.close()
     timed = dataclasses.replace(own, sample_rate=reading.sample_rate)
-    return open_log(address, trajectory_wishes(desired), timed)
+    return open_file(address, trajectory_wishes(desired), timed)

@@ -133,7 +133,7 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
 
 
 def _asymmetry(content: Mapping[str, Any]) -> str:
-    """Say how many segments the points have, and on which side of the gears where they stand on both."""
+    """Return how many segments the points have, and on which side of the gears where they stand on both."""
     before, every = content["segments_at_the_drive"], sum(content["segments"])
     if 0 < before < every:
         behind = every - before
@@ -152,9 +152,9 @@ def _at_the_drive(model: ActuatorModel) -> int:
 
 def _lag(content: Mapping[str, Any]) -> str:
     taus = ", ".join(f"{tau:.3g}" for tau in content["relaxation_seconds"])
-    said = f"; lag and creep with time constants of {taus} s" if taus else "; no lag, no creep"
+    text = f"; lag and creep with time constants of {taus} s" if taus else "; no lag, no creep"
     delay = content["delay_seconds"]
-    return said + (f"; a delay of {1e3 * delay:.3g} ms" if delay else "")
+    return text + (f"; a delay of {1e3 * delay:.3g} ms" if delay else "")
 
 
 def _quantity(quantity: Quantity) -> dict[str, Any]:

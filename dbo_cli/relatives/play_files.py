@@ -8,8 +8,8 @@ from __future__ import annotations
 from dbo_cli.hysteresis.cascade import Stage
 from dbo_cli.hysteresis.model_file import Node
 from dbo_cli.hysteresis.operators import BacklashState
-from dbo_cli.relatives.model import RelativeModel
-from dbo_cli.relatives.operators import KINDS, Kind, PlayOperator, PlayState
+from dbo_cli.relatives.play_model import RelativeModel
+from dbo_cli.relatives.plays import KINDS, Kind, PlayOperator, PlayState
 
 __all__ = ["READERS", "RelativeModel", "read_places"]
 

@@ -1,4 +1,4 @@
-"""Comparison: how well the measured displacement follows the desired one, or a model the measurement."""
+"""Tracking: how well the measured displacement follows the desired one, or a model the measurement."""
 
 from __future__ import annotations
 
@@ -27,24 +27,57 @@ if TYPE_CHECKING:
 
     from dbo_cli.reports.thinned_curves import FigureData
 
-FORMS = ("text", "json", "csv", "html")
 Match = Literal["auto", "time", "rows"]
 
 
-def comparison_wishes(
-    desired: str | None,
-    measured: str | None,
-    voltage: str | None,
-    with_model: bool,
-    with_trajectory: bool = False,
-) -> dict[str, ColumnWish]:
-    """Return the columns that a comparison reads, as named or to be guessed."""
-    want = {"measured": wish("measured", measured, option="measured")}
-    if not with_model and not with_trajectory:
-        want["desired"] = wish("desired", desired, option="desired", may_be_blank=True)
-    needed = with_model or voltage is not None
-    want["voltage"] = wish("voltage", voltage, required=needed, option="voltage")
-    return want
+@dataclass(frozen=True)
+class TrackingOptions:
+    """What is asked of a report on logs.
+
+    Attributes
+    ----------
+    lag : int or "auto"
+        Samples by which measured is taken later than desired.
+    remove_offset : bool
+        Take the mean of the error off first.
+    segment : "cycles" or float, optional
+        Also report every cycle, or every so many seconds.
+    desired, measured, voltage : str, optional
+        The columns, guessed where not given.
+    model : str, optional
+        A model file: its prediction takes the place of the desired signal.
+    trajectory : str, optional
+        The file with the desired signal, if that is not in the logs.
+    match : {"auto", "time", "rows"}
+        How logs and trajectory belong together; auto: by time where both have one.
+    count_sweep : bool
+        Let a conditioning sweep (rows before time 0, where others follow) take part.
+    """
+
+    lag: int | Literal["auto"] = 0
+    remove_offset: bool = False
+    segment: float | Literal["cycles"] | None = None
+    desired: str | None = None
+    measured: str | None = None
+    voltage: str | None = None
+    model: str | None = None
+    trajectory: str | None = None
+    match: Match = "auto"
+    count_sweep: bool = False
+
+    def scoring(self, with_model: bool) -> ReportOptions:
+        """Return how signals are compared."""
+        labels = ("model" if with_model else "desired", "measured")
+        return ReportOptions(self.lag, self.remove_offset, self.segment, labels)
+
+    def wishes(self, with_model: bool) -> dict[str, ColumnWish]:
+        """Return the columns to be read of a log, as named or to be guessed."""
+        want = {"measured": wish("measured", self.measured, option="measured")}
+        if not with_model and self.trajectory is None:
+            want["desired"] = wish("desired", self.desired, option="desired", may_be_blank=True)
+        needed = with_model or self.voltage is not None
+        want["voltage"] = wish("voltage", self.voltage, required=needed, option="voltage")
+        return want
 
 
 def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
@@ -53,7 +86,7 @@ def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
 
 
 @dataclass
-class Comparison:
+class TrackingRun:
     """Sources compared one after the other, and what the report and its figures need of each.
 
     Attributes
@@ -100,7 +133,7 @@ class Comparison:
         name
             What the report calls it.
         listener
-            Hears of every block.
+            Called after every block.
         score_rows
             The rows that count, of all that the source gives (see ``reports.report.evaluate``).
         count_sweep
@@ -129,10 +162,10 @@ class Comparison:
         listener.finished()
         self.remarks.add(remarks_of(source) if run is None else run.remarks())
 
-    def result(self) -> ComparisonReport:
+    def result(self) -> TrackingReport:
         """Return the report on all sources."""
         report = Report.of(self._merits, self.options, common_unit(self._units))
-        return ComparisonReport(report, tuple(self._figure_data), self.model, self.remarks)
+        return TrackingReport(report, tuple(self._figure_data), self.model, self.remarks)
 
     def _bring_to_one_unit(self, source: Source, wanted: Source) -> None:
         """Compare in one unit: the model's, else that of the first log's measurement.
@@ -169,11 +202,11 @@ class Comparison:
             for one in (source, trajectory):
                 one.require_time("`match` by time depends on it")
         return TrajectoryMatch(
-            source.name, trajectory.name, heard(source, listener), trajectory.blocks(), by_time=by_time
+            source.name, trajectory.name, counted(source, listener), trajectory.blocks(), by_time=by_time
         )
 
     def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
-        for block in heard(source, listener):
+        for block in counted(source, listener):
             yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]))
 
 
@@ -185,15 +218,15 @@ def refuse_both() -> NoReturn:
     )
 
 
-def heard(source: Source, listener: Listener) -> Iterator[SampleBlock]:
-    """Return the blocks of a source, each told of once it is done with."""
+def counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
+    """Return the blocks of a source, each counted once it is done with."""
     for block in source.blocks():
         yield block
         listener.progressed(len(block))
 
 
 @dataclass(frozen=True)
-class ComparisonReport:
+class TrackingReport:
     """A report, in every form; ``report`` holds the numbers.
 
     Raises
@@ -249,7 +282,7 @@ class ComparisonReport:
         )
 
     def rendered(self, form: str) -> bytes:
-        """Return the report in one of ``FORMS``."""
+        """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
         return str(getattr(self, f"to_{form}")()).encode()
 
     def figures(self, folder: str | Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.identification.regressors import hat_functions
 from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog
-from dbo_cli.relatives.operators import Kind, PlayOperator
+from dbo_cli.relatives.plays import Kind, PlayOperator
 
 Floats = NDArray[np.float64]
 

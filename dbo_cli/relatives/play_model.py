@@ -22,7 +22,7 @@ from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Outside
-from dbo_cli.relatives.operators import NOTHING, Bounds, PlayOperator, PlayState
+from dbo_cli.relatives.plays import NOTHING, Bounds, PlayOperator, PlayState
 
 Floats = NDArray[np.float64]
 

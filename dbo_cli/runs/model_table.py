@@ -1,30 +1,28 @@
-"""The comparison of models: logs in, one table, figures and the models themselves out."""
+"""A table of models fitted to the same logs, with figures and the models themselves."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.logs.addresses import check_format
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
-from dbo_cli.relatives.comparison import NAMES, compare
+from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
+from dbo_cli.relatives.judging import NAMES, compare
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.reports.drawing import check_folder, save
+from dbo_cli.reports.drawing import save
 from dbo_cli.reports.models import ModelTable
 from dbo_cli.runs.identifying import read_recordings
-from dbo_cli.runs.reporting import ENDINGS
+from dbo_cli.runs.reporting import prepare_folder, report_form
 
 
 @dataclass(frozen=True)
-class ComparisonOptions:
+class TableOptions:
     """What to compare and how; ``names`` None: all models; not ``timed``: same input, same bytes."""
 
     names: tuple[str, ...] | None = None
@@ -41,24 +39,20 @@ def compare_logs(
     validation: Sequence[str],
     output: str,
     reading: ReadingOptions,
-    options: ComparisonOptions,
+    options: TableOptions,
     *,
     voltage: str | None = None,
     displacement: str | None = None,
     listener: Listener = SILENT,
 ) -> Remarks:
     """Fit every model to the logs and write the table; ``reading.rows`` are those of ``logs`` alone."""
-    named = ENDINGS.get(Path(output).suffix.lower())
-    if options.form is not None and named not in (None, options.form):
-        raise UsageError(f"{output}: `format` {options.form} contradicts this name: leave one of them out")
+    form = report_form(output, options.form)
     inputs = [*logs, *validation]
     check_output(output, inputs)
     check_format(reading.format, inputs)
     for folder in (options.figures, options.models_folder):
         if folder is not None:
-            with contextlib.suppress(OutputError):  # check_folder words it
-                make_folder(folder)
-            check_folder(folder)
+            prepare_folder(folder)
     fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
     recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
     rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)
@@ -75,7 +69,7 @@ def compare_logs(
                 path = os.path.join(options.models_folder, f"{row.name}.json")
                 content = model_to_bytes(dataclasses.replace(row.model, provenance=provenance))
                 write_whole(path, content, protect=inputs)
-    content = shown.rendered(options.form or named or "text", provenance, program)
+    content = shown.rendered(form, provenance, program)
     write_whole(output, content, protect=inputs)
     remarks = Remarks()
     for one in [*fitted, *checks]:

@@ -25,7 +25,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.relatives.fitting import RELATIVES, Relative, fit
-from dbo_cli.relatives.operators import Floats
+from dbo_cli.relatives.plays import Floats
 
 NAMES = ("dbo", *(relative.name for relative in RELATIVES))
 OWN_WORDS = "Discrete Backlash Operator"
@@ -44,7 +44,7 @@ def processor_ns() -> int:
 
 @dataclass(frozen=True)
 class Row:
-    """What is said of one model; lengths in the displacement's unit, None where there is nothing to say.
+    """The figures of one model; lengths in the displacement's unit, None where there is none.
 
     Attributes
     ----------
