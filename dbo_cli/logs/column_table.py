@@ -250,7 +250,11 @@ class ColumnTable:
         self._start = start
         self._close = close
         self._damaged = damaged
-        self.columns = [describe_column(source, number) for number, source in enumerate(sources, start=1)]
+        # A column is described by the last part of its label and the unit that the file gives.
+        self.columns = [
+            replace(column_info(one.label.rsplit("/", 1)[-1], number, one.unit), name=one.label)
+            for number, one in enumerate(sources, start=1)
+        ]
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""
@@ -350,11 +354,6 @@ def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:
     """Tell which values of a column are refused: NaN is none where the column may be blank."""
     bad = ~are_measured(values)
     return bad & ~np.isnan(values) if pick.may_be_blank else bad
-
-
-def describe_column(source: ColumnSource, number: int) -> ColumnInfo:
-    """Describe a column by the last part of its label and the unit that the file gives."""
-    return replace(column_info(source.label.rsplit("/", 1)[-1], number, source.unit), name=source.label)
 
 
 def brief(problem: BaseException) -> str:
