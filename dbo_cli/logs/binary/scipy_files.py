@@ -1,4 +1,4 @@
-"""What scipy reads, as a table of columns: MATLAB before version 7.3 and netCDF 3; the newer ones are HDF5."""
+"""What scipy reads as a table of columns: MATLAB before version 7.3 and netCDF 3; newer ones are HDF5."""
 
 from __future__ import annotations
 

@@ -21,6 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -96,8 +97,6 @@ class StoreOutput:
 
     def _merge(self, temporary: str) -> None:
         """Make the temporary file a copy of the store with the new group in it."""
-        import h5py
-
         watch = FileWatch(self.path, self.path)
         merged = partial_path(os.path.realpath(self.path))
         try:
@@ -116,8 +115,6 @@ class StoreOutput:
             raise
 
     def _refuse_foreign(self) -> None:
-        import h5py
-
         if not h5py.is_hdf5(self.path):
             if self.group != "/":
                 raise OutputError(
@@ -136,8 +133,6 @@ class StoreOutput:
 
     def _node(self, store: Any) -> Any:
         """Return what stands at the group's path, None where there is nothing yet."""
-        import h5py
-
         node, here = store, ""
         for name in self.group.strip("/").split("/") if self.group != "/" else ():
             here += f"/{name}"
@@ -252,8 +247,6 @@ class Hdf5Writer:
     def __init__(
         self, path: str, group: str, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
     ) -> None:
-        import h5py
-
         self._names = _dataset_names(columns)
         self._file = h5py.File(path, "w")
         self._group = self._file.require_group(group)
