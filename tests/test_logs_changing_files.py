@@ -174,7 +174,7 @@ def test_a_file_behind_a_link_is_watched_too(tmp_path: Path, link: bool) -> None
 def test_nothing_is_written(
     tmp_path: Path, name: str, dbo: Any, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from dbo_cli.logs.hdf5.writer import Hdf5Writer
+    from dbo_cli.logs.hdf5.store import Hdf5Writer
 
     path = tmp_path / name
     WRITERS[name](path)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, OutputError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.hdf5.writer import shuffled_deflated
+from dbo_cli.logs.hdf5.store import shuffled_deflated
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer

@@ -173,7 +173,7 @@ def loaded() -> None:
         __import__(f"dbo_cli.cli.{name}")
     for name in ("files", "reporting"):
         __import__(f"dbo_cli.runs.{name}")
-    for name in ("hdf5.writer", "hdf5.store", "signal_writer", "text.text_table"):
+    for name in ("hdf5.store", "signal_writer", "text.text_table"):
         __import__(f"dbo_cli.logs.{name}")
 
 

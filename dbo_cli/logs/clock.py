@@ -48,7 +48,8 @@ class TimeCheck:
     """Watches time stamps block by block and notes what is odd about them, in constant memory.
 
     The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
-    the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``.
+    the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``; only then are
+    ``first`` and ``last``, the stamps at both ends, known.
     """
 
     place: str
@@ -62,13 +63,21 @@ class TimeCheck:
     widest: float = 0.0
     _kept: list[tuple[FloatArray, Places, Places | None]] = field(default_factory=list)
     rows: int = 0
-    _last: float | None = None
-    _first: float = 0.0
+    last: float | None = None
+    first: float = 0.0
 
     @property
     def is_even(self) -> bool:
         """Whether no step is far from the usual one, gaps aside."""
         return self.widest - self.narrowest <= JITTER * self.step
+
+    def rate(self) -> float | None:
+        """Return samples a second (Hz) where every step is about the usual one, else None."""
+        self._learn()
+        odd = self.restart.count + self.backward.count + self.repeat.count + self.gap.count
+        if odd or self.rows < 2 or self.last is None or not self.is_even:
+            return None
+        return (self.rows - 1) / (self.last - self.first)
 
     def feed(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
         """Look at one block of time stamps (s)."""
@@ -118,17 +127,17 @@ class TimeCheck:
             self._judge(time, rows, lines)
 
     def _judge(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
-        if self._last is None:
-            self._first = self._last = float(time[0])
+        if self.last is None:
+            self.first = self.last = float(time[0])
             time, rows, lines = time[1:], rows[1:], None if lines is None else lines[1:]
             if not len(time):
                 return
-        before = np.concatenate([[self._last], time[:-1]])
-        self._last = float(time[-1])
+        before = np.concatenate([[self.last], time[:-1]])
+        self.last = float(time[-1])
         steps = time - before
         usual = steps
         if steps.min() <= 0.0 or steps.max() > GAP_STEPS * self.step:
-            begins = (np.abs(time - self._first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
+            begins = (np.abs(time - self.first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
             gap = steps > GAP_STEPS * self.step
             for finding, which in (
                 (self.restart, (steps < 0.0) & begins),

@@ -20,7 +20,14 @@ from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import GAVE_UP
 from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, are_measured, dropped_note
+from dbo_cli.logs.sample_block import (
+    ColumnInfo,
+    FloatArray,
+    SampleBlock,
+    Table,
+    are_measured,
+    dropped_note,
+)
 from dbo_cli.logs.stated_clock import Statement, agreed_rate, read_statements
 
 Fetch = Callable[[int, int], Any]
@@ -205,10 +212,11 @@ def unpacked(
     )
 
 
-class ColumnTable:
-    """A log made of columns; fulfils the protocol of ``signal_log.Table``.
+@dataclass
+class ColumnTable(Table):
+    """A log made of columns.
 
-    Parameters
+    Attributes
     ----------
     request
         What was asked for.
@@ -222,42 +230,36 @@ class ColumnTable:
         The time (s) of the first row.
     where
         Where in the file the columns are (`` in /run1``), for ``describe``.
-    close
+    at_close
         Called once the log is no longer needed.
     damaged
         The errors that the format's library raises for a damaged file while it is read.
     """
 
-    def __init__(
-        self,
-        request: Request,
-        kind: str,
-        sources: Sequence[ColumnSource],
-        *,
-        clock: Sequence[Statement] = (),
-        start: float = 0.0,
-        where: str = "",
-        close: Callable[[], object] | None = None,
-        damaged: tuple[type[BaseException], ...] = (OSError, RuntimeError, TypeError, ValueError),
-    ) -> None:
-        self.place = request.place
-        self._request = request
+    request: Request
+    kind: str
+    sources: Sequence[ColumnSource]
+    clock: Sequence[Statement] = ()
+    start: float = 0.0
+    where: str = ""
+    at_close: Callable[[], object] | None = None
+    damaged: tuple[type[BaseException], ...] = (OSError, RuntimeError, TypeError, ValueError)
+
+    def __post_init__(self) -> None:
+        """Describe each column by the last part of its label and the unit that the file gives."""
+        self.place = self.request.place
         self.notes: list[str] = []
-        self._kind = kind
-        self._where = where
-        self._sources = list(sources)
-        self._clock = tuple(clock)
-        self._start = start
-        self._close = close
-        self._damaged = damaged
-        self.columns = [describe_column(source, number) for number, source in enumerate(sources, start=1)]
+        self.columns = [
+            replace(column_info(one.label.rsplit("/", 1)[-1], number, one.unit), name=one.label)
+            for number, one in enumerate(self.sources, start=1)
+        ]
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""
-        plural = "s" if len(self._sources) != 1 else ""
-        stated = [one for one in self._clock if one.rate]
+        plural = "s" if len(self.sources) != 1 else ""
+        stated = [one for one in self.clock if one.rate]
         rate = f", {stated[0].rate:g} samples a second" if stated else ""
-        return f"{self.place}: {self._kind}, {len(self._sources)} column{plural}{self._where}{rate}"
+        return f"{self.place}: {self.kind}, {len(self.sources)} column{plural}{self.where}{rate}"
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states for these columns, and the first row's time (s).
@@ -267,10 +269,10 @@ class ColumnTable:
         InputError
             The rate cannot be read, or the columns are sampled at different rates.
         """
-        picked = [self._sources[column.number - 1] for column in columns]
+        picked = [self.sources[column.number - 1] for column in columns]
         own = [one for source in picked for one in source.clock]
         # What a column states of itself goes before what the file states as a whole.
-        rate = agreed_rate(self.place, own or self._clock, self.notes)
+        rate = agreed_rate(self.place, own or self.clock, self.notes)
         starts = {source.start for source in picked}
         if len(starts) > 1:
             listed = ", ".join(f"'{source.label}' at {source.start:g} s" for source in picked)
@@ -278,7 +280,7 @@ class ColumnTable:
                 f"{self.place}: the columns do not start at the same time: {listed} "
                 "(`sample_rate` HZ takes them row by row)"
             )
-        return rate, starts.pop() or self._start if starts else self._start
+        return rate, starts.pop() or self.start if starts else self.start
 
     def blocks(
         self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
@@ -291,7 +293,7 @@ class ColumnTable:
             The columns are of unequal length, a value is not finite (unless ``skip_bad``), or the file
             changes while it is read.
         """
-        sources = [self._sources[pick.number - 1] for pick in picks.values()]
+        sources = [self.sources[pick.number - 1] for pick in picks.values()]
         for source in sources:
             if source.problem:
                 raise InputError(f"{self.place}: {source.problem}")
@@ -317,16 +319,11 @@ class ColumnTable:
 
     def close(self) -> None:
         """Close the file."""
-        if self._close is not None:
-            self._close()
-
-    @property
-    def sha256(self) -> str | None:
-        """None: such a file is always there to be hashed as a whole."""
-        return None
+        if self.at_close is not None:
+            self.at_close()
 
     def _block(self, roles: list[str], sources: list[ColumnSource], start: int, stop: int) -> SampleBlock:
-        with self._request.reading(self._kind, self._damaged):
+        with self.request.reading(self.kind, self.damaged):
             arrays = {role: source.read(start, stop) for role, source in zip(roles, sources, strict=True)}
         return SampleBlock(range(start + 1, stop + 1), None, None, arrays)
 
@@ -350,11 +347,6 @@ def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:
     """Tell which values of a column are refused: NaN is none where the column may be blank."""
     bad = ~are_measured(values)
     return bad & ~np.isnan(values) if pick.may_be_blank else bad
-
-
-def describe_column(source: ColumnSource, number: int) -> ColumnInfo:
-    """Describe a column by the last part of its label and the unit that the file gives."""
-    return replace(column_info(source.label.rsplit("/", 1)[-1], number, source.unit), name=source.label)
 
 
 def brief(problem: BaseException) -> str:

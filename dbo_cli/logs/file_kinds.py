@@ -18,20 +18,22 @@ if TYPE_CHECKING:
 
 # First bytes, and the module and function that read such a file; a library is imported only then.
 _SIGNATURES = {
-    b"\x89HDF\r\n\x1a\n": ("hdf5.reader", "open_hdf5"),
-    b"MATLAB 5.0 MAT-file": ("binary.matlab", "open_matlab"),
+    b"MATLAB 5.0 MAT-file": ("binary.scipy_files", "open_matlab"),
     b"\x93NUMPY": ("binary.numpy", "open_npy"),
     b"PAR1": ("binary.arrow", "open_parquet"),
     b"ARROW1": ("binary.arrow", "open_feather"),
     b"FEA1": ("binary.arrow", "open_old_feather"),
     b"TDSm": ("binary.tdms", "open_tdms"),
-    b"CDF\x01": ("binary.netcdf", "open_netcdf"),
-    b"CDF\x02": ("binary.netcdf", "open_netcdf"),
+    b"CDF\x01": ("binary.scipy_files", "open_netcdf"),
+    b"CDF\x02": ("binary.scipy_files", "open_netcdf"),
     b"\xd0\xcf\x11\xe0": ("binary.excel", "open_excel"),
 }
 _ZIP = b"PK\x03\x04"
-_ZIP_ENDINGS = {".npz": ("binary.numpy", "open_npz")}
-_WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".ods")
+_EXCEL = ("binary.excel", "open_excel")
+_ZIP_ENDINGS = {
+    ".npz": ("binary.numpy", "open_npz"), ".xlsx": _EXCEL, ".xlsm": _EXCEL, ".xlsb": _EXCEL, ".ods": _EXCEL
+}  # fmt: skip
+_HDF5 = ("hdf5.reader", "open_hdf5")
 _USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
 
 
@@ -45,7 +47,7 @@ def open_table(
     InputError
         The file cannot be read, or a library that reads it is not installed.
     """
-    reader = _reader_by_content(address) or (("hdf5.reader", "open_hdf5") if address.kind == "hdf5" else None)
+    reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else None)
     if reader is None:
         return TextTable(address, options, live=live, digest=digest)
     from dbo_cli.logs.column_table import Request
@@ -63,18 +65,15 @@ def _reader_by_content(address: Address) -> tuple[str, str] | None:
     with open(address.path, "rb") as file:
         head = file.read(2056)
     _refuse_own(address.text, head)
+    if head.startswith(_ZIP):
+        return _ZIP_ENDINGS.get(os.path.splitext(lower)[1])
+    if any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in (0, *_USER_BLOCKS)):
+        return _HDF5
     for signature, reader in _SIGNATURES.items():
         if head.startswith(signature):
-            if reader[0] == "binary.matlab" and _is_hdf5(head):
-                return "hdf5.reader", "open_hdf5"
             return reader
-    if head.startswith(_ZIP):
-        ending = os.path.splitext(lower)[1]
-        return _ZIP_ENDINGS.get(ending) or (("binary.excel", "open_excel") if ending in _WORKBOOKS else None)
-    if _is_hdf5(head):
-        return "hdf5.reader", "open_hdf5"
     if lower.endswith(".mat") and _is_matlab_4(head):
-        return "binary.matlab", "open_matlab"
+        return "binary.scipy_files", "open_matlab"
     return None
 
 
@@ -84,10 +83,6 @@ def _refuse_own(place: str, head: bytes) -> None:
     if kind is not None:
         remedy = "; a report takes a model as `model`" if kind[1] == b"model" else ""
         raise InputError(f"{place}: this is a {kind[1].decode()}, not a log (give a recording{remedy})")
-
-
-def _is_hdf5(head: bytes) -> bool:
-    return any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in (0, *_USER_BLOCKS))
 
 
 def _is_matlab_4(head: bytes) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,27 +36,13 @@ class _File:
     clock: TimeColumn | None = None
 
 
-class Joined(NamedTuple):
-    """The files of a log as one.
-
-    Attributes
-    ----------
-    table
-        All columns; the first file itself where there is no other.
-    want, options
-        As they were asked for, the columns of other files by their numbers in ``table``.
-    others
-        The addresses of the other files.
-    """
-
-    table: Table
-    want: dict[str, ColumnWish]
-    options: ReadingOptions
-    others: list[str]
-
-
-def join_files(table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions) -> Joined:
+def join_files(
+    table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions
+) -> tuple[Table, dict[str, ColumnWish], ReadingOptions, list[str]]:
     """Open the other files that wishes name, and put their columns behind those of the first.
+
+    Returns all columns as one table (the first file itself where there is no other), wishes and options with
+    the columns of other files by their numbers in it, and the addresses of the other files.
 
     Parameters
     ----------
@@ -102,7 +88,7 @@ def join_files(table: Table, want: Mapping[str, ColumnWish], options: ReadingOpt
         raise
     if others:
         table = _JoinedTable(table, list(others.values()), columns, options)
-    return Joined(table, wishes, options, list(others))
+    return table, wishes, options, list(others)
 
 
 def _append(columns: list[ColumnInfo], other: _File, found: ColumnInfo) -> None:

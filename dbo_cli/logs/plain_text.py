@@ -9,6 +9,14 @@ import re
 _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]")
 
 
+_SHOWN = 40  # characters of what a user or a file gave are enough for a message
+
+
+def shortened(text: str) -> str:
+    """Return what a user or a file gave as messages show it."""
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+
+
 def decoded(data: bytes) -> str:
     """Turn bytes of unknown origin into text: UTF-8, or else the Western code page of old instruments."""
     try:

@@ -210,8 +210,9 @@ def parse_rows(given: object) -> Rows:
 
 
 def check_encoding(name: str) -> None:
-    """Refuse an encoding that does not exist (UsageError)."""
+    """Refuse an encoding that does not exist, or is none of text (UsageError)."""
     try:
-        codecs.lookup(name)
+        "".encode(name)
+        codecs.getincrementaldecoder(name)
     except (LookupError, ValueError):
         raise UsageError(f"`encoding` {name}: there is no such text encoding") from None

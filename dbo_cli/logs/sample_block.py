@@ -142,7 +142,8 @@ class Table(Protocol):
 
     @property
     def sha256(self) -> str | None:
-        """The digest of what was read, where it was asked for."""
+        """The digest of what was read, where it was asked for; a file can still be hashed as a whole."""
+        return None
 
     def close(self) -> None:
         """Close the file."""

@@ -54,7 +54,7 @@ class TextWriter:
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
-        self._wait()
+        self.finish()
         if self._may_lag and np.size(arrays[0]) >= _WORTH_A_THREAD:
             if self._pool is None:
                 from concurrent.futures import ThreadPoolExecutor
@@ -66,21 +66,17 @@ class TextWriter:
         if self._flush:
             self._stream.flush()
 
-    def _wait(self) -> None:
-        """Wait for the rows before, and raise what went wrong with them."""
-        running, self._running = self._running, None
-        if running is not None:
-            running.result()
-
     def finish(self) -> None:
-        """Wait until everything is handed to the stream.
+        """Wait until the rows so far are handed to the stream.
 
         Raises
         ------
         OSError
-            The last rows could not be written.
+            They could not be written.
         """
-        self._wait()
+        running, self._running = self._running, None
+        if running is not None:
+            running.result()
 
     def close(self) -> None:
         """End the thread; called whether or not the writing succeeded."""
@@ -148,8 +144,7 @@ def signal_writer(
 def _hdf5(
     target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
 ) -> Iterator[SignalWriter]:
-    from dbo_cli.logs.hdf5.store import StoreOutput, group_path
-    from dbo_cli.logs.hdf5.writer import Hdf5Writer
+    from dbo_cli.logs.hdf5.store import Hdf5Writer, StoreOutput, group_path
 
     if target.is_stream or descriptor_of(target.path) is not None:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -120,7 +120,8 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
         raise InputError(f"`{name}`: sample {row + 1} is masked (leave it out, or fill it with what it was)")
     try:
         given = np.asarray(values)
-        if given.dtype.kind not in "iufO" or any(isinstance(one, bool | np.bool_) for one in _objects(given)):
+        objects = given.reshape(-1) if given.dtype.kind == "O" else ()
+        if given.dtype.kind not in "iufO" or any(isinstance(one, bool | np.bool_) for one in objects):
             raise TypeError
         signal = np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError):
@@ -134,11 +135,6 @@ def samples(name: str, values: ArrayLike) -> FloatArray:
         row = int(np.argmin(good))
         raise InputError(f"`{name}`: sample {row + 1} is not finite: {float(signal[row])!r} (leave it out)")
     return signal
-
-
-def _objects(given: np.ndarray[Any, Any]) -> list[Any]:
-    """Return what an array of objects holds; nothing of an array of numbers."""
-    return list(given.reshape(-1)) if given.dtype.kind == "O" else []
 
 
 def stamps(values: ArrayLike) -> FloatArray:

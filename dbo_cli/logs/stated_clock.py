@@ -18,9 +18,9 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import contradicted_unit, is_torn, split_header
-from dbo_cli.logs.plain_text import clean_text
+from dbo_cli.logs.plain_text import clean_text, shortened
 from dbo_cli.logs.sample_block import ColumnInfo
-from dbo_cli.logs.units import ONE, TIME_WORDS, UnitFactor, kind_of_unit, parse_factor, shortened
+from dbo_cli.logs.units import ONE, TIME_WORDS, UnitFactor, kind_of_unit, parse_factor
 
 _FACTORS = {
     "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),
@@ -323,4 +323,4 @@ def _plain(value: object) -> str:
             return f"({array.size} values)"
         one = array[0]
         text = f"{one:g}" if array.dtype.kind in "fiub" else clean_text(one)
-    return text if len(text) <= 40 else text[:37] + "..."
+    return shortened(text)

@@ -100,9 +100,6 @@ class TimeColumn:
     _last: float | None = None
     _carried: float = 0.0
     _whole: bool = True
-    _first: float | None = None
-    _final: float = 0.0
-    _count: int = 0
     _doubt: str = ""
 
     @property
@@ -156,9 +153,6 @@ class TimeColumn:
             return self._unrolled(raw, *_PERIODS[self.column.written])
         if self.column.written != "numbers" or not len(raw):
             return raw
-        self._first = float(raw[0]) if self._first is None else self._first
-        self._final = float(raw[-1])
-        self._count += len(raw)
         self._whole = self._whole and bool((raw == np.rint(raw)).all())
         if self._calendar is not None:
             return self._calendar.factor.apply(raw) + self._calendar.offset
@@ -199,8 +193,8 @@ class TimeColumn:
         """Return what is doubtful about the figures, with the remedy, once all of them have gone by."""
         called = f"{self.place}: the time column '{self.column.name}'"
         doubts, rows = [], check.rows
-        if self.bare and not self.given and self._count > 1:
-            doubts.append(self._of_figures(check.step))
+        if self.bare and not self.given and rows > 1:
+            doubts.append(self._of_figures(check))
         if check.backward.count > BACKWARD_SHARE * rows:
             doubts.append(
                 f"goes backwards in {check.backward.count:,} of {rows:,} rows: is it a clock? "
@@ -212,15 +206,15 @@ class TimeColumn:
                 "digits for the rate of the log (`sample_rate` HZ gives the time instead)"
             )
         if self.column.written == "numbers" and not self.bare and not self.given:
-            doubts.append(self._of_stated(check.step))
+            doubts.append(self._of_stated(check))
         return [f"{called} {text}" for text in doubts if text]
 
-    def _of_stated(self, step: float) -> str:
+    def _of_stated(self, check: TimeCheck) -> str:
         """Return why figures can hardly be in the unit that is stated."""
-        first, last = (float(self.stated.factor) * value for value in (self._first or 0.0, self._final))
+        first, last, step = check.first, check.last or 0.0, check.step
         if abs(last) > _CALENDARS[0].high:
             odd = f"its stamps would be {last:.3g} s"
-        elif self._count > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
+        elif check.rows > 1 and 0.0 < abs(last - first) < SHORTEST_LOG:
             odd = f"the whole log would last {abs(last - first):.3g} s"
         elif LONGEST_STEP < step < np.inf:
             odd = f"its usual step would be {step:.3g} s"
@@ -228,9 +222,9 @@ class TimeColumn:
             return ""
         return f"is stated in {self.stated.unit}, but {odd} (`time_unit` says what it counts)"
 
-    def _of_figures(self, step: float) -> str:
+    def _of_figures(self, check: TimeCheck) -> str:
         """Return why figures without a unit can hardly be seconds."""
-        first, last = self._first or 0.0, self._final
+        first, last, step = check.first, check.last or 0.0, check.step
         remedy = "(`time_unit` ms, us, … or s says what they count, or `sample_rate` HZ)"
         if self._doubt:
             return (

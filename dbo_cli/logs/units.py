@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
 
 _BASES = {
@@ -235,7 +236,6 @@ _SCALE = re.compile(
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
 _LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
-_SHOWN = 40  # characters of what a user gave are enough for a message
 
 
 def parse_factor(text: str) -> UnitFactor | None:
@@ -247,11 +247,6 @@ def parse_factor(text: str) -> UnitFactor | None:
     except ArithmeticError:  # an exponent that no machine counts
         return None
     return UnitFactor(*number.as_integer_ratio()) if abs(number.adjusted()) <= _LARGEST_POWER else None
-
-
-def shortened(text: str) -> str:
-    """Return what a user gave as messages show it."""
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
 def parse_scale(text: str) -> Scale:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import polars
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, statements_in
@@ -25,15 +26,11 @@ def open_parquet(request: Request) -> ColumnTable:
     InputError
         The file is damaged, or holds no columns of numbers.
     """
-    import polars
-
     return _open(request, "Parquet", polars.scan_parquet, _parquet_metadata)
 
 
 def open_feather(request: Request) -> ColumnTable:
     """Open a Feather (Arrow) file; see :func:`open_parquet`."""
-    import polars
-
     return _open(request, "Feather", polars.scan_ipc, lambda path: {})
 
 
@@ -47,8 +44,6 @@ def open_old_feather(request: Request) -> ColumnTable:
 def _open(
     request: Request, kind: str, scan: Callable[..., Any], metadata_of: Callable[[str], dict[str, str]]
 ) -> ColumnTable:
-    import polars
-
     keep_interrupts()
     damaged = (polars.exceptions.PolarsError, polars.exceptions.PanicException, OSError, ValueError)
     with request.reading(kind, damaged), host().contained(request.place, kind):
@@ -94,8 +89,6 @@ class _Reader:
         return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
     def _read(self, name: str, base: int) -> Any:
-        import polars
-
         column = polars.col(name)
         kind = self._frame.collect_schema()[name]
         physical = column.to_physical() if kind.is_temporal() else column.cast(polars.Float64)
@@ -123,8 +116,6 @@ def _column(reader: _Reader, name: str, kind: Any, length: int) -> ColumnSource 
 
 
 def _parquet_metadata(path: str) -> dict[str, str]:
-    import polars
-
     read = getattr(polars, "read_parquet_metadata", None)  # newer than the oldest polars that is supported
     try:
         return {str(key): str(value) for key, value in read(path).items()} if read is not None else {}

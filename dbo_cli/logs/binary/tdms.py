@@ -36,7 +36,7 @@ def open_tdms(request: Request) -> ColumnTable:
         levels = [*(groups if len(groups) == 1 else ()), file]
         clock = next((found for level in levels if (found := _statements(level))), [])
         close = opened.pop_all().close
-    return ColumnTable(request, "TDMS", sources, clock=clock, close=close, damaged=(Exception,))
+    return ColumnTable(request, "TDMS", sources, clock=clock, at_close=close, damaged=(Exception,))
 
 
 def _groups(request: Request, file: Any) -> list[Any]:

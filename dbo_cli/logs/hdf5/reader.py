@@ -53,7 +53,9 @@ def open_hdf5(request: Request) -> ColumnTable:
     except BaseException:
         file.close()
         raise
-    return ColumnTable(request, "HDF5", sources, clock=clock, where=where, close=file.close, damaged=_DAMAGED)
+    return ColumnTable(
+        request, "HDF5", sources, clock=clock, where=where, at_close=file.close, damaged=_DAMAGED
+    )
 
 
 def _find_columns(file: Any, address: Address, selectors: Sequence[str]) -> tuple[Any, list[ColumnSource]]:
@@ -111,11 +113,8 @@ def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[Co
         first = clean_text(tables[0][0].name)
         return f"{text} (write {address.path}::{first} for the first of {len(tables)} tables)"
     objects = file.get("#subsystem#") is not None
-    return f"{text}{MATLAB_OBJECTS}" if objects or any(map(_is_object, _members(file))) else text
-
-
-def _members(file: Any) -> Iterator[Any]:
-    return (node for node in (file.get(name) for name in file) if node is not None)
+    members = (node for name in file if (node := file.get(name)) is not None)
+    return f"{text}{MATLAB_OBJECTS}" if objects or any(map(_is_object, members)) else text
 
 
 def _is_object(node: Any) -> bool:

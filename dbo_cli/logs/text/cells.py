@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.reading_options import BLANKS
 from dbo_cli.logs.sample_block import is_overflow
 
@@ -80,7 +81,7 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
     """Describe what is wrong with a cell that holds no finite number, or none of its column's time stamps."""
     if not cell:
         return "is empty"
-    shown = repr(cell if len(cell) <= 40 else cell[:37] + "...")
+    shown = repr(shortened(cell))
     if written != "numbers":
         return f"is not a time stamp like the others: {shown}"
     if is_number(cell, decimal):

@@ -1,4 +1,4 @@
-"""MATLAB files before version 7.3 (v4, v6, v7) as a table of columns; v7.3 is HDF5."""
+"""What scipy reads as a table of columns: MATLAB before version 7.3 and netCDF 3; newer ones are HDF5."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from dbo_cli.logs.column_table import (
     ColumnSource,
     ColumnTable,
     Request,
+    array_source,
     matrix_sources,
     number_in,
     statements_in,
+    unpacked,
     with_unit,
     without_scalars,
 )
-from dbo_cli.logs.stated_clock import Statement
+from dbo_cli.logs.plain_text import clean_text
+from dbo_cli.logs.stated_clock import Statement, read_statements
 
 _START_NAMES = ("tstart", "t0", "x0")
 _LABELS = ("Name", "name", "label", "Label", "title")
@@ -153,3 +156,40 @@ def _shape(value: Any) -> str:
     if _is_object(value):
         return "an object"
     return "x".join(map(str, np.shape(value))) or "one value"
+
+
+def open_netcdf(request: Request) -> ColumnTable:
+    """Open a classic netCDF file: its one-dimensional variables, scaled as the conventions say.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or holds no columns of numbers.
+    """
+    from scipy.io import netcdf_file
+
+    # Without a map everything is read here; scipy raises whatever the damaged bytes lead to.
+    with request.reading("netCDF"), netcdf_file(request.address.path, "r", mmap=False) as file:
+        variables = dict(file.variables)
+        sources = [
+            _variable(clean_text(name), variable)
+            for name, variable in variables.items()
+            if len(variable.shape) == 1 and variable.data.dtype.kind in "fiu"
+        ]
+        clock = statements_in(file._attributes)
+        for name, variable in variables.items():
+            if not variable.shape:
+                clock += read_statements(name, variable.data, variable._attributes.get("units"))
+    if not sources:
+        raise request.no_columns(f"{name} {variable.shape}" for name, variable in variables.items())
+    return ColumnTable(request, "netCDF", sources, clock=clock)
+
+
+def _variable(label: str, variable: Any) -> ColumnSource:
+    data, attributes = variable.data, variable._attributes
+    unit = clean_text(attributes["units"]) if "units" in attributes else None
+    source = replace(array_source(label, data, unit), clock=tuple(statements_in(attributes)))
+    unsigned = clean_text(attributes.get("_Unsigned", "")).lower() == "true"
+    return unpacked(
+        source, lambda name: number_in(attributes.get(name)), unsigned, filled=data.dtype.kind == "f"
+    )
