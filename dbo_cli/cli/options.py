@@ -434,6 +434,22 @@ TrackedLogs = Annotated[
         "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
     ),
 ]
+Absolute = Annotated[
+    bool,
+    _option(
+        "--absolute",
+        None,
+        "With --tracked, learn the mean of the error, too (else it is taken for the sensor's zero).",
+    ),
+]
+History = Annotated[
+    str | None,
+    _option(
+        "--history",
+        "FILE",
+        "With --tracked, keep the error of each pass there (JSON), so that growth is seen.",
+    ),
+]
 Periodic = Annotated[
     bool,
     _option("--periodic", None, "The trajectory is one period of a loop: write the settled loop's drive."),

@@ -84,6 +84,8 @@ DRIVE: dict[str, Any] = {
     "lead": options.Lead,
     "return_": options.Return,
     "bandwidth": options.Bandwidth,
+    "absolute": options.Absolute,
+    "history": options.History,
     "periodic": options.Periodic,
     "passes": options.Passes,
 }
