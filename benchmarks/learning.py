@@ -2,13 +2,14 @@
 
     python benchmarks/learning.py [--passes N] [--seeds N] [--quick]
 
-The actuator's resonance is 5, 12 and 25 % lower and higher than the model's 800 Hz, its damping 0.005 to 0.05 (the
-model's 0.02), its hysteresis 25 % wider; the sensor has noise of 0 to 0.5 % of the move. A burst of 80 Hz between
-two rests is learned again and again, with the filter's default cut-off. Further cases: the sensor's zero off by 30 %
-of the range, or drifting by 1 % of the move a pass; a gain that drifts by 0.1 % a pass; two modes.
+The actuator's resonance is 5, 12 and 25 % lower and higher than the model's 800 Hz, its damping 0.005 to
+0.05 (the model's 0.02), its hysteresis 25 % wider; the sensor has noise of 0 to 0.5 % of the move. A burst of
+80 Hz between two rests is learned again and again, with the filter's default cut-off. Further cases: the
+sensor's zero off by 30 % of the range, or drifting by 1 % of the move a pass; a gain that drifts by 0.1 % a
+pass; two modes.
 
-For every case the error of the middle of the move, RMS in % of it, after 0, 5, 10, 20 and 40 passes (median of the
-seeds), the last passes' part below half the cut-off, and what the noise has there (the floor). What lies
+For every case the error of the middle of the move, RMS in % of it, after 0, 5, 10, 20 and 40 passes (median
+of the seeds), the last passes' part below half the cut-off, and what the noise has there (the floor). What lies
 above the cut-off stays. Exits 1 where the last pass has more than 1.1 times the error of pass 5, or where the
 resonance is 5 % off, noise is there, and the error below half the cut-off exceeds 1.2 of its floor.
 """
@@ -23,8 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drives.learning import ORDER, lesson
-from dbo_cli.drives.learning import Tracked
+from dbo_cli.drives.learning import ORDER, Tracked, lesson
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
@@ -74,7 +74,7 @@ def learned(
     fade: float = 0.0,
     **more: Any,
 ) -> tuple[list[float], float, float]:
-    """Return the error of each pass, the last one's part below half the cut-off, and the noise's (% of the move)."""
+    """Return the error of each pass (% of the move), its part below half the cut-off, and the noise there."""
     wanted, random = burst(), np.random.default_rng(seed)
     time, span = np.arange(ROWS) / RATE, float(np.ptp(wanted))
     drive, errors, parts, floors = model.compensate(wanted, **WIDE), [], [], []

@@ -41,7 +41,8 @@ TRUSTED_ERROR = 1.0 / 3.0  # of what was asked for, in a third of an octave: a p
 ENERGY = 1e-3
 """Of the strongest third of an octave (amplitude): with less in it, a band says nothing of the model."""
 ANOTHER_MOVE = 0.5
-"""Of the move's own RMS: a drive whose believed displacement is further off belongs to another trajectory."""
+"""Of the move's own RMS: a drive whose believed displacement is further off in shape, or in its mean where
+that is not learned, belongs to another trajectory. For a very wrong model twice the move may be asked for."""
 SAME_RATE = 1e-3  # two clocks may differ by this fraction
 SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive
 LEARNED_BEFORE = 2e-3
@@ -64,8 +65,8 @@ MISTUNED = 0.25  # how far off a resonance may be, either way: a payload of half
 SHARPER = 0.25  # of the model's damping: that of the mistuned resonance
 FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance
 ZERO_JUMP = 10.0
-"""Times the usual change of the error from row to row (1.5 of the median), from which one that stays is a jump
-of the sensor's zero; Gaussian noise exceeds 7 once in 10^11 rows."""
+"""Times the usual change of the error from row to row (1.5 of the median), from which one that stays is a
+jump of the sensor's zero; Gaussian noise exceeds 7 once in 10^11 rows."""
 SMALLEST_JUMP = 5e-3  # of the move's span: a smaller one costs less than models do
 JUMP_STAYS = 20  # rows before and after whose medians differ by at least half of the jump
 
@@ -135,10 +136,11 @@ def lesson(
     name = recordings[0].name
     move = float(np.sqrt(np.mean((desired - desired.mean()) ** 2)))
     unit = f" {model.output.unit}" if model.output.unit else ""
-    if _rms(believed - desired) > ANOTHER_MOVE * move:
+    away = _unlike(believed, desired, absolute)
+    if away > ANOTHER_MOVE * move:
         raise InputError(
             f"{name}: its drive belongs to another trajectory: by the model it asks for something "
-            f"{_rms(believed - desired):.3g}{unit} away from this one (RMS; the move has {move:.3g}{unit})"
+            f"{away:.3g}{unit} away from this one in shape (RMS; the move has {move:.3g}{unit})"
         )
     remarks, zero = Remarks(), 0.0 if absolute else float(error.mean())
     _warn_of_jump(remarks, name, unit, error, float(np.ptp(desired)))
@@ -267,6 +269,15 @@ def _resting_ends(update: FloatArray, per_sample: float) -> FloatArray:
     begun = update[0] + weight * (update - update[0])
     rested: FloatArray = begun[-1] + weight[::-1] * (begun - begun[-1])
     return rested
+
+
+def _unlike(believed: FloatArray, desired: FloatArray, absolute: bool) -> float:
+    """Return how far one signal is off the other (RMS), whatever its size (``absolute``: its mean)."""
+    asked, wanted = believed - believed.mean(), desired - desired.mean()
+    square = float(np.dot(wanted, wanted))
+    size = max(float(np.dot(asked, wanted)) / square, 0.0) if square else 1.0
+    mean = 0.0 if absolute else float(believed.mean() - desired.mean())
+    return math.hypot(_rms(asked - size * wanted), mean)
 
 
 def _refuse_growth(
