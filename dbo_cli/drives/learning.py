@@ -258,15 +258,15 @@ def _same_drive(model: ActuatorModel, recordings: Sequence[Tracked], drives: Seq
             )
 
 
-def _resting_ends(update: FloatArray, per_sample: float) -> FloatArray:
-    """Return an update that rests at its ends, and leaves them within a period of the cut-off.
+def _resting_ends(learned: FloatArray, per_sample: float) -> FloatArray:
+    """Return what was learned with rests at its ends, which it leaves within a period of the cut-off.
 
-    The inverse of dynamics takes the move to begin and end at rest. An update that does not asks for a jump
-    at the first sample, which the next belief contains: measured (800 Hz, 20 kHz) it grew fourfold a pass.
+    The inverse of dynamics takes the move to begin and end at rest. What does not asks for a jump at the
+    first sample, which the next belief contains: measured (800 Hz, 20 kHz) it grew fourfold a pass.
     """
-    rise = np.clip(np.arange(update.size) * per_sample, 0.0, 1.0)
+    rise = np.clip(np.arange(learned.size) * per_sample, 0.0, 1.0)
     weight = rise**3 * (10.0 - 15.0 * rise + 6.0 * rise * rise)
-    begun = update[0] + weight * (update - update[0])
+    begun = learned[0] + weight * (learned - learned[0])
     rested: FloatArray = begun[-1] + weight[::-1] * (begun - begun[-1])
     return rested
 
