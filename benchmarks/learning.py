@@ -9,9 +9,9 @@ sensor's zero off by 30 % of the range, or drifting by 1 % of the move a pass; a
 pass; two modes.
 
 For every case the error of the middle of the move, RMS in % of it, after 0, 5, 10, 20 and 40 passes (median
-of the seeds), the last passes' part below half the cut-off, and what the noise has there (the floor). What lies
-above the cut-off stays. Exits 1 where the last pass has more than 1.1 times the error of pass 5, or where the
-resonance is 5 % off, noise is there, and the error below half the cut-off exceeds 1.2 of its floor.
+of the seeds), the last passes' part below half the cut-off, and what the noise has there (the floor). What
+lies above the cut-off stays. Exits 1 where the last pass has more than 1.1 times the error of pass 5, or
+where the resonance is 5 % off, noise is there, and the error below half the cut-off exceeds 1.2 of its floor.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import pytest
 from conftest import SMALL_MODEL
 from trials import Floats
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import (
@@ -214,7 +214,8 @@ def test_a_zero_that_jumps_within_the_pass_is_warned_of() -> None:
     measured[2_500:] += 0.5
     done = model.compensate(move(), tracked=(drive, measured), **WIDE)
     (text,) = (text for text in done.warnings if "jumps" in text)
-    assert re.match(r"`tracked` 1: the measured displacement jumps by 0\.4\d* um at row 2,501 of the pass", text)
+    start = r"`tracked` 1: the measured displacement jumps by 0\.4\d* um at row 2,501 of the pass"
+    assert re.match(start, text)
 
 
 def test_a_very_wrong_model_learns_and_one_that_diverges_is_refused() -> None:
@@ -283,6 +284,61 @@ def test_a_loop_is_learned() -> None:
         tracked = (done.values, measured[-500:])
     assert errors[0] > 0.05
     assert errors[3] < 0.1 * errors[0]
+
+
+def gears_alone(count: int) -> ActuatorModel:
+    widths = np.full(count, 100.0 / count)
+    stage = BacklashStage(widths, 0.1 * widths * np.linspace(0.5, 1.5, count), 0.0, 0.0)
+    return ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 10.0), (stage,))
+
+
+def test_a_loop_from_any_start_is_what_the_model_repeats_or_is_refused() -> None:
+    model, refused, exact = gears_alone(64), 0, 0
+    for k in range(12):
+        random = np.random.default_rng(k)
+        phase = 2.0 * np.pi * np.arange(300) / 300 + random.uniform(0.0, 6.0)
+        wanted = random.uniform(3.0, 7.0) + random.uniform(0.5, 2.5) * np.sin(phase)
+        for start in ("auto", "empty", "full"):
+            asked = WIDE | {"state": start, "details": False, "periodic": True, "on_limit": "error"}
+            try:
+                drive = Model(model).compensate(wanted, **asked)
+            except LimitError as problem:
+                assert start == "auto" and "no start leads to it" in str(problem)
+                refused += 1
+                continue
+            reached, _ = played(model, np.tile(drive, 3), start=start)
+            assert np.abs(reached[-300:] - wanted).max() < 1e-9
+            exact += 1
+    assert (exact, refused) == (0, 0)
+
+
+def test_a_loop_that_no_start_leads_to_is_written_with_its_size() -> None:
+    model, wanted = gears_alone(2), 5.0 + 0.5 * np.sin(2.0 * np.pi * np.arange(300) / 300)
+    asked = {"sample_rate": RATE, "periodic": True, "details": True}
+    done = Model(model).compensate(wanted, **asked)
+    reached, _ = played(model, np.tile(done.values, 3), start="auto")
+    away = float(np.abs(reached[-300:] - wanted).max())
+    (text,) = (text for text in done.warnings if "does not settle" in text)
+    assert away > 1e-3 and f"the model ends {away:.3g} um off ({100.0 * away:.2g} % of the move)" in text
+    run_in = Model(model).compensate(wanted, passes=1, **asked)
+    assert not run_in.warnings
+    reached, _ = played(model, np.concatenate([run_in.values, run_in.values[-300:]]), start="auto")
+    assert np.abs(reached[-300:] - wanted).max() < 1e-9
+
+
+def test_the_passes_until_a_loop_settles_are_the_model_s(dbo: Any) -> None:
+    plant, wanted = actuator(), period()
+    done = Model(plant).compensate(wanted, periodic=True, **WIDE)
+    (text,) = (text for text in done.notes if "by the model the loop settles" in text)
+    found = re.search(r"settles in ([\d,]+) passes, ([\d.]+) s: the mean of the first is (\S+) um off", text)
+    assert found is not None
+    passes = int(found[1].replace(",", ""))
+    reached, _ = played(plant, np.tile(done.values, passes + 400))
+    means = (reached.reshape(-1, 500) - wanted).mean(axis=1)
+    assert float(found[3]) == pytest.approx(means[0], rel=0.1)
+    within = 1e-3 * float(np.ptp(wanted))
+    last = int(np.flatnonzero(np.abs(means) > within)[-1]) + 1
+    assert passes == pytest.approx(last, rel=0.1)
 
 
 def test_a_period_that_does_not_close_is_refused() -> None:

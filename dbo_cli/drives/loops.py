@@ -247,8 +247,8 @@ class LoopCompensation(Compensation):
         if away > LOOP_ERROR * move:
             self._refuse_or_warn(
                 f"however often it is repeated, the model ends {away:.3g}{unit} off "
-                f"({100.0 * away / move:.2g} % of the move); no start leads to it (`passes` 1 or `state` empty "
-                "fixes the start)"
+                f"({100.0 * away / move:.2g} % of the move); no start leads to it (`passes` 1 or `state` "
+                "empty fixes the start)"
             )
         elif not settled.converged:
             self._refuse_or_warn("the drive still changes from pass to pass within its limits")
@@ -268,8 +268,8 @@ class LoopCompensation(Compensation):
             return f"{name}: by the model the loop is settled from its first pass on: within {what}"
         count = f"{passes:,} pass{'es' if passes > 1 else ''}"
         return (
-            f"{name}: by the model the loop settles in {count}, {passes * seconds:.3g} s: the mean of the first "
-            f"is {first:.3g}{unit} off, then within {what}"
+            f"{name}: by the model the loop settles in {count}, {passes * seconds:.3g} s: the mean of the "
+            f"first is {first:.3g}{unit} off, then within {what}"
         )
 
     def _refuse_or_warn(self, why: str) -> None:
