@@ -404,6 +404,15 @@ def test_the_commands_give_the_bits_of_the_library(dbo: Any) -> None:
     learned = model.compensate(move(), time=TIME, tracked="pass.csv", **limits)
     assert np.array_equal(after[:, 2], learned.values)
     assert np.array_equal(after[:, 1], drive[:, 1])
+    for _ in range(2):  # the same recording again replaces its own pass
+        kept = dbo(*words, "--tracked", "pass.csv", "--history", "passes.json", "-o", "again.csv")
+        assert kept.code == 0 and Path("again.csv").read_bytes() == Path("next.csv").read_bytes()
+        assert len(json.loads(Path("passes.json").read_text())["passes"]) == 1
+    level = dbo(*words, "--tracked", "pass.csv", "--absolute", "-o", "level.csv")
+    assert level.code == 0 and "sensor's zero" in kept.err and "sensor's zero" not in level.err
+    assert dbo(*words, "--history", "passes.json").code == 2
+    clash = dbo(*words, "--tracked", "pass.csv", "--history", "same.json", "-o", "same.json")
+    assert clash.code == 2 and not Path("same.json").exists()
     Path("bare.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
     bare = dbo(*words, "--tracked", "bare.csv")
     assert bare.code == 1 and "voltage" in bare.err
