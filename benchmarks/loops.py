@@ -1,12 +1,19 @@
 """Looped moves: the settled drive against the last period of a long computed run, and its seam.
 
     python benchmarks/loops.py [--seconds S]
+    python benchmarks/loops.py --random N [--passes P] [--seed S]
 
 Five actuators with creep, a lag before the gears and a resonance; models whose loop is 5 % wrong; sines and
 rounded triangles at 1/200 and 1/20 of the resonance. The settled drive is repeated for so many seconds, and
 so is a trajectory of as many periods computed in one run; both are played, and the RMS errors of their last
 periods compared. Prints the ratio and the drive's step at the seam over the largest inside. Exits 1 where the
 ratio exceeds 1.2 or the step at the seam is larger than any inside.
+
+With ``--random``: N random loops of random models (8 to 1,024 gears of growing slopes, creep, and perhaps a
+lag before the gears, a delay and dynamics), each from every start: auto, settled, empty, full, a way there
+(``approach``), a run-in of two passes. The drive is repeated P times in the forward model from that start.
+Prints per start how many are refused (``on_limit`` error) and the largest error of the others. Exits 1 where
+one is beyond 1e-6 of the move, or more than 2 % are refused.
 """
 
 from __future__ import annotations
@@ -14,19 +21,30 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.errors import LimitError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    Quantity,
+    Relaxation,
+    ScaleStage,
+    Stage,
+)
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.runs.model import Model
 
 Floats = NDArray[np.float64]
 RATE = 20_000.0
 MOST_RATIO = 1.2
+MOST_AWAY, MOST_REFUSED = 1e-6, 0.02  # of the move; of all loops
 ONE = 1.0 + 1e-9  # a step that is as large as the largest inside
 
 
@@ -57,12 +75,99 @@ def rms(x: Floats) -> float:
     return float(np.sqrt(np.mean(x * x)))
 
 
+def random_model(random: np.random.Generator) -> ActuatorModel:
+    """Return a model of growing slopes with creep that settles within some thousand rows."""
+    gears = int(random.choice([8, 64, 256, 1024]))
+    widths, loop = np.full(gears, 100.0 / gears), random.uniform(0.1, 0.6)
+    slopes = 1.0 - loop + 2.0 * loop * np.linspace(0.0, 1.0, gears)
+    creep = Relaxation(0.0, (0.02, 0.3), tuple(random.uniform(0.0, 0.003, 2).tolist()))
+    stages: list[Stage] = [
+        BacklashStage(widths, 0.1 * widths * slopes, 0.0, 0.0, creep),
+        ScaleStage(1.2, 0.5),
+    ]
+    low, high = slow_output_range(stages, 0.0, 100.0)
+    if random.random() < 0.5:
+        stages.append(DynamicsStage((Resonance(random.uniform(300.0, 900.0), 0.05),)))
+    if random.random() < 0.3:
+        stages.insert(0, DynamicsStage((Lag(random.uniform(2e-4, 2e-3)),)))
+    if random.random() < 0.3:
+        stages.append(DelayStage(float(random.choice([3e-4, 5e-4, 7.3e-4]))))
+    voltage, displacement = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", low, high)
+    return ActuatorModel("forward", voltage, displacement, tuple(stages))
+
+
+def random_period(random: np.random.Generator, model: ActuatorModel) -> Floats:
+    phase = 2.0 * np.pi * np.arange(400) / 400
+    size = random.uniform(0.05, 0.35) * model.output.span
+    middle = random.uniform(model.output.minimum + 1.4 * size, model.output.maximum - 1.4 * size)
+    wave = np.sin(phase + random.uniform(0.0, 6.3)) + random.uniform(0.0, 0.3) * np.sin(2.0 * phase)
+    return middle + size * wave
+
+
+STARTS: dict[str, dict[str, Any]] = {
+    "auto": {},
+    "settled": {"state": "settled"},
+    "empty": {"state": "empty"},
+    "full": {"state": "full"},
+    "approach": {"from_": 0.0, "approach": 0.1},
+    "run-in": {"passes": 2},
+}
+
+
+def random_loops(count: int, passes: int, seed: int) -> int:
+    """Play random loops from every start; the exit code."""
+    refused, bad, rate = dict.fromkeys(STARTS, 0), 0, 10_000.0
+    largest = dict.fromkeys(STARTS, 0.0)
+    for k in range(count):
+        random = np.random.default_rng([seed, k])
+        actuator_model = random_model(random)
+        period = random_period(random, actuator_model)
+        for name, start in STARTS.items():
+            asked = {
+                "sample_rate": rate,
+                "v_min": -60.0,
+                "v_max": 180.0,
+                "periodic": True,
+                "on_limit": "error",
+            }
+            try:
+                drive = Model(actuator_model).compensate(period, **(asked | start))
+            except LimitError as problem:
+                refused[name] += 1
+                if "no start leads" not in str(problem):
+                    print(f"loop {k}, {name}: {problem}")
+                continue
+            count_before = drive.size - period.size
+            played = np.concatenate([drive[:count_before], np.tile(drive[count_before:], passes)])
+            begun = actuator_model.start(float(played[0]), start.get("state", "auto"))
+            reached = actuator_model.simulate(played, begun, time_step=1.0 / rate).y
+            away = float(np.abs(reached[-period.size :] - period).max() / np.ptp(period))
+            largest[name] = max(largest[name], away)
+            if away > MOST_AWAY:
+                bad += 1
+                print(f"loop {k}, {name}: {away:.3g} of the move off", flush=True)
+    for name in STARTS:
+        print(
+            f"{name:9} {count} loops, {refused[name]} refused, largest error {largest[name]:.2g} of the move"
+        )
+    total = sum(refused.values()) / (count * len(STARTS))
+    print(f"{bad} beyond {MOST_AWAY:g} of the move; {100.0 * total:.2g} % refused")
+    return int(bad > 0 or total > MOST_REFUSED)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=12.0)
-    seconds = parser.parse_args().seconds
+    parser.add_argument("--random", type=int, default=0)
+    parser.add_argument("--passes", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    seconds = options.seconds
     wide = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0}
-    warnings.simplefilter("ignore")  # a run that begins on the move rings at first; its last period counts
+    warnings.simplefilter("ignore")
+    if options.random:
+        return random_loops(options.random, options.passes, options.seed)
+    # A run that begins on the move rings at first; its last period counts
     bad = 0
     for k in range(5):
         loop, frequency = 0.30 + 0.05 * k, 650.0 + 60.0 * k

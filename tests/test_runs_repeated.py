@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from conftest import SMALL_MODEL
 from trials import Floats
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import (
@@ -110,14 +111,14 @@ def test_a_move_that_begins_on_the_move_is_warned_of() -> None:
 
 
 @pytest.mark.parametrize(
-    ("loop", "frequency", "reached"), [(0.36, 800.0, 0.07), (0.45, 760.0, 0.005), (0.45, None, 0.03)]
+    ("loop", "frequency", "reached"), [(0.36, 800.0, 0.075), (0.45, 760.0, 0.005), (0.45, None, 0.03)]
 )
 def test_a_repeated_move_is_learned(loop: float, frequency: float | None, reached: float) -> None:
     plant, model, wanted = actuator(), Model(actuator(loop, frequency)), move()
     tracked: Any = ()
     errors = []
     for k in range(5):
-        done = model.compensate(wanted, tracked=tracked, **WIDE)
+        done = model.compensate(wanted, tracked=tracked, absolute=True, **WIDE)
         y, measured = played(plant, done.values, seed=k)
         errors.append(100.0 * rms(y - wanted) / 8.0)
         tracked = (done.values, measured)
@@ -132,7 +133,7 @@ def test_several_recordings_of_one_drive_are_averaged() -> None:
     recordings = [(first.values, played(plant, first.values, 0.2, seed)[1]) for seed in range(9)]
     errors = []
     for given in (recordings[:1], recordings):
-        done = model.compensate(wanted, tracked=given, **WIDE)
+        done = model.compensate(wanted, tracked=given, absolute=True, **WIDE)
         errors.append(rms(played(plant, done.values)[0] - wanted))
     assert errors[1] < 0.6 * errors[0]
     assert any("the mean of 9 recordings" in note for note in done.notes)
@@ -165,6 +166,91 @@ def test_an_error_that_grew_is_refused() -> None:
     assert "the error grew" in refused(wanted, (second, away))
 
 
+def passes_of(
+    model: Model, plant: ActuatorModel, count: int, zero: float = 0.0, **more: Any
+) -> tuple[list[float], list[Floats]]:
+    """Return the error of each pass (RMS without the mean, um) and its drive."""
+    wanted, tracked = move(), ()
+    errors, drives = [], []
+    for k in range(count):
+        done = model.compensate(wanted, **(WIDE | more | ({"tracked": tracked} if tracked else {})))
+        y, measured = played(plant, done.values, seed=k)
+        errors.append(float(np.std(y - wanted)))
+        drives.append(done.values)
+        tracked = (done.values, measured + zero)
+    return errors, drives
+
+
+@pytest.mark.parametrize("frequency", [600.0, 1_000.0])
+def test_a_resonance_a_quarter_off_does_not_diverge(frequency: float) -> None:
+    errors, _ = passes_of(Model(actuator(0.36)), actuator(frequency=frequency), 16)
+    assert max(errors[10:]) <= 1.05 * max(errors[4:10]) < 0.05 * errors[0]
+
+
+def test_the_sensor_s_zero_is_not_learned() -> None:
+    model, plant = Model(actuator(0.36)), actuator()
+    exact, drives = passes_of(model, plant, 3)
+    off, others = passes_of(model, plant, 3, zero=3.6)
+    assert off == pytest.approx(exact, rel=1e-6)
+    assert np.abs(drives[2] - others[2]).max() < 1e-9
+    wanted = move()
+    measured = played(plant, drives[0])[1] + 3.6
+    done = model.compensate(wanted, tracked=(drives[0], measured), **WIDE)
+    (note,) = (text for text in done.notes if "sensor's zero" in text)
+    assert note == (
+        f"`tracked` 1: the mean of the error, {float(np.mean(wanted - measured)):.3g} um, is taken for the "
+        "sensor's zero and not learned (`absolute` learns it)"
+    )
+    kept = model.compensate(wanted, tracked=(drives[0], measured), absolute=True, **WIDE)
+    assert not any("sensor's zero" in text for text in kept.notes)
+    assert float(np.mean(kept.values - done.values)) < -10.0
+
+
+def test_a_zero_that_jumps_within_the_pass_is_warned_of() -> None:
+    model, plant = Model(actuator(0.36)), actuator()
+    drive = model.compensate(move(), **WIDE).values
+    measured = played(plant, drive)[1]
+    assert not model.compensate(move(), tracked=(drive, measured), **WIDE).warnings[1:]
+    measured[2_500:] += 0.5
+    done = model.compensate(move(), tracked=(drive, measured), **WIDE)
+    (text,) = (text for text in done.warnings if "jumps" in text)
+    start = r"`tracked` 1: the measured displacement jumps by 0\.4\d* um at row 2,501 of the pass"
+    assert re.match(start, text)
+
+
+def test_a_very_wrong_model_learns_and_one_that_diverges_is_refused() -> None:
+    slow = dataclasses.replace(actuator(0.0), stages=(*actuator(0.0).stages[:1], ScaleStage(0.75, 0.5),
+                                                      *actuator(0.0).stages[2:]))  # fmt: skip
+    errors, _ = passes_of(Model(actuator(0.36)), slow, 12)
+    assert errors[11] < 0.1 * errors[0]
+    with pytest.raises(InputError, match=r"the error grew: above 300 Hz this pass is .* a lower `bandwidth`"):
+        passes_of(Model(actuator(0.36)), actuator(frequency=600.0), 6, bandwidth=600.0)
+
+
+def test_a_history_keeps_the_error_and_refuses_growth(tmp_path: Path) -> None:
+    path = tmp_path / "history.json"
+    model, plant, wanted = Model(actuator(0.36)), actuator(), move()
+    errors, drives = passes_of(model, plant, 4)
+    for drive in drives[:3]:
+        model.compensate(wanted, tracked=(drive, played(plant, drive, 0.0)[1]), history=str(path), **WIDE)
+    kept = json.loads(path.read_text())
+    assert (kept["format"], kept["version"]) == ("dbo-history", 1)
+    assert [one["rmse"] for one in kept["passes"]] == pytest.approx(errors[:3], rel=1e-9)
+    worse = played(plant, drives[3], 0.0)[1] + 0.05 * np.sin(np.arange(COUNT))
+    with pytest.raises(InputError) as problem:
+        model.compensate(wanted, tracked=(drives[3], worse), history=str(path), **WIDE)
+    assert "the error grew: this pass is 0.0356 um off (RMS), the last one was" in str(problem.value)
+    assert "(learn from the recording of pass 3 again" in str(problem.value)
+    assert json.loads(path.read_text()) == kept
+    model.compensate(wanted, tracked=(drives[0], played(plant, drives[0])[1]), history=str(path), **WIDE)
+    assert len(json.loads(path.read_text())["passes"]) == 1  # begun again from the first pass
+    path.write_text('{"format": "dbo-model"}')
+    with pytest.raises(InputError, match="is no history"):
+        model.compensate(wanted, tracked=(drives[0], wanted), history=str(path), **WIDE)
+    with pytest.raises(UsageError, match="`history` keeps the error of the passes that `tracked` recorded"):
+        model.compensate(wanted, history=str(path), **WIDE)
+
+
 def period(count: int = 500) -> Floats:
     phase = 2.0 * np.pi * np.arange(count) / count
     wanted: Floats = 6.0 + 3.0 * np.sin(phase + 0.7) + np.sin(2.0 * phase)
@@ -192,12 +278,67 @@ def test_a_loop_is_learned() -> None:
     tracked: Any = ()
     errors = []
     for k in range(4):
-        done = model.compensate(wanted, periodic=True, passes=0, tracked=tracked, **WIDE)
+        done = model.compensate(wanted, periodic=True, passes=0, tracked=tracked, absolute=True, **WIDE)
         y, measured = played(plant, np.tile(done.values, 3_000), seed=k)
         errors.append(rms(y[-500:] - wanted))
         tracked = (done.values, measured[-500:])
     assert errors[0] > 0.05
     assert errors[3] < 0.1 * errors[0]
+
+
+def gears_alone(count: int) -> ActuatorModel:
+    widths = np.full(count, 100.0 / count)
+    stage = BacklashStage(widths, 0.1 * widths * np.linspace(0.5, 1.5, count), 0.0, 0.0)
+    return ActuatorModel("forward", VOLTAGE, Quantity("displacement", "um", 0.0, 10.0), (stage,))
+
+
+def test_a_loop_from_any_start_is_what_the_model_repeats_or_is_refused() -> None:
+    model, refused, exact = gears_alone(64), 0, 0
+    for k in range(12):
+        random = np.random.default_rng(k)
+        phase = 2.0 * np.pi * np.arange(300) / 300 + random.uniform(0.0, 6.0)
+        wanted = random.uniform(3.0, 7.0) + random.uniform(0.5, 2.5) * np.sin(phase)
+        for start in ("auto", "empty", "full"):
+            asked = {"sample_rate": RATE, "state": start, "periodic": True, "on_limit": "error"}
+            try:
+                drive = Model(model).compensate(wanted, **asked)
+            except LimitError as problem:
+                assert start == "auto" and "no start leads to it" in str(problem)
+                refused += 1
+                continue
+            reached, _ = played(model, np.tile(drive, 3), start=start)
+            assert np.abs(reached[-300:] - wanted).max() < 1e-9
+            exact += 1
+    assert (exact, refused) == (36, 0)
+
+
+def test_a_loop_that_no_start_leads_to_is_written_with_its_size() -> None:
+    model, wanted = gears_alone(2), 5.0 + 0.5 * np.sin(2.0 * np.pi * np.arange(300) / 300)
+    asked = {"sample_rate": RATE, "periodic": True, "details": True}
+    done = Model(model).compensate(wanted, **asked)
+    reached, _ = played(model, np.tile(done.values, 3), start="auto")
+    away = float(np.abs(reached[-300:] - wanted).max())
+    (text,) = (text for text in done.warnings if "does not settle" in text)
+    assert away > 1e-3 and f"the model ends {away:.3g} um off ({100.0 * away:.2g} % of the move)" in text
+    run_in = Model(model).compensate(wanted, passes=1, **asked)
+    assert not run_in.warnings
+    reached, _ = played(model, np.concatenate([run_in.values, run_in.values[-300:]]), start="auto")
+    assert np.abs(reached[-300:] - wanted).max() < 1e-9
+
+
+def test_the_passes_until_a_loop_settles_are_the_model_s(dbo: Any) -> None:
+    plant, wanted = actuator(), period()
+    done = Model(plant).compensate(wanted, periodic=True, **WIDE)
+    (text,) = (text for text in done.notes if "by the model the loop settles" in text)
+    found = re.search(r"settles in ([\d,]+) passes, ([\d.]+) s: the mean of the first is (\S+) um off", text)
+    assert found is not None
+    passes = int(found[1].replace(",", ""))
+    reached, _ = played(plant, np.tile(done.values, passes + 400))
+    means = (reached.reshape(-1, 500) - wanted).mean(axis=1)
+    assert float(found[3]) == pytest.approx(means[0], rel=0.1)
+    within = 1e-3 * float(np.ptp(wanted))
+    last = int(np.flatnonzero(np.abs(means) > within)[-1]) + 1
+    assert passes == pytest.approx(last, rel=0.1)
 
 
 def test_a_period_that_does_not_close_is_refused() -> None:
@@ -263,6 +404,15 @@ def test_the_commands_give_the_bits_of_the_library(dbo: Any) -> None:
     learned = model.compensate(move(), time=TIME, tracked="pass.csv", **limits)
     assert np.array_equal(after[:, 2], learned.values)
     assert np.array_equal(after[:, 1], drive[:, 1])
+    for _ in range(2):  # the same recording again replaces its own pass
+        kept = dbo(*words, "--tracked", "pass.csv", "--history", "passes.json", "-o", "again.csv")
+        assert kept.code == 0 and Path("again.csv").read_bytes() == Path("next.csv").read_bytes()
+        assert len(json.loads(Path("passes.json").read_text())["passes"]) == 1
+    level = dbo(*words, "--tracked", "pass.csv", "--absolute", "-o", "level.csv")
+    assert level.code == 0 and "sensor's zero" in kept.err and "sensor's zero" not in level.err
+    assert dbo(*words, "--history", "passes.json").code == 2
+    clash = dbo(*words, "--tracked", "pass.csv", "--history", "same.json", "-o", "same.json")
+    assert clash.code == 2 and not Path("same.json").exists()
     Path("bare.csv").write_text("time_s,displacement_um\n0,1\n1,2\n")
     bare = dbo(*words, "--tracked", "bare.csv")
     assert bare.code == 1 and "voltage" in bare.err
@@ -272,7 +422,7 @@ def test_the_commands_give_the_bits_of_the_library(dbo: Any) -> None:
                                                 range(100))  # fmt: skip
     Path("loop.csv").write_text(loop.replace("np.float64(", "").replace(")", ""))
     once = dbo("compensate", "small.json", "loop.csv", "--periodic", "-n", "1")
-    assert once.code == 0 and once.out.count("\n") == 201 and "settles in 2 passes" in once.err
+    assert once.code == 0 and once.out.count("\n") == 201 and "settled from its first pass on" in once.err
     alone = dbo("compensate", "small.json", "loop.csv", "--periodic")
     assert "depends on the past" in alone.err and "--condition" not in alone.err  # which loops do not take
 

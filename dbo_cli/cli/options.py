@@ -274,6 +274,13 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
         positive,
     ),
+    Option(
+        "--absolute",
+        "With --tracked, learn the mean of the error, too (else it is taken for the sensor's zero).",
+    ),
+    Option(
+        "--history FILE", "With --tracked, keep the error of each pass there (JSON), so that growth is seen."
+    ),
     Option("--periodic", "The trajectory is one period of a loop: write the settled loop's drive."),
     Option("-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", whole(0), "0"),
 )

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.drives.gate import DriveGate
+from dbo_cli.drives.history import PassRecord, write_history
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, unit_of
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import ramp, require_rows, rest_samples, sweep, way
@@ -122,6 +123,8 @@ class Compensation(ModelRun):
         What is asked of the drive.
     desired : array, optional
         The trajectory, where the source holds what is asked of the model instead (see ``learning``).
+    passes : list of PassRecord
+        The passes so far, the one that was learned from last; to be kept where a history is asked for.
     remarks_before : Remarks
         What was said before the run.
     gate : DriveGate
@@ -130,6 +133,7 @@ class Compensation(ModelRun):
 
     options: DriveOptions = field(default_factory=DriveOptions)
     desired: FloatArray | None = None
+    passes: list[PassRecord] = field(default_factory=list)
     remarks_before: Remarks = field(default_factory=Remarks)
     clipped: Tally = field(default_factory=Tally)
     missed: float = 0.0
@@ -342,6 +346,11 @@ class Compensation(ModelRun):
             response = response._replace(given=self.desired[end - len(response.result) : end])
         self.move.add(response.given)
         return response
+
+    def keep_history(self) -> None:
+        """Write the history, where one is asked for."""
+        if self.options.history is not None:
+            write_history(self.options.history, self.passes)
 
     # --- what is said ---
 

@@ -1,14 +1,16 @@
 """Learning a move that is repeated: the next drive from the recording of the last pass.
 
-r = simulate(model, drive) is what the model believes was asked for; the next request is r + Q(desired -
-measured), Q a zero-phase low-pass, and the next drive compensates that. Nothing is kept between passes: the
-recording and the model are all. It converges where the model's relative error is below one; Q ends where it
-is not, since beyond the update grows from pass to pass.
+r = simulate(model, drive) is what the model believes was asked for. The next request is d + Q(r - d + e): d
+the trajectory, e = d - measured, Q a steep zero-phase low-pass. The next drive compensates that. The
+recording and the model are all that is needed. With M, the actuator times the inverse model, what was learned
+is multiplied by Q(1 - M) a pass. Q is steep, so that this stays below 1 for a resonance 25 % off, while the
+part of the error that stays, (1 - Q)/(1 - Q(1 - M)), is small below the cut-off (docs/theory.md, section 10).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dbo_cli.drives.history import PassRecord
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.initial_states import StartName
+from dbo_cli.hysteresis.linear_sections import Resonance
 from dbo_cli.hysteresis.loops import settled_output
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
@@ -26,6 +30,7 @@ from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import Source, WholeSource
+from dbo_cli.remarks import Remarks
 
 RESONANCE_PART = 3.0
 """A model is trusted to its lowest resonance over this, where its identification says nothing else.
@@ -36,7 +41,8 @@ TRUSTED_ERROR = 1.0 / 3.0  # of what was asked for, in a third of an octave: a p
 ENERGY = 1e-3
 """Of the strongest third of an octave (amplitude): with less in it, a band says nothing of the model."""
 ANOTHER_MOVE = 0.5
-"""Of the move's own RMS: a drive whose believed displacement is further off belongs to another trajectory."""
+"""Of the move's own RMS: a drive whose believed displacement is further off in shape, or in its mean where
+that is not learned, belongs to another trajectory. For a very wrong model twice the move may be asked for."""
 SAME_RATE = 1e-3  # two clocks may differ by this fraction
 SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive
 LEARNED_BEFORE = 2e-3
@@ -46,11 +52,23 @@ A converter's step of 12 bits is 7e-5 of the range; a first value that the settl
 3e-4. Where less was learned, growth shows a pass later.
 """
 GROWTH = 1.2
-"""A pass's error over what all passes before took off together, from which on learning is said to diverge.
+"""The error of a pass over that of the last one, from which on learning is said to diverge.
 
-After the second pass it is the very factor from pass to pass; a converging pass has less than 1, and a first
-pass driven by something else than the model's own drive about 1.
+A converging pass has less than 1; at the noise's floor two passes differ by a few percent. Without a history
+the error is compared with what was learned before, by halves of the band: below half the cut-off, and above.
 """
+FROM_BEST = 2.0  # times the best pass's error: growth by less than GROWTH a pass shows after a few
+ORDER = 4
+"""Of Q, run both ways. Order 2 lets a resonance 25 % lower, damping 0.005, grow: |Q(1 - M)| = 1.6 at a
+cut-off of f_r/3; order 4 has 0.07 there and leaves 0.4 % of the error at half the cut-off."""
+MISTUNED = 0.25  # how far off a resonance may be, either way: a payload of half the moving mass does that
+SHARPER = 0.25  # of the model's damping: that of the mistuned resonance
+FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance
+ZERO_JUMP = 10.0
+"""Times the usual change of the error from row to row (1.5 of the median), from which one that stays is a
+jump of the sensor's zero; Gaussian noise exceeds 7 once in 10^11 rows."""
+SMALLEST_JUMP = 5e-3  # of the move's span: a smaller one costs less than models do
+JUMP_STAYS = 20  # rows before and after whose medians differ by at least half of the jump
 
 
 @dataclass(frozen=True)
@@ -64,11 +82,12 @@ class Tracked:
 
 
 class Lesson(NamedTuple):
-    """What to ask for next, the cut-off of the low-pass (Hz), and what is to be said."""
+    """What to ask for next, the cut-off of the low-pass (Hz), remarks, and the history with this pass."""
 
     request: FloatArray
     cutoff: float
-    notes: list[str]
+    remarks: Remarks
+    passes: list[PassRecord]
 
 
 def lesson(
@@ -81,6 +100,8 @@ def lesson(
     start: StartName | ModelState = "auto",
     bandwidth: float | None = None,
     loop: bool = False,
+    absolute: bool = False,
+    history: Sequence[PassRecord] = (),
 ) -> Lesson:
     """Return what to ask of the model for the next pass.
 
@@ -98,6 +119,10 @@ def lesson(
         Cut-off of Q in Hz; by default what the model can be trusted to.
     loop
         The trajectory is one period of a loop, the recordings are of whole periods.
+    absolute
+        Learn the mean of the error, too; it is taken off as the sensor's zero otherwise.
+    history
+        The passes so far, the oldest first; from one with this very drive on they are forgotten.
 
     Raises
     ------
@@ -111,31 +136,52 @@ def lesson(
     name = recordings[0].name
     move = float(np.sqrt(np.mean((desired - desired.mean()) ** 2)))
     unit = f" {model.output.unit}" if model.output.unit else ""
-    if _rms(believed - desired) > ANOTHER_MOVE * move:
+    away = _unlike(believed, desired, absolute)
+    if away > ANOTHER_MOVE * move:
         raise InputError(
             f"{name}: its drive belongs to another trajectory: by the model it asks for something "
-            f"{_rms(believed - desired):.3g}{unit} away from this one (RMS; the move has {move:.3g}{unit})"
+            f"{away:.3g}{unit} away from this one in shape (RMS; the move has {move:.3g}{unit})"
         )
+    remarks, zero = Remarks(), 0.0 if absolute else float(error.mean())
+    _warn_of_jump(remarks, name, unit, error, float(np.ptp(desired)))
+    error = error - zero
+    passed = PassRecord(_digest(passes[0].voltage), _rms(error))
+    drives = [one.drive_sha256 for one in history]
+    if passed.drive_sha256 in drives:  # learned from before: what came of it is forgotten
+        history = history[: drives.index(passed.drive_sha256)]
     cutoff = _trusted(model, believed, desired - error, step) if bandwidth is None else bandwidth
-    low_pass = ZeroPhaseLowPass(cutoff, step)
+    low_pass = ZeroPhaseLowPass(cutoff, step, ORDER)
     smooth = low_pass.loop if loop else low_pass.whole
-    update = smooth(error)
-    _refuse_growth(
-        name, unit, smooth(believed - desired), update, low_pass, desired, believed, smooth(desired), move
-    )
-    span = float(np.ptp(desired))
+    update, before = smooth(error), smooth(believed - desired)
+    if history:
+        _refuse_grown(name, unit, passed, history)
+    else:
+        _refuse_growth(name, unit, before, update, cutoff, step, move)
     of = f", the mean of {len(recordings)} recordings" if len(recordings) > 1 else ""
-    notes = [
-        f"{name}: the last pass was {_rms(error):.3g}{unit} off (RMS, {100.0 * _rms(error) / span:.2g} % of "
-        f"the move{of}), {_rms(update):.3g}{unit} of it below {cutoff:.4g} Hz, which this pass takes off"
-    ]
+    percent = 100.0 * passed.rmse / float(np.ptp(desired))
+    remarks.notes.append(
+        f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move{of}), "
+        f"{_rms(update):.3g}{unit} of it below {cutoff:.4g} Hz, which this pass takes off"
+    )
+    if not absolute:
+        remarks.notes.append(
+            f"{name}: the mean of the error, {zero:.3g}{unit}, is taken for the sensor's zero and not "
+            "learned (`absolute` learns it)"
+        )
+    learned = before + update
+    if not absolute:
+        learned = learned - learned.mean()  # nor was it before
     if model.dynamics is not None and not loop:
-        update = _resting_ends(update, cutoff * step)
-    return Lesson(believed + update, cutoff, notes)
+        learned = _resting_ends(learned, cutoff * step)
+    return Lesson(desired + learned, cutoff, remarks, [*history, passed])
 
 
 def learned_source(
-    model: ActuatorModel, source: Source, recordings: Sequence[Tracked], options: DriveOptions
+    model: ActuatorModel,
+    source: Source,
+    recordings: Sequence[Tracked],
+    options: DriveOptions,
+    history: Sequence[PassRecord] = (),
 ) -> tuple[WholeSource, FloatArray, Lesson]:
     """Return a source of what to ask for next, the trajectory itself, and the lesson."""
     whole = WholeSource(source)
@@ -147,6 +193,7 @@ def learned_source(
     learned = lesson(
         model, desired, time, step, recordings,
         start=options.state, bandwidth=options.bandwidth, loop=options.periodic,
+        absolute=options.absolute, history=history,
     )  # fmt: skip
     whole.block = dataclasses.replace(whole.block, values={role: learned.request})
     return whole, desired, learned
@@ -211,17 +258,26 @@ def _same_drive(model: ActuatorModel, recordings: Sequence[Tracked], drives: Seq
             )
 
 
-def _resting_ends(update: FloatArray, per_sample: float) -> FloatArray:
-    """Return an update that rests at its ends, and leaves them within a period of the cut-off.
+def _resting_ends(learned: FloatArray, per_sample: float) -> FloatArray:
+    """Return what was learned with rests at its ends, which it leaves within a period of the cut-off.
 
-    The inverse of dynamics takes the move to begin and end at rest. An update that does not asks for a jump
-    at the first sample, which the next belief contains: measured (800 Hz, 20 kHz) it grew fourfold a pass.
+    The inverse of dynamics takes the move to begin and end at rest. What does not asks for a jump at the
+    first sample, which the next belief contains: measured (800 Hz, 20 kHz) it grew fourfold a pass.
     """
-    rise = np.clip(np.arange(update.size) * per_sample, 0.0, 1.0)
+    rise = np.clip(np.arange(learned.size) * per_sample, 0.0, 1.0)
     weight = rise**3 * (10.0 - 15.0 * rise + 6.0 * rise * rise)
-    begun = update[0] + weight * (update - update[0])
+    begun = learned[0] + weight * (learned - learned[0])
     rested: FloatArray = begun[-1] + weight[::-1] * (begun - begun[-1])
     return rested
+
+
+def _unlike(believed: FloatArray, desired: FloatArray, absolute: bool) -> float:
+    """Return how far one signal is off the other (RMS), whatever its size (``absolute``: its mean)."""
+    asked, wanted = believed - believed.mean(), desired - desired.mean()
+    square = float(np.dot(wanted, wanted))
+    size = max(float(np.dot(asked, wanted)) / square, 0.0) if square else 1.0
+    mean = 0.0 if absolute else float(believed.mean() - desired.mean())
+    return math.hypot(_rms(asked - size * wanted), mean)
 
 
 def _refuse_growth(
@@ -229,33 +285,84 @@ def _refuse_growth(
     unit: str,
     learned: FloatArray,
     update: FloatArray,
-    low_pass: ZeroPhaseLowPass,
-    desired: FloatArray,
-    believed: FloatArray,
-    rounded: FloatArray,
+    cutoff: float,
+    step: float,
     move: float,
 ) -> None:
-    """Refuse to go on when the error is larger than all that was learned before."""
-    nothing = LEARNED_BEFORE * move
-    first = _rms(learned) <= nothing or _rms(believed - rounded) <= nothing
-    if first or _rms(update) <= GROWTH * _rms(learned):
+    """Refuse to go on when the error is larger than what was learned, in either half of the band.
+
+    Growth begins near the cut-off, where what was learned is small; all of it would hide that.
+    """
+    half = np.fft.rfftfreq(update.size, step) < 0.5 * cutoff
+    for part, where in ((half, "below"), (~half, "above")):
+        this, before = (_rms(np.fft.irfft(np.fft.rfft(x) * part, x.size)) for x in (update, learned))
+        if before > LEARNED_BEFORE * move and this > GROWTH * before:
+            raise InputError(
+                f"{name}: the error grew: {where} {0.5 * cutoff:.4g} Hz this pass is {this:.3g}{unit} off "
+                f"(RMS), more than the {before:.3g}{unit} that was learned there (go back to the best pass, "
+                "with a lower `bandwidth` or a better model)"
+            )
+
+
+def _refuse_grown(name: str, unit: str, passed: PassRecord, history: Sequence[PassRecord]) -> None:
+    """Refuse to go on when the error is larger than that of the last pass, or much larger than the best."""
+    last, best = history[-1].rmse, min(one.rmse for one in history)
+    if passed.rmse <= min(GROWTH * last, FROM_BEST * best):
         return
+    number = 1 + [one.rmse for one in history].index(best)
     raise InputError(
-        f"{name}: the error grew: this pass is {_rms(update):.3g}{unit} off below {low_pass.cutoff:.4g} Hz "
-        f"(RMS), more than the {_rms(learned):.3g}{unit} that the passes before took off (go back to the "
-        "best pass, with a lower `bandwidth` or a better model)"
+        f"{name}: the error grew: this pass is {passed.rmse:.3g}{unit} off (RMS), the last one was "
+        f"{last:.3g}{unit} and pass {number} of the history, the best, {best:.3g}{unit} (learn from the "
+        f"recording of pass {number} again, with a lower `bandwidth` or a better model)"
     )
 
 
+def _warn_of_jump(remarks: Remarks, name: str, unit: str, error: FloatArray, span: float) -> None:
+    """Warn where the sensor's zero jumps within the pass: a change from one row to the next that stays."""
+    steps = np.abs(np.diff(error))
+    usual = 1.5 * float(np.median(steps))
+    for k in np.flatnonzero(steps > max(ZERO_JUMP * usual, SMALLEST_JUMP * span))[: 10 * JUMP_STAYS].tolist():
+        before, after = error[max(k + 1 - JUMP_STAYS, 0) : k + 1], error[k + 1 : k + 1 + JUMP_STAYS]
+        stays = abs(float(np.median(after) - np.median(before)))
+        if min(before.size, after.size) == JUMP_STAYS and stays > 0.5 * steps[k]:
+            remarks.warn(
+                f"{name}: the measured displacement jumps by {stays:.3g}{unit} at row {k + 2:,} of the pass, "
+                "which no actuator does: the sensor's zero moved, and the jump is learned (record it again)"
+            )
+            return
+
+
+def _digest(drive: FloatArray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(drive).tobytes()).hexdigest()
+
+
 def _trusted(model: ActuatorModel, believed: FloatArray, measured: FloatArray, step: float) -> float:
-    """Return the frequency (Hz) up to which a pass takes most of the error off."""
+    """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
     told = model.fit.get("trusted_hz")
-    highest = 0.45 / step
+    highest = min(0.45 / step, _safe(model))
     if isinstance(told, int | float) and not isinstance(told, bool) and told > 0.0:
         return min(float(told), highest)
     if model.dynamics is not None and model.dynamics.resonances:
         return min(model.dynamics.resonances[0].frequency / RESONANCE_PART, highest)
     return min(_trusted_by_bands(believed, measured, step), highest)
+
+
+def _safe(model: ActuatorModel) -> float:
+    """Return the highest cut-off (Hz) at which no resonance that is mistuned makes what was learned grow.
+
+    From |Q(1 - M)| <= FACTOR with Q = 1/(1 + (f/f_c)^2n), solved for f_c at every frequency.
+    """
+    highest = math.inf
+    for resonance in () if model.dynamics is None else model.dynamics.resonances:
+        for part in (1.0 - MISTUNED, 1.0 + MISTUNED):
+            frequency = resonance.frequency * np.linspace(0.5, 2.0, 3001)
+            actual = Resonance(resonance.frequency * part, SHARPER * resonance.damping)
+            plain = Resonance(resonance.frequency, resonance.damping)
+            away = np.abs(1.0 - actual.response(frequency) / plain.response(frequency))
+            growing = away > FACTOR
+            bound = frequency[growing] / (away[growing] / FACTOR - 1.0) ** (0.5 / ORDER)
+            highest = min(highest, float(bound.min(initial=math.inf)))
+    return highest
 
 
 def _trusted_by_bands(believed: FloatArray, measured: FloatArray, step: float) -> float:

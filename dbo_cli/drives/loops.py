@@ -7,6 +7,7 @@ so that the first settled period follows the run-in as every later one follows t
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -18,14 +19,26 @@ from dbo_cli.drives.pieces import ramp, require_rows
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.hysteresis.dynamics import undone
 from dbo_cli.hysteresis.kernel import towards
-from dbo_cli.hysteresis.loops import Settled, settled_drive, settled_run, shifted, undone_loop
+from dbo_cli.hysteresis.loops import (
+    Settled,
+    looped_state,
+    settled_drive,
+    settled_run,
+    settling,
+    shifted,
+    slow_output,
+    undone_loop,
+)
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import WholeSource
 
 FEWEST_ROWS = 4  # of a period
-MOST_STARTS = 10  # tries to find a loop that begins where its own start leads to; two or three are usual
+SETTLED_PART = 1e-3  # of the move: the mean of a pass within it counts as settled, where no error is stated
+MOST_STARTS = 60  # tries for a loop that its own start leads to; halving brings a range to 1e-18 of it
+MOST_RUN_INS = 10  # tries for a run-in or a ramp that leads to the loop it ends on; two or three are usual
+LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
 SAME_DRIVE = 1e-9  # of the range: two settled drives that agree to this are one
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
 """Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
@@ -69,7 +82,9 @@ class LoopCompensation(Compensation):
             wanted = np.concatenate([wanted, _faded(asked, passes)])
         state = before.state or self._begun(float(period[0]))
         settled = self._settled(period, step, state)
-        run_in, settled = self._run_in(wanted, asked, period, before.state, settled, step)
+        begun, run_in = before.state, NOTHING
+        if wanted.size:
+            run_in, settled, begun = self._run_in(wanted, asked, period, begun, settled, step)
         count = before.voltage.size + run_in.size
         zero = 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
@@ -81,6 +96,9 @@ class LoopCompensation(Compensation):
             yield self._response(times[before.voltage.size :], wanted, run_in, step)
         drive = self._closed(settled.done.y, step)
         self._count(settled, whole)
+        if begun is None:
+            begun = self.model.start(float(drive[0]), self.start)
+        self._require_loop(period, settled, step, begun)
         self.move.add(desired)
         end = settled_run(self.model, drive, step, settled.before)
         self.state = dataclasses.replace(
@@ -104,7 +122,7 @@ class LoopCompensation(Compensation):
             return Before(NOTHING, NOTHING, NOTHING, known)
         begun = known or self.model.start(last, self.start)
         target = float(self._settled(period, step, begun).done.y[0])
-        for _ in range(MOST_STARTS):
+        for _ in range(MOST_RUN_INS):
             voltage = ramp("approach", last, target, step, approach, self.limits)
             voltage = voltage if known is not None else np.concatenate([[last], voltage])
             done = self.model.simulate(voltage, begun, time_step=step)
@@ -124,19 +142,29 @@ class LoopCompensation(Compensation):
         settled = settled_drive(self.model, period, step, state, self.limits)
         if self.options.passes or (self.came_from is not None and self.start not in ("empty", "full")):
             return settled
-        away = 0.0
+        first, found = float(settled.done.y[0]), settled
+        below, above, least = -math.inf, math.inf, math.inf
         for _ in range(MOST_STARTS):
-            drive, memory = settled.done.y, settled.before.backlash.memory
-            begun = self.model.start(float(drive[0]), self.start)
-            # With the memory of the settled loop: the passes before it reach further, and gears keep that.
-            backlash = dataclasses.replace(begun.backlash, memory=memory)
-            state = dataclasses.replace(settled.before, backlash=backlash)
-            settled = settled_drive(self.model, period, step, state, self.limits)
-            away = float(np.abs(settled.done.y - drive).max())
-            if away <= SAME_DRIVE * self.model.input.span:
-                return settled
-        self._refuse_or_warn(f"no start leads to it: from try to try the drive changes by {away:.3g}")
-        return settled
+            begun = self.model.start(first, self.start)
+            settled = settled_drive(self.model, period, step, begun, self.limits)
+            leads_to = float(settled.done.y[0])
+            away = self._away(period, settled, step, self.model.start(leads_to, self.start))
+            if away < least:
+                found, least = settled, away
+            if least <= LOOP_ERROR * float(np.ptp(period)) or below >= above:
+                break
+            # A later start only lowers the first row that the loop needs: the two meet between these.
+            below, above = (max(below, first), above) if leads_to > first else (below, min(above, first))
+            middle = 0.5 * (below + above)
+            first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
+        return found
+
+    def _away(self, period: FloatArray, settled: Settled, step: float, begun: ModelState) -> float:
+        """Return how far off the model repeats a settled drive that is begun in a state."""
+        drive = settled.done.y
+        ends = slow_output(self.model, drive, step, looped_state(self.model, drive, step, begun))
+        aim = slow_output(self.model, drive, step, settled.before) if settled.done.clipped_count else period
+        return float(np.abs(ends - aim).max())
 
     def _run_in(
         self,
@@ -146,14 +174,12 @@ class LoopCompensation(Compensation):
         begun: ModelState | None,
         settled: Settled,
         step: float,
-    ) -> tuple[FloatArray, Settled]:
-        """Return the drive up to the settled period, and the period settled from the state it leaves.
+    ) -> tuple[FloatArray, Settled, ModelState]:
+        """Return the drive up to the settled period, the period settled from the state it leaves, and that.
 
         During the second half of the last pass it fades over from what follows the trajectory to the settled
         drive, within the slew limit.
         """
-        if not wanted.size:
-            return NOTHING, settled
         model, limits = self.model, self.limits
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
@@ -166,8 +192,9 @@ class LoopCompensation(Compensation):
         followed = model.compensate(signal[: wanted.size], start, limits=limits, time_step=time_step)
         self._count_before(followed.clipped_count)
         forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
-        drive = followed.y
-        for _ in range(MOST_STARTS):
+        drive, aim = followed.y, settled
+        for _ in range(MOST_RUN_INS):
+            settled = aim
             closed = self._closed(settled.done.y, step)
             for fade in FADES:
                 drive = _faded_over(followed.y, closed, (asked.size, self.options.passes), fade, limits, step)
@@ -179,11 +206,10 @@ class LoopCompensation(Compensation):
                     f"{unit_of(self.given)} off the settled loop (more `passes`, or a larger `max_slew`)"
                 )
             state = model.simulate(drive, forward, time_step=time_step).state
-            again = settled_drive(model, period, step, state, limits)
-            if np.abs(again.done.y - settled.done.y).max() <= SAME_DRIVE * model.input.span:
+            aim = settled_drive(model, period, step, state, limits)
+            if np.abs(aim.done.y - settled.done.y).max() <= SAME_DRIVE * model.input.span:
                 break
-            settled = again
-        return drive, settled
+        return drive, settled, state
 
     def _count_before(self, clipped: int) -> None:
         """Count what the limits held back before the period."""
@@ -210,11 +236,41 @@ class LoopCompensation(Compensation):
         drive, unit = done.y, unit_of(self.given)
         seam, inside = abs(float(drive[0] - drive[-1])), float(np.abs(np.diff(drive)).max())
         self.remarks_before.notes.append(
-            f"{name}: the loop settles in {settled.passes} passes; the drive's step at the seam is "
-            f"{seam:.3g}{unit}, the largest inside {inside:.3g}{unit}"
+            f"{name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest inside "
+            f"{inside:.3g}{unit}"
         )
-        if not settled.converged:
-            self._refuse_or_warn(f"the drive still changed after {settled.passes} passes")
+
+    def _require_loop(self, period: FloatArray, settled: Settled, step: float, begun: ModelState) -> None:
+        """Say when the model, begun as it is, repeats the loop; refuse or warn where it never does."""
+        away, move = self._away(period, settled, step, begun), float(np.ptp(period))
+        unit = unit_of(self.taken)
+        if away > LOOP_ERROR * move:
+            self._refuse_or_warn(
+                f"however often it is repeated, the model ends {away:.3g}{unit} off "
+                f"({100.0 * away / move:.2g} % of the move); no start leads to it (`passes` 1 or `state` "
+                "empty fixes the start)"
+            )
+        elif not settled.converged:
+            self._refuse_or_warn("the drive still changes from pass to pass within its limits")
+        else:
+            self.remarks_before.notes.append(self._settling(settled, step, begun, move))
+
+    def _settling(self, settled: Settled, step: float, begun: ModelState, move: float) -> str:
+        """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
+        drive, unit, seconds = settled.done.y, unit_of(self.taken), step * settled.done.y.size
+        expected = self.model.fit.get("expected_rmse")
+        known = isinstance(expected, float) and expected > 0.0
+        within = expected if isinstance(expected, float) and known else SETTLED_PART * move
+        first, passes = settling(self.model, drive, step, begun, settled.before, within)
+        what = "the expected error" if known else "0.1 % of the move"
+        what, name = f"{what}, {within:.3g}{unit}", self.source.name
+        if not passes:
+            return f"{name}: by the model the loop is settled from its first pass on: within {what}"
+        count = f"{passes:,} pass{'es' if passes > 1 else ''}"
+        return (
+            f"{name}: by the model the loop settles in {count}, {passes * seconds:.3g} s: the mean of the "
+            f"first is {first:.3g}{unit} off, then within {what}"
+        )
 
     def _refuse_or_warn(self, why: str) -> None:
         """Say that the loop is none, or refuse it where limits are to be kept."""

@@ -45,6 +45,11 @@ class DriveOptions:
     bandwidth : float, optional
         Cut-off (Hz) of a zero-phase low-pass that rounds the trajectory's corners first; with recordings of
         the last pass that of what is learned.
+    absolute : bool
+        With recordings of the last pass, learn the mean of the error, too; it is taken for the sensor's zero
+        otherwise.
+    history : str, optional
+        A file that keeps the error of each pass, so that growth is seen.
     periodic : bool
         The trajectory is one period of a loop; the drive is that of the settled loop.
     passes : int
@@ -69,6 +74,8 @@ class DriveOptions:
     lead: Seconds = None
     return_: Seconds = None
     bandwidth: float | None = None
+    absolute: bool = False
+    history: str | None = None
     periodic: bool = False
     passes: int = 0
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dbo_cli.drives.compensation import Compensation
+from dbo_cli.drives.history import PassRecord, read_history
 from dbo_cli.drives.learning import Tracked, learned_source
 from dbo_cli.drives.loops import LoopCompensation
 from dbo_cli.drives.options import DriveOptions
+from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.sources import Source
 from dbo_cli.remarks import Remarks
@@ -46,9 +48,14 @@ def compensation(
     """
     model.require("forward")
     remarks, desired = Remarks(), None
+    passes: list[PassRecord] = []
+    if options.history is not None and not tracked:
+        raise UsageError("`history` keeps the error of the passes that `tracked` recorded: give both")
     if tracked:
-        source, desired, lesson = learned_source(model, source, tracked, options)
-        remarks.note(lesson.notes)
+        passes = [] if options.history is None else read_history(options.history)
+        source, desired, lesson = learned_source(model, source, tracked, options, passes)
+        remarks.add(lesson.remarks)
+        passes = lesson.passes
     make = LoopCompensation if options.periodic else Compensation
     return make(
         model,
@@ -57,5 +64,6 @@ def compensation(
         why_time="`tracked` depends on it" if tracked else None,
         options=options,
         desired=desired,
+        passes=passes,
         remarks_before=remarks,
     )

@@ -1,8 +1,9 @@
 """A loop after infinitely many passes: the drive that settles, and what a drive settles to.
 
-Gears repeat after a pass or two. Relaxation would take as many passes as its longest time constant lasts; its
-memory is linear in the drive, so that the memory that a periodic drive leaves unchanged is computed at once,
-and the drive, which depends on it a little, again, until both stay.
+Gears repeat after a pass. Relaxation would take as many passes as its longest time constant lasts; its
+memory is linear in the drive, so that the memory that a periodic drive leaves unchanged is computed at once.
+The drive depends on both: gears and memory are those to which the last drive leads from the start, the next
+drive is the inverse's in that state, until it stays. So the forward model does the same from that very start.
 """
 
 from __future__ import annotations
@@ -26,12 +27,14 @@ MOST_PASSES = 200
 SETTLED = 1e-12  # of the drive's range, by which a settled drive changes from pass to pass
 
 
+SMALLEST_GAIN = 0.1  # of a frequency through a delay's interpolation, from which on it is undone
+
+
 class Settled(NamedTuple):
-    """One period of a settled loop: the run of its last pass, the state before it, and the passes it took."""
+    """One period of a settled loop: the run of its last pass, the state before it, and whether it stays."""
 
     done: Simulated
     before: ModelState
-    passes: int
     converged: bool
 
 
@@ -43,9 +46,24 @@ def shifted(x: Floats, samples: float) -> Floats:
     return near if part <= 1e-9 else near + part * (np.roll(near, -1) - near)
 
 
+def _advanced(x: Floats, samples: float) -> Floats:
+    """Return one period of what ``shifted`` by so many samples delays to ``x``.
+
+    Between samples the delay takes the mean of two; frequencies that come through that are restored.
+    """
+    ahead = np.roll(x, -math.floor(samples + 1e-9))
+    part = max(samples - math.floor(samples + 1e-9), 0.0)
+    if part <= 1e-9:
+        return ahead
+    turn = np.exp(-2j * math.pi * np.fft.rfftfreq(x.size))
+    gain = 1.0 - part + part * turn
+    gain[np.abs(gain) < SMALLEST_GAIN] = 1.0
+    return np.fft.irfft(np.fft.rfft(ahead) / gain, x.size)
+
+
 def undone_loop(model: ActuatorModel, desired: Floats, step: float) -> Floats:
     """Return what a forward model's dynamics and delay are to be given for one period of their output."""
-    ahead = shifted(desired, model.delay_seconds / step)
+    ahead = _advanced(desired, model.delay_seconds / step)
     return ahead if model.dynamics is None else model.dynamics.inverter(step).loop(ahead)
 
 
@@ -69,17 +87,43 @@ def settled_drive(
     """
     inverse = model.inverse()
     time_step = step if model.needs_time or limits.max_slew is not None else None
-    done = inverse.simulate(undone, state, time_step=time_step, limits=limits)
-    before, converged, passes = state, False, 1
-    while not converged and passes < MOST_PASSES:
-        passes += 1
-        before = _periodic(model, state, done.state, undone.size * step)
+    before, done = state, inverse.simulate(undone, state, time_step=time_step, limits=limits)
+    for _ in range(MOST_PASSES):
+        before = looped_state(model, done.y, step, state)
         again = inverse.simulate(undone, before, time_step=time_step, limits=limits)
+        if model.drive_lag is not None:  # gears that change at the seam ask a lag for a spike: not the loop's
+            again = inverse.simulate(undone, again.state, time_step=time_step, limits=limits)
         away = float(np.abs(again.y - done.y).max())
-        same = before.backlash.bits == again.state.backlash.bits
-        state, done = before, again
-        converged = same and away <= SETTLED * model.input.span
-    return Settled(done, before, passes, converged)
+        done = again
+        if away <= SETTLED * model.input.span:
+            return Settled(done, before, True)
+    return Settled(done, before, False)
+
+
+def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> ModelState:
+    """Return the state before a pass, of gears, memory and drive lag, when a drive was repeated for ever."""
+    inner = _slow(model, but=())
+    begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
+    for lagging in (None, model.drive_lag):  # a pass for what reaches further at first, one for the loop
+        if lagging is not None:
+            begun = dataclasses.replace(begun, drive_lag=lagging.loop(drive, step)[1])
+        done = inner.simulate(drive, begun, time_step=step if inner.needs_time else None)
+        begun = _periodic(inner, begun, done.state, drive.size * step)
+    return begun
+
+
+def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> Floats:
+    """Return what gears, points and creep make of one period, without dynamics and delay behind them."""
+    inner = _slow(model, but=())
+    return inner.simulate(drive, before, time_step=step if inner.needs_time else None).y
+
+
+def _slow(model: ActuatorModel, but: tuple[object, ...]) -> ActuatorModel:
+    """Return a model without what lies behind its gears and points in time, and without ``but``."""
+    others = (model.dynamics, model.delay, *but)
+    return dataclasses.replace(
+        model, stages=tuple(stage for stage in model.stages if not any(stage is other for other in others))
+    )
 
 
 def _periodic(model: ActuatorModel, before: ModelState, after: ModelState, seconds: float) -> ModelState:
@@ -108,21 +152,65 @@ def settled_output(
 
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
     """Return the settled period of a repeated drive, and the state at its end."""
-    others = (model.dynamics, model.delay, model.drive_lag)
-    inner = dataclasses.replace(
-        model, stages=tuple(stage for stage in model.stages if not any(stage is other for other in others))
-    )
+    inner, lagging = _slow(model, but=(model.drive_lag,)), None
     time_step = step if inner.needs_time else None
-    begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None, drive_lag=None)
-    lagging = None
+    begun = dataclasses.replace(looped_state(model, drive, step, state), drive_lag=None)
     if model.drive_lag is not None:
         drive, lagging = model.drive_lag.loop(drive, step)
-    for _ in range(3):  # one pass for the gears, one for the memory of the drive, one to see it
-        done = inner.simulate(drive, begun, time_step=time_step)
-        begun = _periodic(inner, begun, done.state, drive.size * step)
     done = inner.simulate(drive, begun, time_step=time_step)
     y, sections = done.y, None
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)
     after = dataclasses.replace(done.state, dynamics=sections, drive_lag=lagging)
     return done._replace(y=shifted(y, -model.delay_seconds / step), state=after)
+
+
+def settling(
+    model: ActuatorModel, drive: Floats, step: float, begun: ModelState, before: ModelState, within: float
+) -> tuple[float, int]:
+    """Return how far off the mean of a loop's first pass is, and after how many passes it stays within.
+
+    Gears repeat after the first pass. What creep is off decays with its own time constants: each term's part
+    of the mean is found by a pass with that term alone off, and their sizes are added up.
+
+    Parameters
+    ----------
+    begun, before
+        The state before the first pass, and before every pass of the settled loop.
+    within
+        How far the mean may be off, in the unit of the output.
+    """
+    mean = float(slow_output(model, drive, step, before).mean())
+    first = float(slow_output(model, drive, step, dataclasses.replace(begun, dynamics=None)).mean()) - mean
+    terms, memory = model.backlash.relaxation, before.backlash.memory
+    rest = _memory_at(model, begun, float(drive[0]), step)
+    if terms is None or memory is None or rest is None:
+        return first, int(abs(first) > within)
+    parts = []
+    for k in range(len(terms.tau)):
+        one = tuple(rest[i] if i == k else held for i, held in enumerate(memory))
+        off = dataclasses.replace(before, backlash=BacklashState(before.backlash.bits, one))
+        parts.append(abs(float(slow_output(model, drive, step, off).mean()) - mean))
+    seconds, passes = drive.size * step, int(abs(first) > within)
+    low, high = passes, passes
+    while _left(parts, terms.tau, high * seconds) > within:
+        low, high = high, 2 * high + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if _left(parts, terms.tau, middle * seconds) > within else (low, middle)
+    return first, high
+
+
+def _left(parts: list[float], tau: tuple[float, ...], seconds: float) -> float:
+    return sum(part * math.exp(-seconds / one) for part, one in zip(parts, tau, strict=True))
+
+
+def _memory_at(
+    model: ActuatorModel, state: ModelState, drive: float, step: float
+) -> tuple[float, ...] | None:
+    """Return the memory of a state; one at rest at the sample to come has it after that sample."""
+    if state.backlash.memory is not None or not model.needs_time:
+        return state.backlash.memory
+    inner = _slow(model, but=())
+    begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
+    return inner.simulate([drive], begun, time_step=step).state.backlash.memory

@@ -13,9 +13,10 @@ from dbo_cli.drives.planning import compensation
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.addresses import check_format, format_for
+from dbo_cli.logs.addresses import check_document, check_format, format_for
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.whole_output import all_or_none, check_outputs
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.files import Destination, check_order, opened, shown_name, write_response
 from dbo_cli.runs.roles import bring_to, quantity_wish, tracked_of, tracked_wishes
@@ -43,6 +44,9 @@ def compensate_trajectory(
     """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
     destination = destination.beside(column, voltage, measured, reading.time)
     destination.check()
+    if options.history is not None:
+        check_document(options.history, "a history", "json")
+        check_outputs([destination.output, options.history], destination.protect)
     check_order(model_file, trajectory)
     check_format(reading.format, [trajectory, destination.output])
     model = read_model(model_file)
@@ -58,7 +62,10 @@ def compensate_trajectory(
         # Not under the name of what will be measured: a drive must not be taken for a recording.
         unit = log.columns[wanted.quantity].unit or wanted.unit
         given = OutColumn("desired", unit, "desired", may_be_blank=True)
-        return write_response(run, log, given, destination, reading, listener)
+        with all_or_none():
+            remarks = write_response(run, log, given, destination, reading, listener)
+            run.keep_history()
+        return remarks
 
 
 def _recorded(

@@ -249,8 +249,8 @@ class Model:
         **options
             What ``DriveOptions`` knows: ``v_min``, ``v_max``, ``max_slew``, ``max_current``, ``capacitance``,
             ``on_limit``, ``state``, ``from_``, ``approach``, ``condition``, ``lead``, ``return_``,
-            ``bandwidth``, ``periodic``, ``passes``. With rows before or after the trajectory the drive is
-            longer than it, and ``details`` has the times.
+            ``bandwidth``, ``absolute``, ``history``, ``periodic``, ``passes``. With rows before or after the
+            trajectory the drive is longer than it, and ``details`` has the times.
 
         Returns
         -------
@@ -408,6 +408,8 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     finally:
         if isinstance(run.source, SignalLog):
             run.source.close()
+    if isinstance(run, Compensation):
+        run.keep_history()
     values = np.concatenate([response.result for response in responses])
     remarks = run.remarks()
     assert run.state is not None
