@@ -536,12 +536,16 @@ class ActuatorModel:
             return self.input.minimum, self.input.maximum
         return max(self.input.minimum, float(ends.min())), min(self.input.maximum, float(ends.max()))
 
-    def _with_uncovered(self, x: ArrayLike, counts: Counts) -> Counts:
-        """Count the samples beyond the model's input range; gears may go on a little further than it does."""
+    def uncovered(self, x: Floats) -> NDArray[np.bool_]:
+        """Return which samples lie beyond the model's input range; gears may go on a little further."""
         low, high = self._covered
         slack = NEGLIGIBLE * (self.input.maximum - self.input.minimum)
-        signal = np.asarray(x, dtype=np.float64)
-        beyond = (signal < low - slack) | (signal > high + slack)
+        beyond: NDArray[np.bool_] = (x < low - slack) | (x > high + slack)
+        return beyond
+
+    def _with_uncovered(self, x: Floats, counts: Counts) -> Counts:
+        """Count the samples beyond the model's input range, too."""
+        beyond = self.uncovered(x)
         count = int(np.count_nonzero(beyond))
         if not count:
             return counts
