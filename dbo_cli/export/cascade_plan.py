@@ -70,9 +70,7 @@ class CascadePlan:
     @property
     def drive_stages(self) -> MemoryFree:
         """The memory-free stages from a drive to the backlash stage."""
-        if self.direction == "forward":
-            return self.head
-        return tuple(stage.inverse() for stage in reversed(self.tail))
+        return self.head if self.direction == "forward" else self.model.tail_inverse
 
     @cached_property
     def inner_limits(self) -> DriveLimits | None:

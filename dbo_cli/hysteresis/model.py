@@ -210,7 +210,7 @@ class ActuatorModel:
     def covered_gears(self) -> CoveredGears:
         """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         drive = self.input if self.direction == "forward" else self.output
-        bent = self.head if self.direction == "forward" else [s.inverse() for s in reversed(self.tail)]
+        bent = self.head if self.direction == "forward" else self.tail_inverse
         ends = through(bent, np.array([drive.minimum, drive.maximum]))
         return covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
@@ -218,6 +218,16 @@ class ActuatorModel:
     def head(self) -> MemoryFree:
         """Points and scales before the gears."""
         return memory_free(self.stages[: self._place])
+
+    @cached_property
+    def head_inverse(self) -> MemoryFree:
+        """What undoes ``head``."""
+        return tuple(stage.inverse() for stage in reversed(self.head))
+
+    @cached_property
+    def tail_inverse(self) -> MemoryFree:
+        """What undoes ``tail``."""
+        return tuple(stage.inverse() for stage in reversed(self.tail))
 
     @cached_property
     def tail(self) -> MemoryFree:
@@ -317,11 +327,10 @@ class ActuatorModel:
         """
         if not self.tail:
             return limits
-        bent = [stage.inverse() for stage in reversed(self.tail)]
-        ends = through(bent, np.array([limits.v_min, limits.v_max]))
+        ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
         slew = limits.max_slew
         if slew is not None:
-            for stage in bent:
+            for stage in self.tail_inverse:
                 slew *= least_slope(stage)
             slew *= 1.0 - NEGLIGIBLE  # the points round
         low = float(ends.min())  # a window of a last digit may be none behind the points
@@ -531,7 +540,7 @@ class ActuatorModel:
     @cached_property
     def _covered(self) -> tuple[float, float]:
         """The range of this model's input: what it was identified on, or less where its gears end."""
-        ends = through([stage.inverse() for stage in reversed(self.head)], np.array(self.backlash.x_range))
+        ends = through(self.head_inverse, np.array(self.backlash.x_range))
         if self.direction == "inverse":
             return self.input.minimum, self.input.maximum
         return max(self.input.minimum, float(ends.min())), min(self.input.maximum, float(ends.max()))
@@ -607,7 +616,7 @@ class ActuatorModel:
         covered = self.covered_gears
         pasts = (covered.operator.empty(), covered.operator.full())
         ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]
-        bent = self.tail if self.direction == "forward" else [s.inverse() for s in reversed(self.head)]
+        bent = self.tail if self.direction == "forward" else self.head_inverse
         low, high = (float(through(bent, end)[0]) for end in ends)
         return abs(high - low)
 

@@ -88,8 +88,7 @@ class RelativeModel(ActuatorModel):
     def drive_end(self) -> float:
         """Upper end of the operator's range, in the drive's unit."""
         forward = self if self.direction == "forward" else self.inverted
-        bent = [stage.inverse() for stage in reversed(forward.head)]
-        return float(through(bent, np.array([1.0]))[0])
+        return float(through(forward.head_inverse, np.array([1.0]))[0])
 
     def start(
         self,
@@ -218,8 +217,7 @@ class RelativeModel(ActuatorModel):
 
     def _bounds(self, limits: DriveLimits, steps: float | Floats | None) -> Bounds:
         """Limits on the drive as the plays of an inverse model give it."""
-        bent = [stage.inverse() for stage in reversed(self.tail)]
-        ends = through(bent, np.array([limits.v_min, limits.v_max]))
+        ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
         per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)
         low, high = float(ends.min()), float(ends.max())
         step = None
