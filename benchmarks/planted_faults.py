@@ -12,7 +12,6 @@ from dataclasses import dataclass
 # The quick tests of each part: a fault that only a whole identification finds is a unit test that is missing.
 KERNEL = ("hysteresis_operators", "hysteresis_kernel")
 MODEL = ("hysteresis_model", "hysteresis_operators", "runs_states", "runs_controller")
-CONTROLLER = ("runs_controller",)
 IDENTIFICATION = ("hysteresis_identification_parts", "hysteresis_identification_rules")
 REPORTS = ("reports_figures_of_merit", "reports_loop_and_lag", "reports_sample_pairs", "reports_report",
            "reports_trajectory_match")
@@ -66,8 +65,8 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/kernel.py",
         KERNEL,
-        ("return min(max(last - step, low), high), max(min(last + step, high), low)",
-         "return max(last - step, low), min(last + step, high)",
+        ("return min(max(towards(last, -step), low), high), max(min(towards(last, step), high), low)",
+         "return max(towards(last, -step), low), min(towards(last, step), high)",
          "the range wins over the slew limit, in Python"),
         ("outside = (d if rising else -d) >= width * (1.0 - fraction)", "outside = d >= width * (1.0 - fraction)",
          "samples below the range are counted, in Python"),
@@ -143,8 +142,9 @@ FAULTS: list[Fault] = [
     ),
     *_faults(
         "hysteresis/stepper.py",
-        CONTROLLER,
-        ("self._planned_words[:] = self._words", "pass", "a plan that is not committed leaves no trace"),
+        KERNEL,
+        ("words, memory, y = self._words.copy(), self._memory.copy(), np.empty(1)",
+         "words, memory, y = self._words, self._memory, np.empty(1)", "a plan that is not committed leaves no trace"),
     ),
     *_faults(
         "hysteresis/identification/search.py",

@@ -234,8 +234,8 @@ def test_folding_points_and_scales_changes_nothing() -> None:
     model = made_model(2)
     for one in (model, model.inverse()):
         for stages, (low, high) in (
-            (one._head, (one.input.minimum, one.input.maximum)),
-            (one._tail, one.backlash.y_range),
+            (one.head, (one.input.minimum, one.input.maximum)),
+            (one.tail, one.backlash.y_range),
         ):
             folded = fold(stages, low, high)
             x = np.linspace(low - 0.2 * (high - low), high + 0.2 * (high - low), 999)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from trials import Floats, random_operator
 
 from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis import drive_lag
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.loops import settled_drive, settled_run, undone_loop
@@ -168,3 +170,28 @@ def test_a_drive_beyond_the_range_is_refused_though_the_lag_rounds_it() -> None:
     with pytest.raises(OutsideError) as caught:
         model.simulate(v, start, time_step=STEP, outside="error")
     assert caught.value.index == 20 and caught.value.value == v[20]
+
+
+@pytest.mark.parametrize("points", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_drive_held_back_runs_on_in_blocks_with_the_bits_of_single_samples(
+    seed: int, points: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = actuator(seed)
+    if not points:
+        model = dataclasses.replace(model, stages=(model.stages[0], *model.stages[2:]))
+    span, turns = model.input.span, np.sign(np.sin(0.02 * np.arange(600) + 0.3))
+    wanted = model.output.minimum + model.output.span * (0.5 + 0.45 * turns)
+    limits = DriveLimits(model.input.minimum, model.input.maximum, 0.004 * span / STEP)
+    alone, state, count = compensated(model, wanted, limits, "empty", list(range(1, 600)))
+    tried = []
+
+    def counted(*arguments: Any) -> Any:
+        tried.append(arguments)
+        return held_back(*arguments)
+
+    held_back = drive_lag._held_back
+    monkeypatch.setattr(drive_lag, "_held_back", counted)
+    whole, end, clipped = compensated(model, wanted, limits, "empty", [])
+    assert whole.tobytes() == alone.tobytes() and end == state and clipped == count > 300
+    assert len(tried) < 0.2 * clipped

@@ -60,19 +60,17 @@ class CascadePlan:
     @property
     def head(self) -> MemoryFree:
         """The memory-free stages before the backlash stage."""
-        return self.model._head
+        return self.model.head
 
     @property
     def tail(self) -> MemoryFree:
         """The memory-free stages behind it."""
-        return self.model._tail
+        return self.model.tail
 
     @property
     def drive_stages(self) -> MemoryFree:
         """The memory-free stages from a drive to the backlash stage."""
-        if self.direction == "forward":
-            return self.head
-        return tuple(stage.inverse() for stage in reversed(self.tail))
+        return self.head if self.direction == "forward" else self.model.tail_inverse
 
     @cached_property
     def inner_limits(self) -> DriveLimits | None:
@@ -82,17 +80,17 @@ class CascadePlan:
     @property
     def covered(self) -> int:
         """How many gears take part in a settled start: the first ones, within the model's voltages."""
-        return self.model._covered_gears.operator.n
+        return self.model.covered_gears.operator.n
 
     @property
     def spare_bits(self) -> int:
         """The bits of the other gears: they stay engaged while the drive is within the model's voltages."""
-        return self.model._covered_gears.spare_bits
+        return self.model.covered_gears.spare_bits
 
     @property
     def lowest_drive(self) -> float:
         """The drive at which none of the covered gears is engaged, as the backlash stage meets it."""
-        return self.model._covered_gears.operator.x0
+        return self.model.covered_gears.operator.x0
 
     @property
     def delay(self) -> float:
@@ -166,7 +164,7 @@ class CascadePlan:
     @property
     def first_output(self) -> float:
         """The output after a rest at the lower end, no covered gear engaged."""
-        covered = self.model._covered_gears.operator
+        covered = self.model.covered_gears.operator
         at = covered.x0 if self.direction == "inverse" else covered.y0
         y = float(through(self.tail, np.array([at]))[0])
         return y if self.limits is None else min(max(y, self.limits.v_min), self.limits.v_max)
@@ -184,7 +182,7 @@ class CascadePlan:
     def settled_state(self, drive: float) -> ModelState:
         """Return the state of ``NAME_reset``: settled and at rest at a drive (V)."""
         inner = float(through(self.drive_stages, np.array([drive]))[0])
-        covered = self.model._covered_gears
+        covered = self.model.covered_gears
         operator = covered.operator
         start = covered.whole(operator.empty() if inner <= operator.x0 else operator.settled(inner))
         _, after, _ = self.model.forward_backlash.run([inner], start)

@@ -9,6 +9,7 @@ u' are limits on the output, of that sample alone.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -16,15 +17,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.cascade import MemoryFree, least_slope, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
 from dbo_cli.hysteresis.kernel import towards
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
-from dbo_cli.hysteresis.operators import Counts, Outside
+from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscreteBacklashOperator, Outside
 
 Floats = NDArray[np.float64]
 Steps = float | Floats
 
-FIRST_CHUNK = 16  # samples tried at once after one that the limits hold back; doubled while none is
+FIRST_CHUNK = 16
+"""Samples tried at once where a limit begins or ends to bind; doubled while all go alike. A guess: the
+best number depends on how often limits bind."""
+UNCLEAR = 1e-8
+"""Of the drive's range: ten times what counts as clipped (``NEGLIGIBLE``). A demand this near to a bound is
+tried alone, since rounding and the gears' tolerance may decide about it."""
 
 
 class Coefficients(NamedTuple):
@@ -69,6 +76,20 @@ def undoing_rows(numbers: Coefficients) -> Floats:
     return rows
 
 
+class Block(NamedTuple):
+    """Samples of what is wanted, their time steps, the lag's numbers for these, and the drive's limits."""
+
+    x: Floats
+    steps: Steps
+    numbers: Coefficients
+    limits: DriveLimits
+
+    def of(self, rows: slice) -> Block:
+        """Return some of the samples."""
+        steps = self.steps[rows] if isinstance(self.steps, np.ndarray) else self.steps
+        return Block(self.x[rows], steps, self.numbers.of(rows), self.limits)
+
+
 class Prompt(Protocol):
     """What is behind the lag: the same model for a drive that has passed it."""
 
@@ -86,9 +107,27 @@ class Prompt(Protocol):
     def outer_drive(self, drive: float) -> float:
         """See ``ActuatorModel.outer_drive``."""
 
+    def inner_limits(self, limits: DriveLimits) -> DriveLimits:
+        """See ``ActuatorModel.inner_limits``."""
+
+    def uncovered(self, x: Floats) -> NDArray[np.bool_]:
+        """See ``ActuatorModel.uncovered``."""
+
     @property
     def drive_span(self) -> float:
         """See ``ActuatorModel.drive_span``."""
+
+    @property
+    def forward_backlash(self) -> DiscreteBacklashOperator:
+        """See ``ActuatorModel.forward_backlash``."""
+
+    @property
+    def head(self) -> MemoryFree:
+        """See ``ActuatorModel.head``."""
+
+    @property
+    def tail(self) -> MemoryFree:
+        """See ``ActuatorModel.tail``."""
 
 
 def simulate(
@@ -110,63 +149,56 @@ def simulate(
         done = rest.simulate(x, state, time_step=steps, outside=outside)
         v, held = undone(numbers, done.y, state.drive_lag)
         return done._replace(y=v, state=replace(done.state, drive_lag=held))
-    return _limited(rest, x, state, steps, numbers, limits, rest.drive_span)
+    return _limited(rest, Block(x, steps, numbers, limits), state)
 
 
-def _limited(
-    rest: Prompt,
-    x: Floats,
-    state: ModelState,
-    steps: Steps,
-    numbers: Coefficients,
-    limits: DriveLimits,
-    span: float,
-) -> Simulated:
+def _limited(rest: Prompt, block: Block, state: ModelState) -> Simulated:
     """Return the drive within its limits; what they hold back does not reach the gears.
 
-    As many samples at once as stay within the limits, each other one alone: the bits are those of one sample
-    after the other, however many are tried at once.
+    As many samples at once as stay within the limits, or as one bound holds back; each other one alone. The
+    bits are those of one sample after the other, however many are tried at once.
     """
-    wide, slack = DriveLimits(limits.v_min, limits.v_max), limits.slack(span)
-    drives, total, missed, at, chunk = [np.zeros(0)], Counts(), 0.0, 0, x.size
-    while at < x.size:
-        part = slice(at, min(at + chunk, x.size))
-        own = numbers.of(part)
-        slices = _part(steps, part)
-        most = limits.largest_step(slices)
-        allowed = None if most is None else np.broadcast_to(most, x[part].shape)
-        before = _last_drive(rest, state)
-        done = rest.simulate(x[part], state, time_step=slices, limits=wide)
-        v, held = undone(own, done.y, state.drive_lag)
-        good = _within(v, before, allowed, limits)
-        if good < v.size:
-            chunk = FIRST_CHUNK
-            if good:  # the same again, of the samples before the one that is held back
-                part = slice(at, at + good)
-                done = rest.simulate(x[part], state, time_step=_part(steps, part), limits=wide)
-                v, held = undone(numbers.of(part), done.y, state.drive_lag)
-            else:
-                part, slices = slice(at, at + 1), _part(steps, slice(at, at + 1))
-                step = None if allowed is None else float(allowed[0])
-                bounds = _bounds(before, step, limits)
-                beyond = max(float(v[0]) - bounds[1], bounds[0] - float(v[0]))
-                lag = (float(own.part[0]), float(own.rise[0]))
-                done, v, held = _held_back(rest, x[part], state, slices, lag, bounds)
-                done = done._replace(clipped_count=int(beyond > slack), first_clipped=0)
+    drives, total, missed = [np.zeros(0)], Counts(), 0.0
+    at, count, side = 0, block.x.size, 0  # side: 1 or -1 while the upper or lower bound holds the drive back
+    while at < block.x.size:
+        part = block.of(slice(at, at + count))
+        done = _held_run(rest, part, state, side) if side else _free(rest, part, state)
+        if done.y.size == part.x.size:
+            count *= 2
+        elif side or done.y.size:
+            side, count = 0, FIRST_CHUNK
         else:
-            chunk = min(2 * chunk, x.size)
-        total = total + Counts(
-            done.outside_count, done.first_outside, done.clipped_count, done.first_clipped
-        ).shifted(at)
-        missed = missed or done.first_missed
-        state = replace(done.state, drive_lag=held)
-        drives.append(np.clip(v, limits.v_min, limits.v_max))
-        at = part.stop
+            done, side = _held_back(rest, block.of(slice(at, at + 1)), state)
+            count = FIRST_CHUNK
+        found = Counts(done.outside_count, done.first_outside, done.clipped_count, done.first_clipped)
+        total, missed = total + found.shifted(at), missed or done.first_missed
+        drives.append(np.clip(done.y, block.limits.v_min, block.limits.v_max))
+        state, at = done.state, at + done.y.size
     return Simulated(np.concatenate(drives), state, *total, missed)
 
 
-def _part(steps: Steps, rows: slice) -> Steps:
-    return steps[rows] if isinstance(steps, np.ndarray) else steps
+def _free(rest: Prompt, block: Block, state: ModelState) -> Simulated:
+    """Return the samples, the first ones, whose drive keeps its limits unbounded."""
+    done, v = _unbounded(rest, block, state)
+    bad = (v < block.limits.v_min) | (v > block.limits.v_max)
+    most = block.limits.largest_step(block.steps)
+    if most is not None:
+        before = _last_drive(rest, state)
+        bad |= np.abs(np.diff(v, prepend=v[0] if before is None else before)) > most
+    good = int(np.argmax(bad)) if bad.any() else v.size
+    if good == 0:
+        return Simulated(v[:0], state)
+    if good < v.size:  # the same again, of the samples before the one that is held back
+        done, v = _unbounded(rest, block.of(slice(0, good)), state)
+    return done._replace(y=v)
+
+
+def _unbounded(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, Floats]:
+    """Return a block of which only the lag's output is kept within the range, and its drive."""
+    wide = DriveLimits(block.limits.v_min, block.limits.v_max)
+    done = rest.simulate(block.x, state, time_step=block.steps, limits=wide)
+    v, held = undone(block.numbers, done.y, state.drive_lag)
+    return done._replace(state=replace(done.state, drive_lag=held)), v
 
 
 def _last_drive(rest: Prompt, state: ModelState) -> float | None:
@@ -174,14 +206,6 @@ def _last_drive(rest: Prompt, state: ModelState) -> float | None:
     if state.drive_lag is not None:
         return state.drive_lag[0][2]
     return None if state.drive is None else rest.outer_drive(state.drive)
-
-
-def _within(v: Floats, before: float | None, allowed: Floats | None, limits: DriveLimits) -> int:
-    """Return how many samples, the first ones, keep the limits."""
-    bad = (v < limits.v_min) | (v > limits.v_max)
-    if allowed is not None:
-        bad |= np.abs(np.diff(v, prepend=v[0] if before is None else before)) > allowed
-    return int(np.argmax(bad)) if bad.any() else v.size
 
 
 def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tuple[float, float]:
@@ -192,27 +216,113 @@ def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tu
     return min(max(low, limits.v_min), limits.v_max), max(min(high, limits.v_max), limits.v_min)
 
 
-def _held_back(
-    rest: Prompt,
-    x: Floats,
-    state: ModelState,
-    steps: Steps,
-    numbers: tuple[float, float],
-    bounds: tuple[float, float],
-) -> tuple[Simulated, Floats, SectionStates]:
-    """Return one sample whose drive is the bound that holds it back."""
-    part, rise = numbers
+def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, int]:
+    """Return one sample whose drive is the bound that holds it back, and which one that is."""
+    wanted = float(_unbounded(rest, block, state)[1][0])
+    part, rise = float(block.numbers.part[0]), float(block.numbers.rise[0])
+    most = block.limits.largest_step(block.steps)
+    step = None if most is None else float(np.ravel(most)[0])
+    bounds = _bounds(_last_drive(rest, state), step, block.limits)
     p, _, u = (0.0, 0.0, 0.0) if state.drive_lag is None else state.drive_lag[0]
     low, high = bounds
     if state.drive_lag is not None:  # else at rest at this sample: the lag passes on what it gets
         low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
     if not low < high:  # the slew limit allows nothing in no time
         high = np.nextafter(low, np.inf)
-    done = rest.simulate(x, state, time_step=steps, limits=DriveLimits(low, high))
-    w = done.y.item()
+    done = rest.simulate(block.x, state, time_step=block.steps, limits=DriveLimits(low, high))
+    w, side = done.y.item(), 0
     if min(w - low, high - w) <= NEGLIGIBLE * (high - low):
-        drive = bounds[0] if w - low <= high - w else bounds[1]
+        side = -1 if w - low <= high - w else 1
+        drive = bounds[0] if side < 0 else bounds[1]
     else:  # only rounding was in the way
         drive = w if state.drive_lag is None else u + ((w - p) - part * (u - p)) / rise
         drive = min(max(drive, bounds[0]), bounds[1])
-    return done, np.array([drive]), ((w, 0.0, drive),)
+    drive = min(max(drive, block.limits.v_min), block.limits.v_max)
+    clipped = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive_span)
+    held = replace(done.state, drive_lag=((w, 0.0, drive),))
+    return Simulated(np.array([drive]), held, done.outside_count, 0, int(clipped), 0, done.first_missed), side
+
+
+def _held_run(rest: Prompt, block: Block, state: ModelState, side: int) -> Simulated:
+    """Return the samples, the first ones, that one bound clearly holds back.
+
+    Their drive is known: a ramp at the slew limit, or an end of the range. The gears follow it as those of
+    the forward operator do; what these reach shows where the demand is no longer clearly beyond it.
+    """
+    drive, lagged, inner = _ramp(rest, block, state, side)
+    y, after = _followed(rest, block, state, inner)
+    held = _clearly_held(rest, block.of(slice(0, drive.size)), side, lagged, inner, y)
+    count = drive.size if held.all() else int(np.argmin(held))
+    if count == 0:
+        return Simulated(drive[:0], state)
+    if count < drive.size:
+        after = _followed(rest, block, state, inner[:count])[1]
+    lag = ((float(lagged[count - 1]), 0.0, float(drive[count - 1])),)
+    state = replace(state, backlash=after, drive=float(inner[count - 1]), time=None, drive_lag=lag)
+    outside = rest.uncovered(block.x[:count])
+    return Simulated(drive[:count], state, int(np.count_nonzero(outside)), int(np.argmax(outside)), count, 0)
+
+
+def _ramp(rest: Prompt, block: Block, state: ModelState, side: int) -> tuple[Floats, Floats, Floats]:
+    """Return the drive that stays at one bound, what the lag makes of it, and what then reaches the gears.
+
+    The same operations as in ``_held_back``; it ends where those would not give the bound.
+    """
+    assert state.drive_lag is not None
+    p, _, u = state.drive_lag[0]
+    most = block.limits.largest_step(block.steps)
+    size, rising = block.x.shape, side * _sense(rest) > 0
+    steps = [None] * block.x.size if most is None else np.broadcast_to(most, size).tolist()
+    parts, rises = (np.broadcast_to(numbers, size).tolist() for numbers in block.numbers)
+    found: list[tuple[float, float, float]] = []
+    for step, part, rise in zip(steps, parts, rises, strict=True):
+        bounds = _bounds(u, step, block.limits)
+        low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
+        if not low < high:
+            break
+        w = inner = high if side > 0 else low
+        if rest.tail:  # rounding on the way through the points and back
+            window = rest.inner_limits(DriveLimits(low, high))
+            inner = window.v_max if rising else window.v_min
+            w = min(max(rest.outer_drive(inner), low), high)
+            if abs(w - (high if side > 0 else low)) > NEGLIGIBLE * (high - low):
+                break
+        p, u = w, bounds[side > 0]
+        found.append((u, w, inner))
+    drive, lagged, reached = np.array(found).reshape(-1, 3).T.copy()
+    return drive, lagged, reached
+
+
+def _sense(rest: Prompt) -> float:
+    """Return 1 where the voltage rises with what reaches the gears, -1 where a gain turns it."""
+    low, high = (rest.outer_drive(end) for end in rest.forward_backlash.x_range)
+    return math.copysign(1.0, high - low)
+
+
+def _followed(rest: Prompt, block: Block, state: ModelState, inner: Floats) -> tuple[Floats, BacklashState]:
+    """Return what the gears make of a drive that reaches them, and their state after it."""
+    gears = rest.forward_backlash
+    decay = gears.relaxation.decay(block.of(slice(0, inner.size)).steps) if gears.relaxation else None
+    y, after, _ = gears.run(inner, state.backlash, decay=decay)
+    return y, after
+
+
+def _clearly_held(
+    rest: Prompt, block: Block, side: int, lagged: Floats, inner: Floats, y: Floats
+) -> NDArray[np.bool_]:
+    """Return which samples ask for so much beyond what is reached that they are clipped, and counted so.
+
+    Near the ends of the gears a sample counts as outside by how far the demand goes beyond them, which only
+    the inverse knows, unless the model does not cover the demand anyhow.
+    """
+    gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive_span
+    missing = (through(rest.head, block.x) - y) * (side * _sense(rest))
+    slope = float(gears.gears[:, 2].max()) + (sum(gears.relaxation.gain) if gears.relaxation else 0.0)
+    outer = math.prod(least_slope(stage) for stage in rest.tail)
+    room = block.limits.v_max - lagged if side > 0 else lagged - block.limits.v_min
+    tolerance = 2.0 * float((gears.gears[:, 0] * (1.0 - gears.gears[:, 3])).max())
+    low, high = gears.x_range
+    inside = (inner > low + tolerance) & (inner < high - tolerance)
+    beyond = (missing * outer / slope > unclear) & (room > unclear)
+    held: NDArray[np.bool_] = beyond & (inside | rest.uncovered(block.x))
+    return held

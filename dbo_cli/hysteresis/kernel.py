@@ -71,6 +71,13 @@ class _Walk:
         self.set = find_first_one(self.bits, self.n)
         self.zero = find_first_zero(self.bits)
 
+    def cross(self, rising: bool) -> None:
+        """Go to the neighbour on the way."""
+        if rising:
+            self.move_up()
+        else:
+            self.move_down()
+
     def move_up(self) -> None:
         """Go to the upper neighbour: set b_Z (6)-(7)."""
         self.x += self.gears[self.zero][0]
@@ -130,10 +137,7 @@ def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend:
         if not (travelled >= (dx + kappa * dy) * fraction and room >= dy * fraction):
             break
         last = gear
-        if rising:
-            walk.move_up()
-        else:
-            walk.move_down()
+        walk.cross(rising)
         d = u - (walk.x + kappa * walk.y)
     if last < walk.n and (d < 0.0 if rising else d > 0.0):
         gear = last
@@ -151,10 +155,7 @@ def _follow_output(walk: _Walk, y: float, rising: bool) -> None:
         _, dy, _, fraction = walk.gears[gear]
         if not (y - walk.y if rising else walk.y - y) >= dy * fraction:
             break
-        if rising:
-            walk.move_up()
-        else:
-            walk.move_down()
+        walk.cross(rising)
 
 
 def _solve_within(
@@ -187,6 +188,21 @@ def _decay_rows(decay: Floats, terms: int, count: int) -> Iterator[list[float]]:
     rows = decay.reshape(-1, terms).tolist() if terms else [[]]
     for k in range(count):
         yield rows[k] if len(rows) > 1 else rows[0]
+
+
+def _remember(held: list[float], decay: list[float], drive: float) -> None:
+    """Go on with every relaxation term by one sample."""
+    for j, a in enumerate(decay):
+        held[j] = a * held[j] + (1.0 - a) * drive
+
+
+def _known_part(weights: list[float], held: list[float], decay: list[float]) -> tuple[float, float]:
+    """Return what the terms keep of the past, and their part kappa of the present output."""
+    remembered = kappa = 0.0
+    for c, memory, a in zip(weights, held, decay, strict=True):
+        remembered += c * (a * memory)
+        kappa += c * (1.0 - a)
+    return remembered, kappa
 
 
 def _window(low: float, high: float, step: float | None, last: float) -> tuple[float, float]:
@@ -251,13 +267,11 @@ def backlash_run(
         kappa = remembered = 0.0
         u = value - x0
         if after:
-            for j, c in enumerate(weights):
-                held[j] = a[j] * held[j] + (1.0 - a[j]) * (value - reference)
-                remembered += c * held[j]
+            _remember(held, a, value - reference)
+            for c, term in zip(weights, held, strict=True):
+                remembered += c * term
         elif weights:
-            for j, c in enumerate(weights):
-                remembered += c * (a[j] * held[j])
-                kappa += c * (1.0 - a[j])
+            remembered, kappa = _known_part(weights, held, a)
             u = (u - remembered) - kappa * (y0 - reference)
         excess = -1.0
         if limited:
@@ -269,8 +283,7 @@ def backlash_run(
         y[k] = last
         counts.note(k, outside, excess > slack)
         if weights and not after:
-            for j in range(len(weights)):
-                held[j] = a[j] * held[j] + (1.0 - a[j]) * (last - reference)
+            _remember(held, a, last - reference)
     walk.finish()
     memory[:] = held
     return counts.as_tuple()
@@ -286,10 +299,7 @@ def _engage(walk: _Walk, u: float, shift: Callable[[int, float], None]) -> tuple
         if not (d if rising else -d) >= dx * fraction:
             break
         last = gear
-        if rising:
-            walk.move_up()
-        else:
-            walk.move_down()
+        walk.cross(rising)
         shift(gear, 1.0 if rising else -1.0)
         d = u - walk.x
     return (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear), d
@@ -338,8 +348,7 @@ def memory_run(reference: float, memory: Floats, x: Floats, rows: Floats, decay:
     terms = len(held)
     table = rows.reshape(-1, terms) if terms else rows
     for k, (value, a) in enumerate(zip(x.tolist(), _decay_rows(decay, terms, x.size), strict=True)):
-        for j in range(terms):
-            held[j] = a[j] * held[j] + (1.0 - a[j]) * (value - reference)
+        _remember(held, a, value - reference)
         if terms:
             table[k] = held
     memory[:] = held

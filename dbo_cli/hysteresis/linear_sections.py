@@ -53,8 +53,8 @@ def _positive(key: str, value: float, most: float = math.inf) -> None:
 
 
 @dataclass(frozen=True)
-class Antiresonance:
-    """The numerator 1 + 2ζs/ω + s²/ω² of a section: where the actuator hardly moves.
+class Mode:
+    """The polynomial 1 + 2ζs/ω + s²/ω².
 
     Attributes
     ----------
@@ -71,30 +71,17 @@ class Antiresonance:
         """Refuse what is none, naming the key."""
         _positive("frequency", self.frequency)
         _positive("damping", self.damping, 1.0)
+
+
+class Antiresonance(Mode):
+    """The numerator 1 + 2ζs/ω + s²/ω² of a section: where the actuator hardly moves."""
 
 
 @dataclass(frozen=True)
-class Resonance:
-    """A second-order section 1/(1 + 2ζs/ω + s²/ω²), perhaps with an antiresonance as numerator.
+class Resonance(Mode):
+    """A second-order section 1/(1 + 2ζs/ω + s²/ω²), perhaps with an antiresonance as numerator."""
 
-    Attributes
-    ----------
-    frequency : float
-        ω/2π in Hz, > 0.
-    damping : float
-        ζ, in (0, 1).
-    antiresonance : Antiresonance, optional
-        The numerator.
-    """
-
-    frequency: float
-    damping: float
     antiresonance: Antiresonance | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what is none, naming the key."""
-        _positive("frequency", self.frequency)
-        _positive("damping", self.damping, 1.0)
 
     @property
     def highest(self) -> float:

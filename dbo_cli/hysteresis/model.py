@@ -46,6 +46,7 @@ from dbo_cli.hysteresis.model_state import (
     Simulated,
 )
 from dbo_cli.hysteresis.operators import (
+    Axis,
     BacklashState,
     Counts,
     DiscreteBacklashOperator,
@@ -74,6 +75,7 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+Steps = float | Floats  # seconds since the sample before: one number, or one for each
 Direction = Literal["forward", "inverse"]
 BacklashStage = DiscreteBacklashOperator
 PointStage = DiscretePointOperator
@@ -119,17 +121,19 @@ class ActuatorModel:
             raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
         backlash = self.stages[gears[0]]
         assert isinstance(backlash, DiscreteBacklashOperator)
-        axis = "input" if forward else "output"
+        axis: Axis = "input" if forward else "output"
         if backlash.memory_on != axis:
             if backlash.relaxation is not None:
                 raise ModelError(f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction")
             # Without relaxation a file does not say which axis is the drive's; the direction does.
-            told = DiscreteBacklashOperator(
-                backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, "input" if forward else "output"
-            )
-            stages = tuple(told if stage is backlash else stage for stage in self.stages)
-            object.__setattr__(self, "stages", stages)
+            drawn = DiscreteBacklashOperator(backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, axis)
+            self._put(backlash, drawn)
         self._check_dynamics()
+        self._check_delay()
+
+    def _check_delay(self) -> None:
+        """Refuse a delay in another place than its own, or of the other direction's sign."""
+        forward = self.direction == "forward"
         end = len(self.stages) - 1 if forward else 0
         for place, stage in enumerate(self.stages):
             if isinstance(stage, DelayStage):
@@ -151,19 +155,21 @@ class ActuatorModel:
                 lag = stage.sections[0]
                 if not (len(stage.sections) == 1 and isinstance(lag, Lag) and lag.lead == 0.0):
                     raise ModelError(f"stages[{place}].sections: one lag alone may stand {end}")
-                self._turn(stage)
-                continue
-            outer = self.stages[place + 1 :] if forward else self.stages[:place]
-            if not all(isinstance(other, DelayStage) for other in outer):
-                where = "after all stages but a delay" if forward else "before all stages but a delay"
-                raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
+            else:
+                outer = self.stages[place + 1 :] if forward else self.stages[:place]
+                if not all(isinstance(other, DelayStage) for other in outer):
+                    where = "after all stages but a delay" if forward else "before all stages but a delay"
+                    raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
             self._turn(stage)
 
     def _turn(self, stage: DynamicsStage | OtherHysteresis) -> None:
         """Let a stage act, or be undone, as the direction tells."""
         if stage.inverted == (self.direction == "forward"):
-            stages = tuple(s.inverse() if s is stage else s for s in self.stages)
-            object.__setattr__(self, "stages", stages)
+            self._put(stage, stage.inverse())
+
+    def _put(self, old: Stage, new: Stage) -> None:
+        """Put a stage in another's place, while the model is made."""
+        object.__setattr__(self, "stages", tuple(new if stage is old else stage for stage in self.stages))
 
     def require(self, direction: Direction, place: str = "the model") -> None:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
@@ -201,24 +207,32 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def _covered_gears(self) -> CoveredGears:
+    def covered_gears(self) -> CoveredGears:
         """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         drive = self.input if self.direction == "forward" else self.output
-        bent = self._head if self.direction == "forward" else [s.inverse() for s in reversed(self._tail)]
+        bent = self.head if self.direction == "forward" else self.tail_inverse
         ends = through(bent, np.array([drive.minimum, drive.maximum]))
         return covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
-    def _head(self) -> MemoryFree:
+    def head(self) -> MemoryFree:
+        """Points and scales before the gears."""
         return memory_free(self.stages[: self._place])
 
     @cached_property
-    def _tail(self) -> MemoryFree:
-        return memory_free(self.stages[self._place :])
+    def head_inverse(self) -> MemoryFree:
+        """What undoes ``head``."""
+        return tuple(stage.inverse() for stage in reversed(self.head))
 
     @cached_property
-    def _delay(self) -> DelayStage | None:
-        return next((stage for stage in self.stages if isinstance(stage, DelayStage)), None)
+    def tail_inverse(self) -> MemoryFree:
+        """What undoes ``tail``."""
+        return tuple(stage.inverse() for stage in reversed(self.tail))
+
+    @cached_property
+    def tail(self) -> MemoryFree:
+        """Points and scales behind the gears."""
+        return memory_free(self.stages[self._place :])
 
     @cached_property
     def dynamics(self) -> DynamicsStage | None:
@@ -248,29 +262,29 @@ class ActuatorModel:
         """Return the voltage at which a state of this forward model was left, where it knows."""
         if state.drive_lag is not None:
             return state.drive_lag[0][2]
-        return None if state.drive is None else self._inverted.outer_drive(state.drive)
+        return None if state.drive is None else self.inverted.outer_drive(state.drive)
 
     def drive_at(self, end: str) -> float:
         """Return the voltage of an actuator that stands ``empty`` or ``full``."""
-        return self._inverted.outer_drive(self._covered_gears.operator.x_range[0 if end == "empty" else 1])
+        return self.inverted.outer_drive(self.covered_gears.operator.x_range[0 if end == "empty" else 1])
 
     def displacement_of(self, state: ModelState) -> float:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""
         assert state.drive is not None
         slow = self.without_lag
         held = dataclasses.replace(state, dynamics=None, drive_lag=None, history=None, undoing=None)
-        voltage = self._inverted.outer_drive(state.drive)
+        voltage = self.inverted.outer_drive(state.drive)
         return float(slow.simulate([voltage], held, time_step=0.0).y[0])
 
-    @property
+    @cached_property
     def delay(self) -> DelayStage | None:
         """The delay as it stands in this model, or None."""
-        return self._delay
+        return next((stage for stage in self.stages if isinstance(stage, DelayStage)), None)
 
     @property
     def delay_seconds(self) -> float:
         """Seconds by which the output lags; an inverse model must read its input that far ahead."""
-        return abs(self._delay.seconds) if self._delay else 0.0
+        return abs(self.delay.seconds) if self.delay else 0.0
 
     @cached_property
     def needs_time(self) -> bool:
@@ -303,7 +317,7 @@ class ActuatorModel:
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
         """Return what reaches the backlash stage of this model."""
-        return through(self._head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
+        return through(self.head, np.ascontiguousarray(x, dtype=np.float64).reshape(-1))
 
     def inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Return limits on the drive as the backlash stage of an inverse model meets them.
@@ -311,24 +325,21 @@ class ActuatorModel:
         Where points stand between, the steepest step they may let through is counted on everywhere, so that
         the slew limit is kept with something to spare.
         """
-        if not self._tail:
+        if not self.tail:
             return limits
-        bent = [stage.inverse() for stage in reversed(self._tail)]
-        ends = through(bent, np.array([limits.v_min, limits.v_max]))
+        ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
         slew = limits.max_slew
         if slew is not None:
-            for stage in bent:
+            for stage in self.tail_inverse:
                 slew *= least_slope(stage)
             slew *= 1.0 - NEGLIGIBLE  # the points round
         low = float(ends.min())  # a window of a last digit may be none behind the points
         return DriveLimits(low, max(float(ends.max()), math.nextafter(low, math.inf)), slew)
 
-    def output_limits(self, limits: DriveLimits, steps: float | Floats | None) -> OutputLimits:
+    def output_limits(self, limits: DriveLimits, steps: Steps | None) -> OutputLimits:
         """Return limits that the backlash stage of an inverse model meets, in the operator's terms."""
         low, high = self.backlash.y_range
-        return OutputLimits(
-            limits.v_min, limits.v_max, limits.largest_step(steps), limits.slack(high - low)
-        )
+        return OutputLimits(limits.v_min, limits.v_max, limits.largest_step(steps), limits.slack(high - low))
 
     def start(
         self,
@@ -344,7 +355,7 @@ class ActuatorModel:
         if isinstance(state, ModelState):
             return state
         value = float(self._before_backlash([first_input])[0])
-        covered = self._covered_gears
+        covered = self.covered_gears
         operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
             return ModelState(covered.whole(start_state(operator, value, state)))
@@ -391,62 +402,41 @@ class ActuatorModel:
         if limits is not None:
             self.require("inverse")
         signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        if self.drive_lag is not None:
-            return self._simulate_lagging(signal, state, time_step, outside, limits)
-        return self._simulate_prompt(signal, state, time_step, outside, limits)
-
-    def _simulate_prompt(
-        self,
-        x: Floats,
-        state: ModelState,
-        time_step: float | ArrayLike | None,
-        outside: Outside,
-        limits: DriveLimits | None,
-    ) -> Simulated:
-        """Return what ``simulate`` does, for a model without a lag before its gears."""
-        signal = x
-        for stage in self._head:
-            signal = stage.run(signal)
-        if outside == "hold":
-            signal = self._held(signal)
         steps = self._steps(time_step, signal.size, state, limits)
-        inner = None if limits is None else self.inner_limits(limits)
-        y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
-        counts = self._with_uncovered(x, counts)
-        if outside == "error" and counts.outside:
-            first = counts.first_outside
-            raise OutsideError(first, float(x[first]), *self._covered)
-        for stage in self._tail:
-            y = stage.run(y)
-        if limits is not None and self._tail:
-            y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
-        if self.direction == "forward":
-            if signal.size:
-                after = dataclasses.replace(after, drive=float(signal[-1]))
-            if steps is not None and (self._delay or self.dynamics):
-                y, after = self._lagging(y, after, steps, state)
-        return Simulated(y, after, *counts, missed)
-
-    def _simulate_lagging(
-        self,
-        signal: Floats,
-        state: ModelState,
-        time_step: float | ArrayLike | None,
-        outside: Outside,
-        limits: DriveLimits | None,
-    ) -> Simulated:
-        """Return what ``simulate`` does, for a model with a lag before its gears."""
-        steps = self._steps(time_step, signal.size, state, limits)
-        assert steps is not None
-        assert self.drive_lag is not None
-        rest = self.without_drive_lag
-        done = drive_lag.simulate(self.drive_lag, rest, signal, state, steps, outside, limits)
-        if self.direction == "inverse":
-            return done
+        if self.drive_lag is None:
+            done = self._simulate_prompt(signal, state, steps, outside, limits)
+        else:
+            assert steps is not None
+            behind = self.without_drive_lag
+            done = drive_lag.simulate(self.drive_lag, behind, signal, state, steps, outside, limits)
+            if self.direction == "inverse":
+                return done
         counts = self._with_uncovered(signal, Counts(done.outside_count, done.first_outside))
         if outside == "error" and counts.outside:
             raise OutsideError(counts.first_outside, float(signal[counts.first_outside]), *self._covered)
         return done._replace(outside_count=counts.outside, first_outside=counts.first_outside)
+
+    def _simulate_prompt(
+        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
+    ) -> Simulated:
+        """Return what ``simulate`` does, for a model without a lag before its gears."""
+        signal = x
+        for stage in self.head:
+            signal = stage.run(signal)
+        if outside == "hold":
+            signal = self._held(signal)
+        inner = None if limits is None else self.inner_limits(limits)
+        y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
+        for stage in self.tail:
+            y = stage.run(y)
+        if limits is not None and self.tail:
+            y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
+        if self.direction == "forward":
+            if signal.size:
+                after = dataclasses.replace(after, drive=float(signal[-1]))
+            if steps is not None and (self.delay or self.dynamics):
+                y, after = self._lagging(y, after, steps, state)
+        return Simulated(y, after, *counts, missed)
 
     @property
     def drive_span(self) -> float:
@@ -455,23 +445,23 @@ class ActuatorModel:
 
     def outer_drive(self, drive: float) -> float:
         """Return the voltage of an inverse model for a drive at its backlash stage."""
-        return float(through(self._tail, np.array([drive]))[0])
+        return float(through(self.tail, np.array([drive]))[0])
 
     def _lagging(
-        self, y: Floats, after: ModelState, steps: float | Floats, before: ModelState
+        self, y: Floats, after: ModelState, steps: Steps, before: ModelState
     ) -> tuple[Floats, ModelState]:
         """Pass a block through the dynamics and the delay of a forward model."""
         if self.dynamics:
             y, sections = self.dynamics.run(y, steps, before.dynamics)
             after = dataclasses.replace(after, dynamics=sections)
-        if self._delay and self._delay.seconds > 0.0:
-            y, history = self._delay.lag(y, steps, before.history)
+        if self.delay and self.delay.seconds > 0.0:
+            y, history = self.delay.lag(y, steps, before.history)
             after = dataclasses.replace(after, history=history)
         return y, after
 
     def _held(self, signal: Floats) -> Floats:
         """Return what reaches the gears, kept within those that the model covers."""
-        core = self._covered_gears.operator
+        core = self.covered_gears.operator
         if self.direction == "inverse" or core.n == self.backlash.n:
             return signal
         held: Floats = np.clip(signal, *core.x_range)
@@ -483,7 +473,7 @@ class ActuatorModel:
         count: int,
         state: ModelState,
         limits: DriveLimits | None,
-    ) -> float | Floats | None:
+    ) -> Steps | None:
         """Return the time steps, checked; that of a first sample is set to 0."""
         if time_step is None:
             if self.needs_time or (limits is not None and limits.max_slew is not None):
@@ -502,7 +492,7 @@ class ActuatorModel:
         self,
         signal: Floats,
         state: ModelState,
-        steps: float | Floats | None,
+        steps: Steps | None,
         outside: Outside,
         limits: DriveLimits | None,
     ) -> tuple[Floats, ModelState, Counts, float]:
@@ -528,7 +518,7 @@ class ActuatorModel:
         self,
         signal: Floats,
         state: ModelState,
-        steps: float | Floats | None,
+        steps: Steps | None,
         outside: Outside,
         limits: DriveLimits | None,
     ) -> tuple[Floats, ModelState, Counts, float]:
@@ -550,17 +540,21 @@ class ActuatorModel:
     @cached_property
     def _covered(self) -> tuple[float, float]:
         """The range of this model's input: what it was identified on, or less where its gears end."""
-        ends = through([stage.inverse() for stage in reversed(self._head)], np.array(self.backlash.x_range))
+        ends = through(self.head_inverse, np.array(self.backlash.x_range))
         if self.direction == "inverse":
             return self.input.minimum, self.input.maximum
         return max(self.input.minimum, float(ends.min())), min(self.input.maximum, float(ends.max()))
 
-    def _with_uncovered(self, x: ArrayLike, counts: Counts) -> Counts:
-        """Count the samples beyond the model's input range; gears may go on a little further than it does."""
+    def uncovered(self, x: Floats) -> NDArray[np.bool_]:
+        """Return which samples lie beyond the model's input range; gears may go on a little further."""
         low, high = self._covered
         slack = NEGLIGIBLE * (self.input.maximum - self.input.minimum)
-        signal = np.asarray(x, dtype=np.float64)
-        beyond = (signal < low - slack) | (signal > high + slack)
+        beyond: NDArray[np.bool_] = (x < low - slack) | (x > high + slack)
+        return beyond
+
+    def _with_uncovered(self, x: Floats, counts: Counts) -> Counts:
+        """Count the samples beyond the model's input range, too."""
+        beyond = self.uncovered(x)
         count = int(np.count_nonzero(beyond))
         if not count:
             return counts
@@ -587,7 +581,7 @@ class ActuatorModel:
         The state may have come from ``start_compensation``, or from ``simulate`` of this model.
         """
         self.require("forward")
-        done = self._inverted.simulate(desired, state, time_step=time_step, limits=limits)
+        done = self.inverted.simulate(desired, state, time_step=time_step, limits=limits)
         if self.dynamics is None or done.y.size == 0:
             return done
         # What the limits cut off does not reach the actuator, so its dynamics follow the drive itself.
@@ -605,10 +599,10 @@ class ActuatorModel:
         holds from the first sample on.
         """
         self.require("forward")
-        begun = self._inverted.start(first_desired, state, limits)
-        inner = self._inverted.inner_limits(limits)
+        begun = self.inverted.start(first_desired, state, limits)
+        inner = self.inverted.inner_limits(limits)
         if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
-            drive = self._covered_gears.operator.x_range[0 if state == "empty" else 1]
+            drive = self.covered_gears.operator.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
         return begun
 
@@ -619,13 +613,14 @@ class ActuatorModel:
         """
         gears = self.forward_backlash
         drive = begun.first.voltage if begun.first else float(self._before_backlash([first_input])[0])
-        covered = self._covered_gears
+        covered = self.covered_gears
         pasts = (covered.operator.empty(), covered.operator.full())
         ends = [gears.run([drive], covered.whole(past))[0] for past in pasts]
-        bent = self._tail if self.direction == "forward" else [s.inverse() for s in reversed(self._head)]
+        bent = self.tail if self.direction == "forward" else self.head_inverse
         low, high = (float(through(bent, end)[0]) for end in ends)
         return abs(high - low)
 
     @cached_property
-    def _inverted(self) -> Self:
+    def inverted(self) -> Self:
+        """The inverse, kept."""
         return self.inverse()

@@ -38,20 +38,14 @@ class RelativeModel(ActuatorModel):
 
     def __post_init__(self) -> None:
         """Check the order of the stages; the direction tells how the plays act."""
-        forward = self.direction == "forward"
         plays = [k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator)]
         if len(plays) != 1:
             raise ModelError("stages: exactly one stage of plays must be among them")
-        end = len(self.stages) - 1 if forward else 0
+        self._check_delay()
         for place, stage in enumerate(self.stages):
-            if isinstance(stage, DelayStage):
-                if place != end:
-                    raise ModelError(f"stages[{place}]: a delay stands {'last' if forward else 'first'}")
-                if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
-                    raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
-            elif isinstance(stage, PlayOperator):
+            if isinstance(stage, PlayOperator):
                 self._turn(stage)
-            elif not isinstance(stage, ScaleStage | DiscretePointOperator):
+            elif not isinstance(stage, ScaleStage | DiscretePointOperator | DelayStage):
                 raise ModelError(f"stages[{place}]: only plays, points, scales and a delay go together")
 
     @cached_property
@@ -93,9 +87,8 @@ class RelativeModel(ActuatorModel):
     @property
     def drive_end(self) -> float:
         """Upper end of the operator's range, in the drive's unit."""
-        forward = self if self.direction == "forward" else self._inverted
-        bent = [stage.inverse() for stage in reversed(forward._head)]
-        return float(through(bent, np.array([1.0]))[0])
+        forward = self if self.direction == "forward" else self.inverted
+        return float(through(forward.head_inverse, np.array([1.0]))[0])
 
     def start(
         self,
@@ -127,7 +120,7 @@ class RelativeModel(ActuatorModel):
     ) -> ModelState:
         """Return the state of ``compensate`` in which ``simulate`` of its output starts."""
         self.require("forward")
-        begun = self._inverted.start(first_desired, state, limits)
+        begun = self.inverted.start(first_desired, state, limits)
         if state in ("empty", "full") and limits.max_slew is not None:
             ends = self.plays.low if state == "empty" else 1.0
             begun = dataclasses.replace(begun, drive=ends)
@@ -136,13 +129,13 @@ class RelativeModel(ActuatorModel):
     def start_spread(self, begun: ModelState, first_input: float) -> float:
         """Return by how much the displacement at rest, where a run begins, depends on what was before."""
         operator = self.plays
-        forward = self if self.direction == "forward" else self._inverted
+        forward = self if self.direction == "forward" else self.inverted
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
         still = np.zeros(1) if operator.by_rate.size else NOTHING
         ends = [operator.run(np.array([value]), operator.after(end), still)[0] for end in (operator.low, 1.0)]
-        low, high = (float(through(forward._tail, end)[0]) for end in ends)
+        low, high = (float(through(forward.tail, end)[0]) for end in ends)
         return abs(high - low)
 
     def simulate(
@@ -166,7 +159,7 @@ class RelativeModel(ActuatorModel):
         signal = self._before_backlash(held)
         steps = self._steps(time_step, signal.size, state, limits)
         y, after, clipped = self._plays_block(signal, state, steps, limits)
-        for stage in self._tail:
+        for stage in self.tail:
             y = stage.run(y)
         if limits is not None:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the scale
@@ -224,8 +217,7 @@ class RelativeModel(ActuatorModel):
 
     def _bounds(self, limits: DriveLimits, steps: float | Floats | None) -> Bounds:
         """Limits on the drive as the plays of an inverse model give it."""
-        bent = [stage.inverse() for stage in reversed(self._tail)]
-        ends = through(bent, np.array([limits.v_min, limits.v_max]))
+        ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
         per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)
         low, high = float(ends.min()), float(ends.max())
         step = None
