@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator
 from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
 
 if TYPE_CHECKING:
@@ -289,7 +289,11 @@ class ByteSource:
                 )
         if encoding is None:
             return None
-        decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
+        try:
+            "".encode(encoding)  # refuses codecs that are no text encodings, too
+            decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
+        except LookupError:
+            raise UsageError(f"`encoding` {encoding}: there is no such text encoding") from None
         return lambda data: decoder.decode(data).encode("utf-8")
 
 

@@ -210,9 +210,8 @@ def parse_rows(given: object) -> Rows:
 
 
 def check_encoding(name: str) -> None:
-    """Refuse an encoding that does not exist, or is none of text (UsageError)."""
+    """Refuse an encoding that does not exist (UsageError)."""
     try:
-        "".encode(name)
-        codecs.getincrementaldecoder(name)
+        codecs.lookup(name)
     except (LookupError, ValueError):
         raise UsageError(f"`encoding` {name}: there is no such text encoding") from None
