@@ -450,6 +450,15 @@ History = Annotated[
         "With --tracked, keep the error of each pass there (JSON), so that growth is seen.",
     ),
 ]
+Settle = Annotated[
+    float | None,
+    _option(
+        "--settle",
+        "DISTANCE",
+        "Say how long after a step over the move creep and ringing stay within it (the model's unit).",
+        parse=values.positive,
+    ),
+]
 Periodic = Annotated[
     bool,
     _option("--periodic", None, "The trajectory is one period of a loop: write the settled loop's drive."),

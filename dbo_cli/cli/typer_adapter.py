@@ -86,6 +86,7 @@ DRIVE: dict[str, Any] = {
     "bandwidth": options.Bandwidth,
     "absolute": options.Absolute,
     "history": options.History,
+    "settle": options.Settle,
     "periodic": options.Periodic,
     "passes": options.Passes,
 }
