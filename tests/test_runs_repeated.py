@@ -13,6 +13,7 @@ import pytest
 from conftest import SMALL_MODEL
 from trials import Floats
 
+from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
@@ -339,6 +340,26 @@ def test_the_passes_until_a_loop_settles_are_the_model_s(dbo: Any) -> None:
     within = 1e-3 * float(np.ptp(wanted))
     last = int(np.flatnonzero(np.abs(means) > within)[-1]) + 1
     assert passes == pytest.approx(last, rel=0.1)
+
+
+@pytest.mark.parametrize(("distance", "frequency"), [(0.01, None), (0.05, 800.0), (1.0, 800.0)])
+def test_the_settling_time_is_that_of_a_long_simulation(distance: float, frequency: float | None) -> None:
+    plant = actuator(frequency=frequency)
+    seconds = settling_seconds(plant, 10.0, 60.0, distance)
+    rows = int(100.0 * RATE)
+    drive = np.full(rows, 60.0)
+    drive[: rows // 2] = 10.0
+    y, _ = played(plant, drive, start="auto")
+    away = np.abs(y[rows // 2 :] - y[-1])
+    assert seconds == pytest.approx((np.flatnonzero(away > distance)[-1] + 1) / RATE, rel=0.1)
+
+
+def test_compensate_says_how_long_to_hold_a_step() -> None:
+    done = Model(actuator()).compensate(move(), settle=0.05, **WIDE)
+    (text,) = (text for text in done.notes if "creep and ringing" in text)
+    assert re.search(r"that is held, creep and ringing stay within 0.05 um after [\d.]+ s$", text)
+    with pytest.raises(UsageError, match="`settle` -1: give a number above 0"):
+        Model(actuator()).compensate(move(), settle=-1.0, **WIDE)
 
 
 def test_a_period_that_does_not_close_is_refused() -> None:

@@ -281,6 +281,11 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     Option(
         "--history FILE", "With --tracked, keep the error of each pass there (JSON), so that growth is seen."
     ),
+    Option(
+        "--settle DISTANCE",
+        "Say how long after a step over the move creep and ringing stay within it (the model's unit).",
+        positive,
+    ),
     Option("--periodic", "The trajectory is one period of a loop: write the settled loop's drive."),
     Option("-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", whole(0), "0"),
 )

@@ -21,6 +21,7 @@ from dbo_cli.drives.history import PassRecord, write_history
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, unit_of
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import ramp, require_rows, rest_samples, sweep, way
+from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Quantity, Simulated
 from dbo_cli.logs.clock import even_step, median_step
@@ -379,7 +380,8 @@ class Compensation(ModelRun):
         remarks = Remarks()
         remarks.add(self.remarks_before)
         remarks.add(super().remarks())
-        remarks.note(text for text in (self._first_row(), self.expected_error(), self._load()) if text)
+        texts = (self._first_row(), self.expected_error(), self._settling_time(), self._load())
+        remarks.note(text for text in texts if text)
         return remarks
 
     def _first_row(self) -> str:
@@ -398,6 +400,20 @@ class Compensation(ModelRun):
                 "(`approach` SECONDS ramps there)"
             )
         return ""
+
+    def _settling_time(self) -> str:
+        """Say how long a step over the whole move has to be held, where that is asked for."""
+        distance, drive, unit = self.options.settle, self.drive, unit_of(self.model.output)
+        if distance is None or not drive.rows:
+            return ""
+        seconds = settling_seconds(self.model, drive.low, drive.high, distance)
+        rmse = self.model.fit.get("expected_rmse")
+        below = isinstance(rmse, float) and distance < rmse
+        hint = f" (below the model's expected error of {rmse:.3g}{unit})" if below else ""
+        return (
+            f"{self.source.name}: after a step from {drive.low:.6g} to {drive.high:.6g}{unit_of(self.given)} "
+            f"that is held, creep and ringing stay within {distance:.6g}{unit} after {seconds:.3g} s{hint}"
+        )
 
     def _load(self) -> str:
         """Say what the drive asks of the amplifier, where its load is known."""

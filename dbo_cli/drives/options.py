@@ -50,6 +50,9 @@ class DriveOptions:
         otherwise.
     history : str, optional
         A file that keeps the error of each pass, so that growth is seen.
+    settle : float, optional
+        Say how long the drive has to be held, after a step over the whole move, until creep and ringing stay
+        within this distance (in the displacement's unit).
     periodic : bool
         The trajectory is one period of a loop; the drive is that of the settled loop.
     passes : int
@@ -76,6 +79,7 @@ class DriveOptions:
     bandwidth: float | None = None
     absolute: bool = False
     history: str | None = None
+    settle: float | None = None
     periodic: bool = False
     passes: int = 0
 
@@ -85,7 +89,7 @@ class DriveOptions:
             raise UsageError(f"`on_limit`: '{self.on_limit}' is none of clip, error")
         if self.bandwidth is not None and not 0.0 < self.bandwidth < math.inf:
             raise UsageError(f"`bandwidth` {self.bandwidth:g}: give a positive number of Hz")
-        for name in ("max_slew", "max_current", "capacitance"):
+        for name in ("max_slew", "max_current", "capacitance", "settle"):
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise UsageError(f"`{name}` {value:g}: give a number above 0")

@@ -102,7 +102,7 @@ def settled_drive(
 
 def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> ModelState:
     """Return the state before a pass, of gears, memory and drive lag, when a drive was repeated for ever."""
-    inner = _slow(model, but=())
+    inner = slow_model(model)
     begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
     for lagging in (None, model.drive_lag):  # a pass for what reaches further at first, one for the loop
         if lagging is not None:
@@ -114,11 +114,11 @@ def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelS
 
 def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> Floats:
     """Return what gears, points and creep make of one period, without dynamics and delay behind them."""
-    inner = _slow(model, but=())
+    inner = slow_model(model)
     return inner.simulate(drive, before, time_step=step if inner.needs_time else None).y
 
 
-def _slow(model: ActuatorModel, but: tuple[object, ...]) -> ActuatorModel:
+def slow_model(model: ActuatorModel, but: tuple[object, ...] = ()) -> ActuatorModel:
     """Return a model without what lies behind its gears and points in time, and without ``but``."""
     others = (model.dynamics, model.delay, *but)
     return dataclasses.replace(
@@ -152,7 +152,7 @@ def settled_output(
 
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
     """Return the settled period of a repeated drive, and the state at its end."""
-    inner, lagging = _slow(model, but=(model.drive_lag,)), None
+    inner, lagging = slow_model(model, but=(model.drive_lag,)), None
     time_step = step if inner.needs_time else None
     begun = dataclasses.replace(looped_state(model, drive, step, state), drive_lag=None)
     if model.drive_lag is not None:
@@ -211,6 +211,6 @@ def _memory_at(
     """Return the memory of a state; one at rest at the sample to come has it after that sample."""
     if state.backlash.memory is not None or not model.needs_time:
         return state.backlash.memory
-    inner = _slow(model, but=())
+    inner = slow_model(model)
     begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
     return inner.simulate([drive], begun, time_step=step).state.backlash.memory

@@ -249,8 +249,8 @@ class Model:
         **options
             What ``DriveOptions`` knows: ``v_min``, ``v_max``, ``max_slew``, ``max_current``, ``capacitance``,
             ``on_limit``, ``state``, ``from_``, ``approach``, ``condition``, ``lead``, ``return_``,
-            ``bandwidth``, ``absolute``, ``history``, ``periodic``, ``passes``. With rows before or after the
-            trajectory the drive is longer than it, and ``details`` has the times.
+            ``bandwidth``, ``absolute``, ``history``, ``settle``, ``periodic``, ``passes``. With rows before
+            or after the trajectory the drive is longer than it, and ``details`` has the times.
 
         Returns
         -------
