@@ -264,13 +264,12 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     assert plan.limits is not None
     assert plan.inner_limits is not None
     low, high, slew = plan.limits.v_min, plan.limits.v_max, plan.limits.max_slew
-    numbers, slack = coefficients(lag, plan.time_step), NEGLIGIBLE * (high - low)
+    numbers = coefficients(lag, plan.time_step)
     parts.tables += c.array("dbo_section_step", "lag_undone", c.double_rows(undoing_rows(numbers)))
-    parts.tables += output + c.fill("next_above.c", {})
-    change = 0.0 if slew is None else slew * plan.time_step
+    parts.tables += output + c.fill("next_above.c", {}) + ("" if slew is None else c.fill("towards.c", {}))
     constants = {
-        "LEAST": low, "MOST": high, "LEAST_SLACK": low - slack, "MOST_SLACK": high + slack,
-        "CHANGE": change, "CHANGE_SLACK": change + slack, "PART": float(numbers.part[0]),
+        "LEAST": low, "MOST": high,
+        "CHANGE": plan.limits.largest_change(plan.time_step) or 0.0, "PART": float(numbers.part[0]),
         "RISE": float(numbers.rise[0]), "BEGUN": plan.model.outer_drive(plan.lowest_drive),
         "INNER_LEAST": plan.inner_limits.v_min, "INNER_MOST": plan.inner_limits.v_max,
     }  # fmt: skip

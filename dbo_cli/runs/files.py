@@ -155,7 +155,8 @@ def write_response(
             ) as writer:
                 for response in chain([first], responses):
                     writer.write(*(response if response.time is not None else response[1:]))
-                    figures.see(response.result, None)
+                    if destination.summary is not None:
+                        figures.see(response.result, None)
                     listener.progressed(len(response.result))
                 listener.finished()
         except BrokenPipeError:

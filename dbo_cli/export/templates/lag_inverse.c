@@ -13,14 +13,13 @@
     dbo_dynamics_run(1, &lag_output, &undone, &x, &v, 1, lag_undone, 0);
     state->lag.q = 0.0;
 /*? slew */
-    if (v < LEAST_SLACK || v > MOST_SLACK || (v > last ? v - last : last - v) > CHANGE_SLACK) { /* again, with the drive that the limits leave */
-        double least = LEAST, most = MOST;
-        const double held = last < LEAST ? LEAST : last > MOST ? MOST : last;
-        if (held - CHANGE > least) least = held - CHANGE;
-        if (held + CHANGE < most) most = held + CHANGE;
+    if (v < LEAST || v > MOST || (v > last ? v - last : last - v) > CHANGE) { /* again, with the drive that the limits leave */
+        double least = towards(last, -CHANGE), most = towards(last, CHANGE);
+        least = least < LEAST ? LEAST : least > MOST ? MOST : least;
+        most = most > MOST ? MOST : most < LEAST ? LEAST : most;
 /*: slew */
 /*? !slew */
-    if (v < LEAST_SLACK || v > MOST_SLACK) { /* again, with the drive that the limits leave */
+    if (v < LEAST || v > MOST) { /* again, with the drive that the limits leave */
         double least = LEAST, most = MOST;
 /*: slew */
         low = least;
@@ -42,9 +41,19 @@
             within.high = within.low;
             within.low = x;
         }
+        if (!(within.low < within.high)) within.high = next_above(within.low);
         x = wanted;
 /*+ once_again */
-        v = x - low <= high - x ? least : most;
+        if ((x - low <= high - x ? x - low : high - x) <= 1e-9 * (high - low)) {
+            v = x - low <= high - x ? least : most;
+        } else { /* only rounding was in the way */
+            v = x;
+            if (state->lagging) {
+                const double p = state->lag.p, u = state->lag.u;
+                v = u + ((x - p) - PART * (u - p)) / RISE;
+            }
+            v = v < least ? least : v > most ? most : v;
+        }
         undone.u = x;
         undone.p = v;
     }
