@@ -81,6 +81,7 @@ demo/picture.png: demo/uncompensated.csv demo/compensated.csv sample_data/draw_d
 
 test: $(VENV)/installed-test
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q -n auto
 

@@ -145,7 +145,6 @@ def speed() -> None:
             f"{name}: forward {forward / gears:.2f} of 128 gears, inverse {undo / back:.2f} of their inverse"
         )
 
-
     lag = DynamicsStage((Lag(1e-4),))
     numbers = drive_lag.coefficients(lag, 1.0 / 20_000.0)
     forward = clock(lambda: lag.run(x, 1.0 / 20_000.0, None))

@@ -64,7 +64,10 @@ def test_what_was_wanted_is_no_measurement(dbo: Any, small_log: Path) -> None:
     )
     named = dbo("identify", "drive.csv", *QUICK, "--displacement", "desired_um", "-o", "model.json")
     assert named.code == 0
-    assert "warning: drive.csv: column 'desired_um' is what was wanted, by its name, not what was measured" in named.err
+    assert (
+        "warning: drive.csv: column 'desired_um' is what was wanted, by its name, not what was measured"
+        in named.err
+    )
 
 
 def test_a_model_is_no_log(dbo: Any, small_log: Path) -> None:

@@ -215,7 +215,11 @@ def test_completion_scripts_are_printed(shell: str) -> None:
 
 
 def test_a_shell_is_told_what_could_be_typed() -> None:
-    asked = os.environ | {"_DBO_COMPLETE": "complete_bash", "COMP_WORDS": "dbo identify --ge", "COMP_CWORD": "2"}
+    asked = os.environ | {
+        "_DBO_COMPLETE": "complete_bash",
+        "COMP_WORDS": "dbo identify --ge",
+        "COMP_CWORD": "2",
+    }
     done = subprocess.run([sys.executable, "-m", "dbo_cli"], capture_output=True, text=True, env=asked)
     assert (done.returncode, done.stdout, done.stderr) == (0, "--gears\n", "")
 
@@ -231,7 +235,9 @@ def test_swapped_arguments_are_recognised(dbo: Any, model_file: Path) -> None:
 def test_show_tells_on_which_side_of_the_gears_the_points_stand(dbo: Any, tmp_path: Path) -> None:
     quantity = {"unit": "V", "min": 0.0, "max": 1.0}
     gears = {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [0.5, 0.5], "dy": [0.4, 0.6]}
-    points = [{"type": "point", "x0": 0.0, "y0": 0.0, "dx": [1.0 / m] * m, "dy": [1.0 / m] * m} for m in (3, 2)]
+    points = [
+        {"type": "point", "x0": 0.0, "y0": 0.0, "dx": [1.0 / m] * m, "dy": [1.0 / m] * m} for m in (3, 2)
+    ]
     model = {
         "format": "dbo-model",
         "version": 1,

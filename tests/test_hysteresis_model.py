@@ -447,11 +447,7 @@ def test_an_inverse_read_without_its_axis_starts_like_the_one_made() -> None:
 
 def test_digest_tells_models_of_another_gain_or_curve_apart() -> None:
     model = build(2)
-    louder = ActuatorModel(
-        "forward", model.input, model.output, (*model.stages[:-1], ScaleStage(14.0, 0.7))
-    )
-    straight = ActuatorModel(
-        "forward", model.input, model.output, (model.stages[0], model.stages[2])
-    )
+    louder = ActuatorModel("forward", model.input, model.output, (*model.stages[:-1], ScaleStage(14.0, 0.7)))
+    straight = ActuatorModel("forward", model.input, model.output, (model.stages[0], model.stages[2]))
     assert len({model.digest, louder.digest, straight.digest}) == 3
     assert model.inverse().digest == model.digest

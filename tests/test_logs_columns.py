@@ -169,6 +169,8 @@ def test_a_message_names_twenty_columns_at_most(tmp_path: Path) -> None:
         + " or ".join(str(n + 1) for n in range(20))
         + " or … (30 in all))"
     )
+
+
 @pytest.mark.parametrize(
     ("text", "format", "path", "group", "kind", "delimiter"),
     [

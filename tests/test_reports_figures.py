@@ -136,7 +136,6 @@ class TestPixels:
         pixels.add(x, y)
         assert pixels.raster().passed.any(axis=1).sum() > 500
 
-
     def test_the_way_from_one_batch_to_the_next_is_drawn(self):
         pixels = Pixels()
         pixels.add(np.zeros(50), np.zeros(50))

@@ -130,7 +130,11 @@ def broken(drive: Floats, steps: Floats | float, limits: DriveLimits, last: floa
         return "range"
     if limits.max_slew is None:
         return ""
-    seconds = np.broadcast_to(steps, rows.size - 1) if np.ndim(steps) == 0 else np.asarray(steps)[-(rows.size - 1) :]
+    seconds = (
+        np.broadcast_to(steps, rows.size - 1)
+        if np.ndim(steps) == 0
+        else np.asarray(steps)[-(rows.size - 1) :]
+    )
     change = np.abs(np.diff(rows))
     for k in np.flatnonzero(change > limits.max_slew * seconds * (1.0 - 1e-12)).tolist():
         most = Fraction(limits.max_slew) * Fraction(float(seconds[k]))
@@ -153,7 +157,9 @@ def planned(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
         state = model.simulate(drive, model.start(float(drive[0])), time_step=step).state
         last = model.drive_of(state)
     else:
-        state = model.start_compensation(float(wanted[0]), str(pick.choice(["auto", "empty", "full"])), limits)
+        state = model.start_compensation(
+            float(wanted[0]), str(pick.choice(["auto", "empty", "full"])), limits
+        )
     gate = DriveGate(limits, last)
     try:
         gate.require_start(float(np.ravel(steps)[0]))
@@ -240,7 +246,11 @@ def unasked_step(drive: Floats, count: int, options: dict[str, Any]) -> str:
     steps = np.abs(np.diff(drive))
     seam = abs(float(drive[-1]) - float(drive[before]))  # the loop's own, too
     within = max(float(steps[: before - 1].max()), float(steps[before:].max(initial=0.0)), seam)
-    return "" if steps[before - 1] <= within * (1.0 + 1e-9) else f"join steps {steps[before - 1] / within:.3g} times"
+    return (
+        ""
+        if steps[before - 1] <= within * (1.0 + 1e-9)
+        else f"join steps {steps[before - 1] / within:.3g} times"
+    )
 
 
 def converters(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]) -> str:
@@ -292,11 +302,17 @@ def as_a_process(pick: Random, folder: Path, model: ActuatorModel, rate: float, 
             option = "--" + name.rstrip("_").replace("_", "-")
             words += [option] if value is True else [f"{option}={value}"]
     (folder / "drive.csv").unlink(missing_ok=True)
-    done = subprocess.run([sys.executable, "-m", "dbo_cli", "compensate", *words], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "dbo_cli", "compensate", *words], capture_output=True, text=True
+    )
     if done.returncode:
         tally[f"process refused with {done.returncode}"] += 1
         left = (folder / "drive.csv").exists()
-        odd = done.returncode not in (1, 2, 3) or "internal error" in done.stderr or "breaks its limits" in done.stderr
+        odd = (
+            done.returncode not in (1, 2, 3)
+            or "internal error" in done.stderr
+            or "breaks its limits" in done.stderr
+        )
         return f"process: {done.returncode} {done.stderr[-200:]}" if odd or left else ""
     tally["process written"] += 1
     checked = ["check", str(folder / "drive.csv"), f"--v-min={limits.v_min}", f"--v-max={limits.v_max}"]

@@ -477,9 +477,7 @@ def _peeked(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], FloatArra
     return held, np.concatenate(times)[:RATE_SAMPLES] if times else np.zeros(0)
 
 
-def _led(
-    wanted: FloatArray, time: FloatArray, first: SampleBlock, role: str
-) -> Iterator[SampleBlock]:
+def _led(wanted: FloatArray, time: FloatArray, first: SampleBlock, role: str) -> Iterator[SampleBlock]:
     """Return the block of displacements before a trajectory, where there are any; its rows end before 1."""
     if wanted.size:
         yield SampleBlock(range(1 - wanted.size, 1), None, time, {role: wanted})

@@ -80,9 +80,7 @@ class Inputs:
         self._smoothed = self._corners = 0
         self._starts_off = 0.0
 
-    def blocks(
-        self, given: Iterable[SampleBlock], begun: ModelState | None = None
-    ) -> Iterator[Taken]:
+    def blocks(self, given: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
         """Return each block with what goes into the model, ``begun`` being the state before the first.
 
         Raises

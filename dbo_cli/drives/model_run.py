@@ -200,9 +200,7 @@ class ModelRun:
                 "speed of use"
             )
         if kernel.KIND == "python" and self.rows >= LONG_WORK:
-            remarks.warn(
-                "the compiled kernel is not there and Python does the work, a hundred times slower"
-            )
+            remarks.warn("the compiled kernel is not there and Python does the work, a hundred times slower")
         return remarks
 
     def _remedies(self) -> str:

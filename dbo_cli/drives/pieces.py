@@ -29,9 +29,7 @@ SHORTEST_WAY = 0.1  # of the sweep's seconds: however short a way, what it excit
 PLANS = 6  # tries to find how long a swing takes; the second is right where no memory matters
 
 
-def ramp(
-    name: str, begin: float, end: float, step: float, seconds: Seconds, limits: DriveLimits
-) -> Floats:
+def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, limits: DriveLimits) -> Floats:
     """Return the voltages after ``begin`` of a half-cosine ramp to ``end``; ``name`` is what asks for it.
 
     Raises

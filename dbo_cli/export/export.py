@@ -150,9 +150,12 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[s
         found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
     if plan.limits is not None:
         slew = plan.limits.max_slew
-        found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), (
-            f"{plan.limits.v_max!r}{c.unit_behind(drive)}"
-            f"{'' if slew is None else f', changing by at most {slew!r} a second'}"
+        found["LEAST"], found["MOST_SLEW"] = (
+            repr(plan.limits.v_min),
+            (
+                f"{plan.limits.v_max!r}{c.unit_behind(drive)}"
+                f"{'' if slew is None else f', changing by at most {slew!r} a second'}"
+            ),
         )
     if loss:
         unit = c.unit_behind(forward.output)

@@ -40,7 +40,6 @@ FLATTEST = 1e-9  # of the largest weight, where a slope must be above 0 for an i
 HALVINGS = 200
 
 
-
 def _kernel() -> Any:
     """Return the compiled plays, or their readable twin where the Python kernel was chosen."""
     return plays_kernel if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN
