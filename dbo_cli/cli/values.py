@@ -85,6 +85,17 @@ def times(option: str, text: str) -> tuple[float, ...]:
     return tuple(sorted(values))
 
 
+def span(option: str, text: str) -> tuple[float, float]:
+    """Return two numbers, ``LOW:HIGH``, the lower one first."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise UsageError(f"`{option}` {shown(text)}: give LOW:HIGH")
+    ends = number(option, low), number(option, high)
+    if not ends[0] < ends[1]:
+        raise UsageError(f"`{option}` {shown(text)}: {low} is not below {high}")
+    return ends
+
+
 def rows(option: str, text: str) -> tuple[int, int | None]:
     """Return the first and the last data row of ``A:B``."""
     from dbo_cli.logs.reading_options import parse_rows

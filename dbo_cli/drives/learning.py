@@ -338,13 +338,19 @@ def _digest(drive: FloatArray) -> str:
 
 def _trusted(model: ActuatorModel, believed: FloatArray, measured: FloatArray, step: float) -> float:
     """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
+    known = trusted_frequency(model)
+    frequency = _trusted_by_bands(believed, measured, step) if known is None else known
+    return min(frequency, 0.45 / step, _safe(model))
+
+
+def trusted_frequency(model: ActuatorModel) -> float | None:
+    """Return the frequency (Hz) to which a model can be trusted, or None where it does not know."""
     told = model.fit.get("trusted_hz")
-    highest = min(0.45 / step, _safe(model))
     if isinstance(told, int | float) and not isinstance(told, bool) and told > 0.0:
-        return min(float(told), highest)
+        return float(told)
     if model.dynamics is not None and model.dynamics.resonances:
-        return min(model.dynamics.resonances[0].frequency / RESONANCE_PART, highest)
-    return min(_trusted_by_bands(believed, measured, step), highest)
+        return model.dynamics.resonances[0].frequency / RESONANCE_PART
+    return None
 
 
 def _safe(model: ActuatorModel) -> float:
