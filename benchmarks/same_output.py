@@ -1,4 +1,4 @@
-"""Two hundred command lines: do two versions of the program write, say and return the same, to the byte?
+"""Two hundred command lines: what two versions of the program write and return, compared to the byte.
 
     python benchmarks/same_output.py --against CHECKOUT
     python benchmarks/same_output.py --record FILE
@@ -8,6 +8,7 @@ code and the bytes of every file written are kept. CHECKOUT is another version w
 differs is printed, and the exit code is 1. FILE takes what this version does as JSON.
 """
 
+# ruff: noqa: E501  (a command line stands on one line)
 from __future__ import annotations
 
 import hashlib
