@@ -308,6 +308,12 @@ CHECKING = (  # the fields of ``CheckOptions``
     ),
 )
 
+# --- channels and many files: the fields of ``Work`` ---
+WORK = (
+    Option("-j, --jobs N", "Processes, for channels or many files; changes no result.", whole(1), "1"),
+    Option("--keep-going", "Where a channel or file fails, write the others; exit 1."),
+)
+
 # --- report, show ---
 TRACKING = (  # with the columns, the fields of ``TrackingOptions``
     Option("--lag N|auto", "Samples by which measured is taken later than desired.", lag, "0"),
