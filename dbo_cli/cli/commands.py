@@ -75,6 +75,7 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.ZERO,
     options.METHOD,
     options.VALIDATE,
+    options.PRIOR,
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
@@ -109,7 +110,7 @@ def identify(given: Given) -> None:
         given.output,
         reading,
         asked,
-        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
+        **given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR]),
         listener=Progress(given.reporter, "read"),
     )
     given.reporter.notes([*found.remarks.read, *found.remarks.notes, *found.summary])

@@ -219,6 +219,10 @@ METHOD = _choice(
 VALIDATE = Option(
     "--validate LOG", "Another log, to say how well the model predicts; repeatable.", repeated=True
 )
+PRIOR = Option(
+    "--prior MODEL",
+    "Keep the shape of this model, and find its gain, offset and lag again from a short log.",
+)
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number
 )
