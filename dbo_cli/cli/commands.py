@@ -373,7 +373,7 @@ def compare(given: Given) -> None:
     given.reporter.remarks(remarks)
 
 
-def _destination(given: Given, inputs: list[str]) -> Any:
+def _destination(given: Given, inputs: list[Any]) -> Any:
     """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
     from dbo_cli.runs.files import Destination
 

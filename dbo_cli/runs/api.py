@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -76,9 +77,9 @@ def read_log(
         "desired": wish("desired", desired, required=False, option="desired"),
         "displacement": wish("displacement", displacement, required=False, option="displacement"),
     }
-    with open_log(os.fspath(path), want, options, digest=True) as log:
+    with open_log(path, want, options, digest=True) as log:
         if not log.columns:  # refused by this, with what there is to choose from
-            open_log(os.fspath(path), recording_wishes(voltage, displacement), options).close()
+            open_log(path, recording_wishes(voltage, displacement), options).close()
         return _frame(log)
 
 
@@ -249,7 +250,7 @@ def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any
     if asked.get("trajectory") is not None:
         if not logs or not all(map(is_file, logs)):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
-        asked["trajectory"] = os.fspath(asked["trajectory"])
+        asked["trajectory"] = parse_address(asked["trajectory"])
     asked |= {"lag": _lag(asked.get("lag", 0)), "segment": _segment(asked.get("segment"))}
     return TrackingOptions(**asked | {"voltage": voltage if logs else None})
 
@@ -267,10 +268,11 @@ def _add_logs(
 
     with_model = tracking.model is not None
     own, score = rows_to_score(reading, options.lag, from_first=with_model)
-    names = short_names([os.fspath(one) for one in logs if is_file(one)])
+    files = {number: parse_address(one) for number, one in enumerate(logs, 1) if is_file(one)}
+    names = short_names(list(files.values()))
     for number, one in enumerate(logs, 1):
-        if is_file(one):
-            add_file(tracking, os.fspath(one), reading, options, names.get(os.fspath(one)))
+        if number in files:
+            add_file(tracking, files[number], reading, options, names.get(files[number]))
             continue
         table = table_source(one, options.wishes(with_model), time, reading.sample_rate, own.rows)
         sweep = options.count_sweep or reading.rows != ALL_ROWS
@@ -341,7 +343,7 @@ def _recorded(
 
     if is_file(log):
         options = ReadingOptions(time=time, sample_rate=sample_rate)
-        return read_recordings([os.fspath(log)], [], options, prior=prior)[0][0]
+        return read_recordings([parse_address(log)], [], options, prior=prior)[0][0]
     if not is_table(log):
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     source = table_source(log, recording_wishes(None, None), time, sample_rate)

@@ -12,16 +12,23 @@ from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
-from dbo_cli.logs.addresses import check_document, check_format, selected_files, without_folder
+from dbo_cli.logs.addresses import (
+    Address,
+    check_document,
+    check_format,
+    selected_files,
+    without_folder,
+)
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
+from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import bring_to, open_file, recording_wishes, short_names
+from dbo_cli.runs.roles import bring_to, recording_wishes, short_names
 
 
 @dataclass(frozen=True)
@@ -69,8 +76,8 @@ def bring_to_prior(source: Source, prior: ActuatorModel | None) -> None:
 
 
 def read_recordings(
-    logs: Sequence[str],
-    validation: Sequence[str],
+    logs: Sequence[Address],
+    validation: Sequence[Address],
     reading: ReadingOptions,
     voltage: str | None = None,
     displacement: str | None = None,
@@ -81,9 +88,9 @@ def read_recordings(
     names = short_names([*logs, *validation])
     units: dict[str, str | None] = {}
 
-    def read(address: str, options: ReadingOptions) -> RecordedLog:
+    def read(address: Address, options: ReadingOptions) -> RecordedLog:
         wishes = recording_wishes(voltage, displacement)
-        with open_file(address, wishes, options, digest=True) as log:
+        with open_log(address, wishes, options, digest=True) as log:
             listener.opened(log.describe())
             taken = log.columns["displacement"]
             if is_order(taken, wishes["displacement"]):
@@ -190,9 +197,9 @@ def _word(value: object) -> str:
 
 
 def identify_logs(
-    logs: Sequence[str],
-    validation: Sequence[str],
-    output: str,
+    logs: Sequence[Address],
+    validation: Sequence[Address],
+    output: Address,
     reading: ReadingOptions,
     options: IdentificationOptions,
     *,
@@ -215,7 +222,8 @@ def identify_logs(
     named = None if prior is None else os.path.basename(prior)
     columns = {"voltage": voltage, "displacement": displacement, "prior": named}
     chosen = {name: column for name, column in columns.items() if column is not None}
-    arguments = arguments_of(logs, validation, chosen_of(options) | reading.chosen() | chosen)
+    given, more = ([one.text for one in some] for some in (logs, validation))
+    arguments = arguments_of(given, more, chosen_of(options) | reading.chosen() | chosen)
     rows = sum(len(log.recording.voltage) for log in fitted)
     listener.working(f"fitting {rows:,} rows")
     try:

@@ -10,16 +10,16 @@ from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
 from dbo_cli.hysteresis.model_file import read_model, section_values
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.logs.addresses import check_document
+from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
 
 
-def show_model(model_file: str, output: str, form: str | None, figures: str | None) -> list[str]:
+def show_model(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
     """Write what is in a model; returns notes (where figures went)."""
     model = read_model(model_file)
-    chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "what is shown", chosen)
     if figures is not None:
         from dbo_cli.reports.drawing import check_folder
