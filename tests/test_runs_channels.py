@@ -15,6 +15,7 @@ from conftest import SMALL_MODEL, folder_content
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model, read_set, set_to_bytes
+from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.channels import ChannelReader
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
@@ -421,7 +422,7 @@ def test_text_is_read_once_for_all_channels(mirror: Any, monkeypatch: pytest.Mon
 
 def test_halves_are_read_again_where_a_row_is_bad(mirror: Any) -> None:
     spoil("b", 7, "nan")
-    reader = ChannelReader("bad.csv", ReadingOptions(), {"displacement": "R_{}"})
+    reader = ChannelReader(parse_address("bad.csv"), ReadingOptions(), {"displacement": "R_{}"})
     held = {channel: hasattr(reader.log(channel), "table") for channel in CHANNELS}
     reader.close()
     assert held == {"a": True, "b": False, "c": True}

@@ -76,6 +76,7 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.ZERO,
     options.METHOD,
     options.VALIDATE,
+    options.PRIOR,
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
@@ -112,7 +113,14 @@ def identify(given: Given) -> None:
         _finish(
             given,
             identify_channels(
-                given.log, given.validate or [], given.output, reading, asked, **columns, **_work(given)
+                given.log,
+                given.validate or [],
+                given.output,
+                reading,
+                asked,
+                **columns,
+                prior=given.prior,
+                **_work(given),
             ),
         )
         return
@@ -123,6 +131,7 @@ def identify(given: Given) -> None:
         reading,
         asked,
         **columns,
+        prior=given.prior,
         listener=Progress(given.reporter, "read"),
     )
     given.reporter.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
@@ -435,7 +444,7 @@ def compare(given: Given) -> None:
 
 def _wants_channels(given: Given, *selectors: str | None) -> bool:
     """Tell whether columns are named by a pattern; nothing is loaded to find that out."""
-    if not any("{" in one for one in (given.output, *selectors) if one is not None):
+    if not any("{" in one for one in (given.output.text, *selectors) if one is not None):
         return False
     from dbo_cli.runs.channels import wants_channels
 
@@ -455,7 +464,7 @@ def _finish(given: Given, outcome: Outcome) -> None:
     outcome.check()
 
 
-def _destination(given: Given, inputs: list[str]) -> Any:
+def _destination(given: Given, inputs: list[Any]) -> Any:
     """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
     from dbo_cli.runs.files import Destination
 

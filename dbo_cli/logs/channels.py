@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import column_label, list_columns
 from dbo_cli.logs.file_kinds import open_table
@@ -143,7 +143,7 @@ class ChannelReader:
         As for ``channels_of``, or the log cannot be read.
     """
 
-    address: str
+    address: Address
     options: ReadingOptions
     patterns: Mapping[str, str]
     digest: bool = False
@@ -177,8 +177,8 @@ class ChannelReader:
         """Close the log."""
         self._table.close()
 
-    def log(self, channel: str) -> str:
-        """Return the log of one channel, by the log's name: read already, or (where it is bad) the file."""
+    def log(self, channel: str) -> Address:
+        """Return the log of one channel, by the log's address: read already, or where it is bad the file."""
         if isinstance(self._table, TextTable):
             if not self._held:
                 self._hold(list(self.channels))
@@ -186,16 +186,16 @@ class ChannelReader:
         else:
             self._table.notes[:] = self._first_notes
             table = self._read([channel])[channel]
-        return self.address if table is None else ReadLog(self.address, table)
+        return self.address if table is None else ReadLog.of(self.address, table)
 
     def _open(self) -> Table:
-        address = parse_address(self.address, self.options.format)
+        address = self.address.or_format(self.options.format)
         return open_table(address, self.options, False, self.digest, list(self.patterns.values()))
 
     def _hold(self, channels: Sequence[str]) -> None:
         """Read channels together, or in two halves where a row is bad in one of them."""
         read = self._read(channels)
-        if None not in read.values() or len(channels) == 1 or self.address == "-":
+        if None not in read.values() or len(channels) == 1 or self.address.is_stream:
             self._held |= read
             return
         half = len(channels) // 2
@@ -214,7 +214,7 @@ class ChannelReader:
         try:
             parts = list(table.blocks(picks, (options.rows[0], None), False, options.block_rows))
         except InputError:
-            if self.address == "-":
+            if self.address.is_stream:
                 raise
             return dict.fromkeys(channels)
         if not parts:
@@ -253,5 +253,5 @@ class ChannelReader:
 
     def _hashed(self) -> str | None:
         if self._sha256 is None and self.digest:
-            self._sha256 = self._table.sha256 or file_sha256(parse_address(self.address).path)
+            self._sha256 = self._table.sha256 or file_sha256(self.address.path)
         return self._sha256

@@ -48,8 +48,8 @@ def open_table(
     InputError
         The file cannot be read, or a library that reads it is not installed.
     """
-    if isinstance(address.text, ReadLog):
-        return address.text.table.opened()
+    if isinstance(address, ReadLog) and address.table is not None:
+        return address.table.opened()
     reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else None)
     if reader is None:
         return TextTable(address, options, live=live, digest=digest)

@@ -1,6 +1,6 @@
 """Columns of a log that was read once for many channels, each handed on as a log of its own.
 
-A ``ReadLog`` is the log's name with such a table behind it: whoever opens a log by its name opens the table
+A ``ReadLog`` is the log's address with such a table behind it: whoever opens the address opens the table
 instead of the file, and everything else (clock, units, scales, rows, messages) goes the usual way.
 """
 
@@ -13,25 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import ColumnInfo, Places, SampleBlock, Table
 from dbo_cli.logs.time_column import FoundTime
-
-
-class ReadLog(str):
-    """The name of a log whose columns are in memory already."""
-
-    table: HeldTable
-
-    def __new__(cls, name: str, table: HeldTable) -> ReadLog:
-        """Put a table behind a name."""
-        made = super().__new__(cls, name)
-        made.table = table
-        return made
-
-    def __reduce__(self) -> tuple[type[ReadLog], tuple[str, HeldTable]]:
-        """Travel to another process with the table."""
-        return ReadLog, (str(self), self.table)
 
 
 @dataclass
@@ -97,6 +82,18 @@ class HeldTable(Table):
 
     def close(self) -> None:
         """Do nothing: there is no file."""
+
+
+@dataclass(frozen=True)
+class ReadLog(Address):
+    """The address of a log whose columns are in memory already."""
+
+    table: HeldTable | None = field(default=None, compare=False, repr=False)
+
+    @classmethod
+    def of(cls, address: Address, table: HeldTable) -> ReadLog:
+        """Put a table behind an address."""
+        return cls(address.text, address.path, address.group, address.kind, address.format, table)
 
 
 def _before(rows: Places, number: int) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import other_file, parse_address, selected_files, without_folder
+from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, selected_files, without_folder
 from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
@@ -45,7 +45,7 @@ class SignalLog(Source):
 
     def __init__(
         self,
-        address: str,
+        address: Address,
         table: Table,
         columns: dict[str, ColumnInfo],
         clock: TimeColumn | None,
@@ -249,7 +249,7 @@ def _doubtful_unit(place: str, column: ColumnInfo) -> str:
 
 
 def open_log(
-    address: str,
+    address: Given,
     want: Mapping[str, ColumnWish],
     options: ReadingOptions | None = None,
     *,
@@ -261,7 +261,8 @@ def open_log(
     Parameters
     ----------
     address
-        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input.
+        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input. ``options.format`` is forced on
+        a name, and goes to an address whose own name does not tell its format.
     want
         Role to wish.
     options
@@ -283,7 +284,11 @@ def open_log(
     named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
     if options.time and other_file(options.time) is None:
         named.append(options.time)
-    table = open_table(parse_address(address, options.format), options, live, digest, named)
+    if isinstance(address, Address):
+        target = address.or_format(options.format)
+    else:
+        target = parse_address(address, options.format)
+    table = open_table(target, options, live, digest, named)
     others: list[str] = []
     try:
         if elsewhere or any("::" in one for one in named):
@@ -303,7 +308,7 @@ def open_log(
             rate, start = table.even_clock(columns.values())
         scales = _scales_by_role(options, want, columns)
         table.notes.extend(found.notes)
-        return SignalLog(address, table, columns, found.clock, rate, options, scales, start, others)
+        return SignalLog(target, table, columns, found.clock, rate, options, scales, start, others)
     except BaseException:
         table.close()
         raise

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.addresses import Address, parse_output
+from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
 from dbo_cli.logs.output_files import descriptor_of, is_replaceable
 from dbo_cli.logs.sample_block import FloatArray
@@ -110,13 +110,13 @@ class _Keeper:
 
 @contextlib.contextmanager
 def signal_writer(
-    address: str | Address,
+    address: Given,
     columns: Sequence[OutColumn],
     *,
     format: str | None = None,
     attributes: Mapping[str, str | float] | None = None,
     flush: bool = False,
-    protect: Sequence[str | Address] = (),
+    protect: Sequence[Given] = (),
 ) -> Iterator[SignalWriter]:
     """Open an output for signals; it appears when the block is left without an error, and not otherwise.
 

@@ -26,7 +26,7 @@ from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs import output_files
-from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.output_files import (
     check_output,
@@ -389,7 +389,7 @@ def _bring_to_disk(path: str, flags: int) -> None:
         os.close(handle)
 
 
-def write_whole(address: str | Address, data: bytes, *, protect: Sequence[str | Address] = ()) -> None:
+def write_whole(address: Given, data: bytes, *, protect: Sequence[Given] = ()) -> None:
     """Write a complete file at once (``-`` is standard output).
 
     Raises

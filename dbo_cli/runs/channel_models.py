@@ -5,17 +5,26 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.model_set import set_to_bytes
-from dbo_cli.logs.addresses import check_document
+from dbo_cli.hysteresis.model_set import read_model, set_to_bytes
+from dbo_cli.logs.addresses import Address, Given, check_document
+from dbo_cli.logs.held_table import ReadLog
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.channels import CHANNEL, Columns, in_name, make_folder_of, opened_readers
+from dbo_cli.runs.channels import (
+    CHANNEL,
+    Columns,
+    address_of,
+    make_folder_of,
+    models_by_channel,
+    opened_readers,
+)
 from dbo_cli.runs.identifying import (
     Identified,
     arguments_of,
@@ -27,25 +36,26 @@ from dbo_cli.runs.jobs import Outcome, Work, good_ones, named, run_jobs, spread_
 
 
 def identify_channels(
-    logs: Sequence[str],
-    validation: Sequence[str],
-    output: str,
+    logs: Sequence[Address],
+    validation: Sequence[Address],
+    output: Address,
     reading: ReadingOptions,
     options: IdentificationOptions,
     *,
     voltage: str | None,
     displacement: str | None,
+    prior: str | None = None,
     work: Work = Work(),  # noqa: B008 - frozen
     listener: Listener = SILENT,
 ) -> Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
     columns = Columns.of(voltage=voltage or "", displacement=displacement or "")
     check_document(output, "a model", "json")
-    if CHANNEL not in output:
+    if CHANNEL not in output.text:
         check_outputs([output], [*logs, *validation])
     outcome, found = Outcome(), {}
     for channel, one in models_of_channels(
-        logs, validation, reading, options, columns, work, outcome, listener
+        logs, validation, reading, options, columns, prior, work, outcome, listener
     ):
         found[channel] = one
     with all_or_none():
@@ -58,11 +68,12 @@ def identify_channels(
 
 
 def models_of_channels(
-    logs: Sequence[str],
-    validation: Sequence[str],
+    logs: Sequence[Address],
+    validation: Sequence[Address],
     reading: ReadingOptions,
     options: IdentificationOptions,
     columns: Columns,
+    prior: str | None,
     work: Work,
     outcome: Outcome,
     listener: Listener = SILENT,
@@ -75,17 +86,18 @@ def models_of_channels(
         opened_readers(validation, whole, columns, digest=True) as checks,
     ):
         channels = list(readers[0].channels)
+        priors = models_by_channel(prior, channels) if prior is not None else None
 
         def jobs() -> Iterator[tuple[str, Callable[[], Identified]]]:
             for channel in channels:
                 read = [reader.log(channel) for reader in readers]
                 _note_twin(read[0], readers[0].channels[channel]["displacement"].number, channel, seen)
                 judged = [reader.log(channel) for reader in checks]
-                chosen = chosen_of(options) | reading.chosen() | columns.of_channel(channel)
+                kept = priors(channel) if priors else None
                 yield (
                     channel,
                     functools.partial(
-                        _identified, read, judged, reading, options, columns.of_channel(channel), chosen
+                        _identified, read, judged, reading, options, columns.of_channel(channel), kept
                     ),
                 )
 
@@ -102,32 +114,38 @@ def models_of_channels(
 
 
 def _identified(
-    logs: Sequence[str],
-    validation: Sequence[str],
+    logs: Sequence[Address],
+    validation: Sequence[Address],
     reading: ReadingOptions,
     options: IdentificationOptions,
     columns: Mapping[str, str],
-    chosen: Mapping[str, object],
+    prior: str | None,
 ) -> Identified:
     """Identify one channel, in whichever process."""
-    fitted, checks = read_recordings(logs, validation, reading, columns["voltage"], columns["displacement"])
-    return identify_recordings(fitted, options, checks, arguments_of(logs, validation, chosen))
+    kept = None if prior is None else read_model(prior)
+    fitted, checks = read_recordings(
+        logs, validation, reading, columns["voltage"], columns["displacement"], prior=kept
+    )
+    chosen = chosen_of(options) | reading.chosen() | dict(columns)
+    if prior is not None:
+        chosen["prior"] = os.path.basename(prior)
+    fit, checked = ([one.text for one in some] for some in (logs, validation))
+    return identify_recordings(fitted, options, checks, arguments_of(fit, checked, chosen), kept)
 
 
-def _note_twin(log: str, number: int, channel: str, seen: dict[bytes, list[str]]) -> None:
+def _note_twin(log: Address, number: int, channel: str, seen: dict[bytes, list[str]]) -> None:
     """Remember what a channel's displacements are, so that two channels of one log show."""
-    table = getattr(log, "table", None)
-    if table is not None:
-        digest = hashlib.sha256(table.block.values[str(number)].tobytes()).digest()
+    if isinstance(log, ReadLog) and log.table is not None:
+        digest = hashlib.sha256(log.table.block.values[str(number)].tobytes()).digest()
         seen.setdefault(digest, []).append(channel)
 
 
-def _write_models(output: str, models: Mapping[str, ActuatorModel], inputs: Sequence[str]) -> None:
-    if CHANNEL not in output:
+def _write_models(output: Address, models: Mapping[str, ActuatorModel], inputs: Sequence[Given]) -> None:
+    if CHANNEL not in output.text:
         write_whole(output, set_to_bytes(models), protect=inputs)
         return
     make_folder_of(output)
-    files = {channel: in_name(output, channel) for channel in models}
+    files = {channel: address_of(output, channel) for channel in models}
     check_outputs(list(files.values()), inputs)
     for channel, model in models.items():
         write_whole(files[channel], model_to_bytes(model), protect=inputs)

@@ -9,7 +9,7 @@ from typing import Any
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model_set import read_model
-from dbo_cli.logs.addresses import check_document
+from dbo_cli.logs.addresses import Address, Given, check_document
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
@@ -22,8 +22,8 @@ from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
 
 
 def report_channels(
-    logs: Sequence[str],
-    output: str,
+    logs: Sequence[Address],
+    output: Address,
     reading: ReadingOptions,
     options: TrackingOptions,
     *,
@@ -46,7 +46,7 @@ def report_channels(
     wanted = None if options.model is not None else options.desired or ""
     drive = (options.voltage or "") if options.model is not None else options.voltage
     columns = Columns.of(desired=wanted, measured=options.measured or "", voltage=drive)
-    inputs = [*logs, *([] if options.model is None else [options.model])]
+    inputs: list[Given] = [*logs, *([] if options.model is None else [options.model])]
     check_outputs([output], inputs)
     outcome = Outcome()
     merits: list[LogReport] = []
@@ -60,7 +60,7 @@ def report_channels(
         def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
             for reader, address in zip(readers, logs, strict=True):
                 for channel in channels:
-                    name = channel if len(logs) == 1 else f"{short.get(address, address)} {channel}"
+                    name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
                     own: dict[str, Any] = columns.of_channel(channel)
                     own |= {"model": models(channel) if models else None}
                     asked = dataclasses.replace(options, **own)
@@ -84,7 +84,7 @@ def report_channels(
 
 
 def _reported(
-    log: str, name: str, reading: ReadingOptions, options: TrackingOptions
+    log: Address, name: str, reading: ReadingOptions, options: TrackingOptions
 ) -> tuple[Report, Remarks]:
     """Compare one channel, in whichever process."""
     model = None if options.model is None else read_model(options.model)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import parse_output
+from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.channels import PLACE, column_of, is_matrix
 from dbo_cli.logs.out_column import OutColumn
 from dbo_cli.logs.reading_options import ReadingOptions
@@ -23,6 +23,7 @@ from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.channels import (
     CHANNEL,
     Columns,
+    address_of,
     in_name,
     make_folder_of,
     models_by_channel,
@@ -38,7 +39,7 @@ _ROWS = 1 << 12  # of a table of channels, written at a time
 def signals_of_channels(
     use_case: Callable[..., Remarks],
     model_file: str,
-    log_file: str,
+    log_file: Address,
     destination: Destination,
     reading: ReadingOptions,
     columns: Columns,
@@ -54,11 +55,12 @@ def signals_of_channels(
     """
     if destination.live:
         raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
-    check_order(model_file, log_file)
-    if CHANNEL not in destination.output:
-        if destination.save_state is not None and CHANNEL not in destination.save_state:
+    check_order(model_file, log_file.text)
+    if CHANNEL not in destination.output.text:
+        if destination.save_state is not None and CHANNEL not in destination.save_state.text:
             raise UsageError(
-                f"`save_state` {destination.save_state}: each channel has its own (put {CHANNEL} into it)"
+                f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL}"
+                " into it)"
             )
         check_outputs([destination.output], destination.protect)
     outcome = Outcome()
@@ -81,13 +83,13 @@ def signals_of_channels(
 
         with all_or_none():
             table = ChannelTable(destination, channels, pattern)
-            if CHANNEL in destination.output:
+            if CHANNEL in destination.output.text:
                 make_folder_of(destination.output)
             done = run_jobs(jobs(), work.processes)
             for one in good_ones(done, work, "channel", outcome, len(channels), listener):
                 assert one.value is not None
                 remarks[one.name] = one.value
-                if CHANNEL in destination.output:
+                if CHANNEL in destination.output.text:
                     write_kept(one.outputs, destination.protect)
                 else:
                     table.add(one.name, one.outputs)
@@ -104,12 +106,12 @@ def signals_of_channels(
 def _of_channel(destination: Destination, channel: str) -> Destination:
     """Return where a channel's outputs go."""
     names = (destination.output, destination.save_state, destination.summary)
-    output, save_state, summary = (None if one is None else in_name(one, channel) for one in names)
+    output, save_state, summary = (None if one is None else address_of(one, channel) for one in names)
     assert output is not None
     return destination._replace(output=output, save_state=save_state, summary=summary)
 
 
-def write_kept(outputs: KeptOutputs, protect: Sequence[str]) -> None:
+def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
     """Write outputs that were kept, as they would have been written."""
     for one in outputs.signals:
         with signal_writer(
@@ -124,7 +126,7 @@ def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[
     """Write a channel's state; return its summary, which goes into one list with the others'."""
     found = []
     for name, data in one.outputs.documents:
-        if name == destination.summary:
+        if destination.summary is not None and name == destination.summary.text:
             found.append({"channel": one.name, **json.loads(data)})
         else:
             write_whole(name, data, protect=destination.protect)

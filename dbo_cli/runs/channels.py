@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set, read_set
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.channels import ChannelReader, column_of, is_pattern
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import make_folder
@@ -48,7 +48,7 @@ class Columns(NamedTuple):
         return {option: column_of(one, channel) for option, one in self.patterns.items()}
 
 
-def wants_channels(output: str | None, *selectors: str | None) -> bool:
+def wants_channels(output: Address | None, *selectors: str | None) -> bool:
     """Tell whether columns are named by a pattern.
 
     Raises
@@ -58,9 +58,9 @@ def wants_channels(output: str | None, *selectors: str | None) -> bool:
     """
     if any(map(is_pattern, selectors)):
         return True
-    if output is not None and CHANNEL in output:
+    if output is not None and CHANNEL in output.text:
         raise UsageError(
-            f"{output}: {CHANNEL} stands for a channel's name: name the columns by a pattern, 'V{{}}'"
+            f"{output.text}: {CHANNEL} stands for a channel's name: name the columns by a pattern, 'V{{}}'"
         )
     return False
 
@@ -72,9 +72,14 @@ def in_name(name: str, channel: str) -> str:
     return name.replace(CHANNEL, channel)
 
 
+def address_of(address: Address, channel: str) -> Address:
+    """Put a channel into the address of a file; see ``in_name``."""
+    return parse_address(in_name(address.text, channel), address.format)
+
+
 @contextlib.contextmanager
 def opened_readers(
-    logs: Sequence[str], reading: ReadingOptions, columns: Columns, digest: bool = False
+    logs: Sequence[Address], reading: ReadingOptions, columns: Columns, digest: bool = False
 ) -> Iterator[list[ChannelReader]]:
     """Open logs that all have the same channels (InputError where one lacks some)."""
     with contextlib.ExitStack() as stack:
@@ -87,7 +92,7 @@ def opened_readers(
             missing += [one for one in reader.channels if one not in readers[0].channels]
             if missing:
                 raise InputError(
-                    f"{address}: has other channels than {logs[0]}: {named(missing)} in one of them alone"
+                    f"{address.text}: has other channels than {logs[0].text}: {named(missing)} in one alone"
                 )
         yield readers
 
@@ -113,9 +118,9 @@ def models_by_channel(model_file: str, channels: Sequence[str]) -> Callable[[str
     return lambda channel: f"{model_file}::{channel}"
 
 
-def make_folder_of(output: str) -> None:
+def make_folder_of(output: Address) -> None:
     """Make the folder that files of channels go to; it goes again where they are given up."""
-    folder = parse_address(output).path.rpartition("/")[0]
+    folder = output.path.rpartition("/")[0]
     if folder and CHANNEL not in folder:
         make_folder(folder)
 

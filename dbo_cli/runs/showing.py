@@ -12,18 +12,18 @@ from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, P
 from dbo_cli.hysteresis.model_file import section_values
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.logs.addresses import check_document
+from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
 
 
-def show_model(model_file: str, output: str, form: str | None, figures: str | None) -> list[str]:
+def show_model(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
     """Write what is in a model; returns notes (where figures went)."""
     if is_set(model_file):
         return _show_set(model_file, output, form, figures)
     model = read_model(model_file)
-    chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "what is shown", chosen)
     if figures is not None:
         from dbo_cli.reports.drawing import check_folder
@@ -41,13 +41,13 @@ def show_model(model_file: str, output: str, form: str | None, figures: str | No
     return [f"figures are in {figures}"]
 
 
-def _show_set(model_file: str, output: str, form: str | None, figures: str | None) -> list[str]:
+def _show_set(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
     """Write what is in a set of models: a line a channel, or the same as JSON."""
     if figures is not None:
         raise UsageError(
             f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
         )
-    chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "what is shown", chosen)
     models = {channel: contents(model) for channel, model in read_set(model_file).items()}
     if chosen == "json":

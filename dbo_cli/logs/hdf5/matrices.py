@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.addresses import Address, Given
 from dbo_cli.logs.hdf5.store import MARK, StoreOutput, group_path
 from dbo_cli.logs.out_column import OutColumn, require_finite
 from dbo_cli.logs.output_files import check_output
@@ -31,7 +31,7 @@ def matrix_writer(
     rows: int,
     *,
     attributes: Mapping[str, str | float],
-    protect: Sequence[str] = (),
+    protect: Sequence[Given] = (),
 ) -> Iterator[WriteChannel]:
     """Open a file for matrices; gives a function that writes one channel's column of each.
 
