@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.addresses import Address
 
 Parser = Callable[[str, str], Any]
 
@@ -83,6 +86,13 @@ def times(option: str, text: str) -> tuple[float, ...]:
     if 0.0 in values or len(set(values)) < len(values):
         raise UsageError(f"`{option}`: time constants must differ and be above 0: '{shown(text)}'")
     return tuple(sorted(values))
+
+
+def address(option: str, text: str) -> Address:
+    """Return a file, a group of an HDF5 file or a standard stream, taken apart once and for all."""
+    from dbo_cli.logs.addresses import parse_address
+
+    return parse_address(text)
 
 
 def rows(option: str, text: str) -> tuple[int, int | None]:
