@@ -5,7 +5,7 @@ from __future__ import annotations
 from dbo_cli.cli import options
 from dbo_cli.cli.commands import COMMANDS, Command, Given
 from dbo_cli.cli.options import REQUIRED, Option
-from dbo_cli.cli.values import choice, not_negative, number, positive, span, whole
+from dbo_cli.cli.values import address, choice, not_negative, number, positive, span, whole
 
 __all__ = ["COMMANDS"]  # all of them, the two below included
 GENERATOR_FILES = (
@@ -38,7 +38,7 @@ MOVE_MODEL = Option(
     repeated=True,
 )
 UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
-DRIVES = Option("DRIVE", "The drive; several where the file has channels.", default=REQUIRED, repeated=True)
+DRIVES = Option("DRIVE", "The drive; several where the file has channels.", address, REQUIRED, repeated=True)
 WAVEFORM = (  # the fields of ``WaveformOptions``
     Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", choice(GENERATOR_FILES), REQUIRED),
     Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", number, "1"),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NotRequired, TypedDict
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.addresses import Given, parse_address
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.version import __version__
 
@@ -44,7 +44,7 @@ def file_sha256(path: str) -> str:
 
 
 def input_record(
-    address: str | Address, rows: int, sha256: str | None = None, others: Sequence[str | Address] = ()
+    address: Given, rows: int, sha256: str | None = None, others: Sequence[Given] = ()
 ) -> InputRecord:
     """Record an input: its name without folders (they differ between machines), its digest and the rows used.
 

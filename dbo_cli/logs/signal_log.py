@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import other_file, parse_address, selected_files, without_folder
+from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, selected_files, without_folder
 from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.file_kinds import open_table
+from dbo_cli.logs.held_table import HeldTable
 from dbo_cli.logs.provenance import InputRecord, input_record
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
@@ -44,7 +45,7 @@ class SignalLog(Source):
 
     def __init__(
         self,
-        address: str,
+        address: Address,
         table: Table,
         columns: dict[str, ColumnInfo],
         clock: TimeColumn | None,
@@ -248,7 +249,7 @@ def _doubtful_unit(place: str, column: ColumnInfo) -> str:
 
 
 def open_log(
-    address: str,
+    address: Given,
     want: Mapping[str, ColumnWish],
     options: ReadingOptions | None = None,
     *,
@@ -260,7 +261,8 @@ def open_log(
     Parameters
     ----------
     address
-        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input.
+        A file, ``FILE::/group`` of an HDF5 file, or ``-`` for standard input. ``options.format`` is forced on
+        a name, and goes to an address whose own name does not tell its format.
     want
         Role to wish.
     options
@@ -282,14 +284,21 @@ def open_log(
     named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
     if options.time and other_file(options.time) is None:
         named.append(options.time)
-    table = open_table(parse_address(address, options.format), options, live, digest, named)
+    if isinstance(address, Address):
+        target = address.or_format(options.format)
+    else:
+        target = parse_address(address, options.format)
+    table = open_table(target, options, live, digest, named)
     others: list[str] = []
     try:
         if elsewhere or any("::" in one for one in named):
             from dbo_cli.logs.joined_logs import join_files
 
             table, want, options, others = join_files(table, want, options)
-        found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
+        if isinstance(table, HeldTable):
+            found = table.found_time
+        else:
+            found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
         if found.clock is None and options.time_unit is not None:
             raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")
         timed = found.clock is not None or options.sample_rate is not None
@@ -299,7 +308,7 @@ def open_log(
             rate, start = table.even_clock(columns.values())
         scales = _scales_by_role(options, want, columns)
         table.notes.extend(found.notes)
-        return SignalLog(address, table, columns, found.clock, rate, options, scales, start, others)
+        return SignalLog(target, table, columns, found.clock, rate, options, scales, start, others)
     except BaseException:
         table.close()
         raise

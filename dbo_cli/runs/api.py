@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -24,6 +25,7 @@ from dbo_cli.runs.roles import recording_wishes, short_names
 if TYPE_CHECKING:
     import pandas
 
+    from dbo_cli.hysteresis.model import ActuatorModel
     from dbo_cli.runs.identifying import RecordedLog
     from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
 
@@ -75,9 +77,9 @@ def read_log(
         "desired": wish("desired", desired, required=False, option="desired"),
         "displacement": wish("displacement", displacement, required=False, option="displacement"),
     }
-    with open_log(os.fspath(path), want, options, digest=True) as log:
+    with open_log(path, want, options, digest=True) as log:
         if not log.columns:  # refused by this, with what there is to choose from
-            open_log(os.fspath(path), recording_wishes(voltage, displacement), options).close()
+            open_log(path, recording_wishes(voltage, displacement), options).close()
         return _frame(log)
 
 
@@ -108,6 +110,7 @@ def identify(
     time: Any = None,
     sample_rate: float | None = None,
     validate: Any = (),
+    prior: Model | str | os.PathLike[str] | None = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
     **options: Any,
@@ -125,6 +128,8 @@ def identify(
         name or number, or the rate of a log without time.
     validate
         Another log, or a list of logs, to say how well the model predicts.
+    prior : Model or file name, optional
+        Keep the shape of this model, and find its gain, offset and lag again from a short log.
     voltage_unit, displacement_unit : str, optional
         Units of arrays, for the model to carry.
     **options
@@ -150,14 +155,16 @@ def identify(
 
     require_known(IdentificationOptions, options, "is no parameter of identify")
     asked = IdentificationOptions(**options)
+    kept = None if prior is None else _model(prior).actuator
     if displacement is not None:
         units = {"voltage": voltage_unit, "displacement": displacement_unit}
-        logs = [_recorded_arrays(log, displacement, time, sample_rate, units)]
+        logs = [_recorded_arrays(log, displacement, time, sample_rate, units, kept)]
     else:
-        logs = [_recorded(one, time, sample_rate) for one in _listed(log)]
-    checks = [_recorded(one, time, sample_rate) for one in _listed(validate)]
-    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked))
-    found = identify_recordings(logs, asked, checks, arguments)
+        logs = [_recorded(one, time, sample_rate, kept) for one in _listed(log)]
+    checks = [_recorded(one, time, sample_rate, kept) for one in _listed(validate)]
+    named = {"prior": os.path.basename(prior)} if isinstance(prior, str | os.PathLike) else {}
+    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked) | named)
+    found = identify_recordings(logs, asked, checks, arguments, kept)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
     return Model(found.model, found.summary, found.remarks)
@@ -243,7 +250,7 @@ def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any
     if asked.get("trajectory") is not None:
         if not logs or not all(map(is_file, logs)):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
-        asked["trajectory"] = os.fspath(asked["trajectory"])
+        asked["trajectory"] = parse_address(asked["trajectory"])
     asked |= {"lag": _lag(asked.get("lag", 0)), "segment": _segment(asked.get("segment"))}
     return TrackingOptions(**asked | {"voltage": voltage if logs else None})
 
@@ -261,10 +268,11 @@ def _add_logs(
 
     with_model = tracking.model is not None
     own, score = rows_to_score(reading, options.lag, from_first=with_model)
-    names = short_names([os.fspath(one) for one in logs if is_file(one)])
+    files = {number: parse_address(one) for number, one in enumerate(logs, 1) if is_file(one)}
+    names = short_names(list(files.values()))
     for number, one in enumerate(logs, 1):
-        if is_file(one):
-            add_file(tracking, os.fspath(one), reading, options, names.get(os.fspath(one)))
+        if number in files:
+            add_file(tracking, files[number], reading, options, names.get(files[number]))
             continue
         table = table_source(one, options.wishes(with_model), time, reading.sample_rate, own.rows)
         sweep = options.count_sweep or reading.rows != ALL_ROWS
@@ -327,16 +335,19 @@ def _names(logs: Sequence[RecordedLog]) -> list[str]:
     return [str(one.record["name"]) for one in logs]
 
 
-def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
-    """Return one log, a table or a file, ready to be identified from."""
-    from dbo_cli.runs.identifying import RecordedLog, read_recordings, recording_of
+def _recorded(
+    log: Any, time: Any, sample_rate: float | None, prior: ActuatorModel | None = None
+) -> RecordedLog:
+    """Return one log, a table or a file, ready to be identified from, in the units of a prior."""
+    from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, read_recordings, recording_of
 
     if is_file(log):
         options = ReadingOptions(time=time, sample_rate=sample_rate)
-        return read_recordings([os.fspath(log)], [], options)[0][0]
+        return read_recordings([parse_address(log)], [], options, prior=prior)[0][0]
     if not is_table(log):
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     source = table_source(log, recording_wishes(None, None), time, sample_rate)
+    bring_to_prior(source, prior)
     record = log.attrs.get("provenance") or _record(source)
     remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
     return RecordedLog(recording_of(source, record["name"]), record, remarks)
@@ -348,13 +359,15 @@ def _recorded_arrays(
     time: ArrayLike | None,
     sample_rate: float | None,
     units: dict[str, str | None],
+    prior: ActuatorModel | None,
 ) -> RecordedLog:
-    from dbo_cli.runs.identifying import RecordedLog, recording_of
+    from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, recording_of
 
     source = ArraySource({"voltage": voltage, "displacement": displacement}, time, sample_rate)
     source.columns = {
         role: dataclasses.replace(column, unit=units[role]) for role, column in source.columns.items()
     }
+    bring_to_prior(source, prior)
     return RecordedLog(recording_of(source, "arrays"), _record(source), Remarks(list(source.notes)))
 
 

@@ -18,7 +18,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_file import read_model as read_model_file
+from dbo_cli.hysteresis.model_set import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_document
@@ -132,13 +132,13 @@ class Model:
         OutputError
             It cannot be written.
         """
-        check_document(os.fspath(path), "a model", "json")
-        write_whole(os.fspath(path), self.to_json())
+        check_document(path, "a model", "json")
+        write_whole(path, self.to_json())
 
     def save_state(self, state: ModelState, path: str | os.PathLike[str]) -> None:
         """Write a state of this model, for a later run to go on from."""
-        check_document(os.fspath(path), "a state", "json")
-        write_whole(os.fspath(path), state_to_bytes(state, self.actuator))
+        check_document(path, "a state", "json")
+        write_whole(path, state_to_bytes(state, self.actuator))
 
     def read_state(self, path: str | os.PathLike[str]) -> ModelState:
         """Read a state file of this model or its inverse.
@@ -263,8 +263,8 @@ class Model:
         LimitError
             A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
         """
+        from dbo_cli.drives.loops import compensation
         from dbo_cli.drives.options import DriveOptions
-        from dbo_cli.drives.planning import compensation
 
         require_known(DriveOptions, options, "is no parameter of compensate")
         asked = DriveOptions(**options | {"state": self._start(options.get("state", "auto"))})
@@ -365,7 +365,7 @@ def _source(
     taken = (taken[0], None) if ahead else taken
     if is_file(data):
         options = ReadingOptions(time=time, sample_rate=checked_rate(sample_rate), rows=taken)
-        source: Source = open_log(os.fspath(data), {role: want}, options)
+        source: Source = open_log(data, {role: want}, options)
     elif is_table(data):
         source = table_source(data, {role: want}, time, sample_rate, taken)
     else:
@@ -390,7 +390,7 @@ def _one_tracked(one: Any, number: int, model: ActuatorModel) -> Tracked:
 
     want = tracked_wishes(model)
     if is_file(one):
-        with open_log(os.fspath(one), want, ReadingOptions()) as log:
+        with open_log(one, want, ReadingOptions()) as log:
             return tracked_of(log, model)
     if is_table(one):
         return tracked_of(table_source(one, want), model)

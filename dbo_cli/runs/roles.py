@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from dbo_cli.drives.learning import Tracked
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.logs.addresses import format_for
+from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import joined
-from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source
 
 
@@ -35,22 +32,9 @@ def recording_wishes(voltage: str | None, displacement: str | None) -> dict[str,
     }
 
 
-def open_file(
-    address: str,
-    want: Mapping[str, ColumnWish],
-    reading: ReadingOptions,
-    *,
-    live: bool = False,
-    digest: bool = False,
-) -> SignalLog:
-    """Open a log; ``reading.format`` is for addresses whose ending does not show their format."""
-    own = dataclasses.replace(reading, format=format_for(address, reading.format))
-    return open_log(address, want, own, live=live, digest=digest)
-
-
-def short_names(addresses: Sequence[str]) -> dict[str, str]:
+def short_names(addresses: Sequence[Address]) -> dict[Address, str]:
     """Return the names of logs without their folders, where these differ."""
-    short = {address: cleaned(os.path.basename(address)) for address in addresses if address != "-"}
+    short = {one: cleaned(os.path.basename(one.text)) for one in addresses if not one.is_stream}
     return short if len(set(short.values())) == len(short) else {}
 
 

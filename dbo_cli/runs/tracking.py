@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, NoReturn
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.provenance import program_version_string
@@ -61,7 +62,7 @@ class TrackingOptions:
     measured: str | None = None
     voltage: str | None = None
     model: str | None = None
-    trajectory: str | None = None
+    trajectory: Address | None = None
     match: Match = "auto"
     count_sweep: bool = False
 
@@ -207,7 +208,7 @@ class TrackingRun:
 
     def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
         for block in counted(source, listener):
-            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]))
+            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]).y)
 
 
 def refuse_both() -> NoReturn:

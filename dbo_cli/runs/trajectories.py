@@ -16,8 +16,8 @@ from dbo_cli.drives.model_run import FAST_PART, FASTER
 from dbo_cli.drives.shapes import TrajectoryOptions, move
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import read_model
-from dbo_cli.logs.addresses import check_format, format_for, parse_output
+from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.logs.addresses import Address, check_format, parse_output
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import check_output
 from dbo_cli.runs.files import shown_name
@@ -123,7 +123,7 @@ def _speed(axis: str, values: Floats, name: str, model: ActuatorModel) -> list[s
 
 
 def write_trajectory(
-    output: str,
+    output: Address,
     options: TrajectoryOptions,
     models: Sequence[str] = (),
     unit: str | None = None,
@@ -136,7 +136,7 @@ def write_trajectory(
     made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
     columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
     attributes = {"sample_rate": options.rate}
-    with signal_writer(output, columns, format=format_for(output, form), attributes=attributes) as writer:
+    with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
         writer.write(made.time, *made.axes.values())
     return made.notes
 

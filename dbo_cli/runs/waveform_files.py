@@ -13,15 +13,15 @@ from dbo_cli.drives.gate import DriveGate, Floats
 from dbo_cli.drives.options import check_range
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
+from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.clock import require_even
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import joined
+from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import Remarks
-from dbo_cli.runs.files import shown_name
-from dbo_cli.runs.roles import open_file
 from dbo_cli.waveforms.generator_files import (
     FORMATS,
     Coding,
@@ -103,7 +103,7 @@ class WaveformOptions:
 
 
 def write_waveform(
-    drives: Sequence[str], output: str, reading: ReadingOptions, options: WaveformOptions
+    drives: Sequence[Address], output: Address, reading: ReadingOptions, options: WaveformOptions
 ) -> Remarks:
     """Write a generator's file of one drive, or of several that are played together.
 
@@ -116,9 +116,9 @@ def write_waveform(
     GateError
         What was written, read back, breaks a limit: this program's fault; nothing is left behind.
     """
-    check_name(output, options.to)
+    check_name("-" if output.is_stream else output.path, options.to)
     check_output(output, drives)
-    form, names = FORMATS[options.to], [shown_name(one) for one in drives]
+    form, names = FORMATS[options.to], [one.name for one in drives]
     if len(drives) > 1 and not form.channels:
         raise UsageError(f"a {options.to} file holds one drive, not {len(drives)} (one file each)")
     remarks, found = Remarks(), []
@@ -143,11 +143,11 @@ def write_waveform(
 
 
 def _read(
-    address: str, reading: ReadingOptions, options: WaveformOptions, remarks: Remarks
+    address: Address, reading: ReadingOptions, options: WaveformOptions, remarks: Remarks
 ) -> tuple[Floats, float]:
     """Return a drive in volts, read whole and within its limits, and its even step (s)."""
-    name = shown_name(address)
-    with open_file(address, {"voltage": wish("voltage", options.voltage, option="voltage")}, reading) as log:
+    name = address.name
+    with open_log(address, {"voltage": wish("voltage", options.voltage, option="voltage")}, reading) as log:
         log.require_time(PLAYS)
         log.convert("voltage", "V", "a generator's file")
         block = joined(list(log.blocks()))
