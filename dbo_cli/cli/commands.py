@@ -18,6 +18,7 @@ from dbo_cli.errors import UsageError
 if TYPE_CHECKING:
     from dbo_cli.export import ExportSummary
     from dbo_cli.logs.reading_options import ReadingOptions
+    from dbo_cli.runs.jobs import Outcome
 
 
 class Given(SimpleNamespace):
@@ -75,9 +76,11 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.ZERO,
     options.METHOD,
     options.VALIDATE,
+    options.PRIOR,
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
+    *options.WORK,
     options.VOLTAGE,
     options.DISPLACEMENT,
     options.OUTPUT,
@@ -103,13 +106,32 @@ def identify(given: Given) -> None:
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
+    columns = given.of([options.VOLTAGE, options.DISPLACEMENT])
+    if _wants_channels(given, *columns.values()):
+        from dbo_cli.runs.channel_models import identify_channels
+
+        _finish(
+            given,
+            identify_channels(
+                given.log,
+                given.validate or [],
+                given.output,
+                reading,
+                asked,
+                **columns,
+                prior=given.prior,
+                **_work(given),
+            ),
+        )
+        return
     found = identify_logs(
         given.log,
         given.validate or [],
         given.output,
         reading,
         asked,
-        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
+        **columns,
+        prior=given.prior,
         listener=Progress(given.reporter, "read"),
     )
     given.reporter.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
@@ -150,6 +172,7 @@ def invert(given: Given) -> None:
     *options.READING,
     *options.REPORTING,
     options.OUTSIDE,
+    *options.WORK,
     options.STATE,
     options.SAVE_STATE,
     options.INPUT,
@@ -168,10 +191,24 @@ def simulate(given: Given) -> None:
     """
     from dbo_cli.runs.files import simulate_log
 
+    destination = _destination(given, [given.model, given.log, given.state])
+    if _wants_channels(given, given.input):
+        from dbo_cli.runs.channel_signals import signals_of_channels
+        from dbo_cli.runs.channels import Columns
+
+        columns = Columns.of(input=given.input or "")
+        _finish(
+            given,
+            signals_of_channels(
+                simulate_log, given.model, given.log, destination, given.reading, columns,
+                **given.of([options.OUTSIDE, options.STATE]), **_work(given),
+            ),
+        )  # fmt: skip
+        return
     remarks = simulate_log(
         given.model,
         given.log,
-        _destination(given, [given.model, given.log, given.state]),
+        destination,
         given.reading,
         column=given.input,
         **given.of([options.OUTSIDE, options.STATE]),
@@ -185,6 +222,7 @@ def simulate(given: Given) -> None:
     options.TRAJECTORY,
     *options.READING,
     *options.DRIVING,
+    *options.WORK,
     *options.REPORTING,
     options.TRACKED,
     options.TRACKED_VOLTAGE,
@@ -213,10 +251,26 @@ def compensate(given: Given) -> None:
     from dbo_cli.runs.drive_files import compensate_trajectory
 
     tracked = given.tracked or ()
+    destination = _destination(given, [given.model, given.trajectory, given.state, *tracked])
+    if _wants_channels(given, given.displacement):
+        from dbo_cli.runs.channel_signals import signals_of_channels
+        from dbo_cli.runs.channels import Columns
+
+        if tracked or asked.history is not None:
+            raise UsageError("`tracked` learns one channel at a time: name its columns")
+        columns = Columns.of(displacement=given.displacement or "")
+        _finish(
+            given,
+            signals_of_channels(
+                compensate_trajectory, given.model, given.trajectory, destination, reading, columns,
+                options=asked, state=given.state, **_work(given),
+            ),
+        )  # fmt: skip
+        return
     remarks = compensate_trajectory(
         given.model,
         given.trajectory,
-        _destination(given, [given.model, given.trajectory, given.state, *tracked]),
+        destination,
         reading,
         asked,
         column=given.displacement,
@@ -257,6 +311,7 @@ def check(given: Given) -> None:
     *options.REPORTING,
     *options.TRACKING,
     *options.LIMITS,
+    *options.WORK,
     options.FIGURES,
     options.REPORT_FORMAT,
     *options.REPORT_COLUMNS,
@@ -277,6 +332,21 @@ def report(given: Given) -> None:
     from dbo_cli.runs.tracking import TrackingOptions
 
     asked = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
+    if _wants_channels(given, asked.desired, asked.measured, asked.voltage):
+        from dbo_cli.runs.channel_reports import report_channels
+
+        written, outcome = report_channels(
+            given.log,
+            given.output,
+            given.reading,
+            asked,
+            form=given.format,
+            figures=given.figures,
+            **_work(given),
+        )
+        _finish(given, outcome)
+        written.check(Limits(**given.of(options.LIMITS)))
+        return
     written = report_logs(
         given.log,
         given.output,
@@ -325,7 +395,7 @@ def export(given: Given) -> None:
     Example: dbo export model.json -o firmware --sample-rate 10000
     """
     from dbo_cli.export import export_model
-    from dbo_cli.hysteresis.model_file import read_model
+    from dbo_cli.hysteresis.model_set import read_model
 
     summary = export_model(read_model(given.model), given.output, **given.of(options.EXPORTING))
     given.reporter.notes(_summary_lines(summary))
@@ -370,6 +440,28 @@ def compare(given: Given) -> None:
         listener=Progress(given.reporter, "read"),
     )
     given.reporter.remarks(remarks)
+
+
+def _wants_channels(given: Given, *selectors: str | None) -> bool:
+    """Tell whether columns are named by a pattern; nothing is loaded to find that out."""
+    if not any("{" in one for one in (given.output.text, *selectors) if one is not None):
+        return False
+    from dbo_cli.runs.channels import wants_channels
+
+    return wants_channels(given.output, *selectors)
+
+
+def _work(given: Given) -> dict[str, Any]:
+    """Return how many runs are to be worked through, and what shows how far they are."""
+    from dbo_cli.runs.jobs import Work
+
+    return {"work": Work(given.jobs, given.keep_going), "listener": Progress(given.reporter, "read")}
+
+
+def _finish(given: Given, outcome: Outcome) -> None:
+    """Print what is to be said of many runs, and end with their error, if there is one."""
+    given.reporter.remarks(outcome.remarks)
+    outcome.check()
 
 
 def _destination(given: Given, inputs: list[Any]) -> Any:

@@ -220,6 +220,10 @@ METHOD = _choice(
 VALIDATE = Option(
     "--validate LOG", "Another log, to say how well the model predicts; repeatable.", address, repeated=True
 )
+PRIOR = Option(
+    "--prior MODEL",
+    "Keep the shape of this model, and find its gain, offset and lag again from a short log.",
+)
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number
 )
@@ -309,6 +313,12 @@ CHECKING = (  # the fields of ``CheckOptions``
         "With --against, the largest difference allowed [default: a thousandth of the range].",
         positive,
     ),
+)
+
+# --- channels and many files: the fields of ``Work`` ---
+WORK = (
+    Option("-j, --jobs N", "Processes, for channels or many files; changes no result.", whole(1), "1"),
+    Option("--keep-going", "Where a channel or file fails, write the others; exit 1."),
 )
 
 # --- report, show ---

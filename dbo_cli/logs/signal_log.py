@@ -18,6 +18,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, selected_files, without_folder
 from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
+from dbo_cli.logs.held_table import HeldTable
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
@@ -293,7 +294,10 @@ def open_log(
     try:
         if elsewhere or any("::" in one for one in named):
             table, want, options, others = join_files(table, want, options)
-        found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
+        if isinstance(table, HeldTable):
+            found = table.found_time
+        else:
+            found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
         if found.clock is None and options.time_unit is not None:
             raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")
         timed = found.clock is not None or options.sample_rate is not None

@@ -21,6 +21,7 @@ from dbo_cli.logs.addresses import Address, other_file, parse_address
 from dbo_cli.logs.byte_source import BINARY, ZIP
 from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
+from dbo_cli.logs.held_table import ReadLog
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table
 from dbo_cli.logs.text.text_table import TextTable
@@ -41,6 +42,8 @@ def open_table(
     InputError
         The file cannot be read, or a library that reads it is not installed.
     """
+    if isinstance(address, ReadLog) and address.table is not None:
+        return address.table.opened(options)
     reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
     if not reader:
         return TextTable(address, options, live=live, digest=digest)
@@ -70,7 +73,7 @@ def _reader_by_content(address: Address) -> str:
 
 def _refuse_own(place: str, head: bytes) -> None:
     """Refuse what this program wrote and is no log (InputError)."""
-    kind = re.match(rb'\{\s*"format":\s*"dbo-(model|state|report)"', head)
+    kind = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
     if kind is not None:
         remedy = "; a report takes a model as `model`" if kind[1] == b"model" else ""
         raise InputError(f"{place}: this is a {kind[1].decode()}, not a log (give a recording{remedy})")

@@ -25,6 +25,7 @@ from dbo_cli.runs.roles import recording_wishes, short_names
 if TYPE_CHECKING:
     import pandas
 
+    from dbo_cli.hysteresis.model import ActuatorModel
     from dbo_cli.runs.identifying import RecordedLog
     from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
 
@@ -109,6 +110,7 @@ def identify(
     time: Any = None,
     sample_rate: float | None = None,
     validate: Any = (),
+    prior: Model | str | os.PathLike[str] | None = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
     **options: Any,
@@ -126,6 +128,8 @@ def identify(
         name or number, or the rate of a log without time.
     validate
         Another log, or a list of logs, to say how well the model predicts.
+    prior : Model or file name, optional
+        Keep the shape of this model, and find its gain, offset and lag again from a short log.
     voltage_unit, displacement_unit : str, optional
         Units of arrays, for the model to carry.
     **options
@@ -151,14 +155,16 @@ def identify(
 
     require_known(IdentificationOptions, options, "is no parameter of identify")
     asked = IdentificationOptions(**options)
+    kept = None if prior is None else _model(prior).actuator
     if displacement is not None:
         units = {"voltage": voltage_unit, "displacement": displacement_unit}
-        logs = [_recorded_arrays(log, displacement, time, sample_rate, units)]
+        logs = [_recorded_arrays(log, displacement, time, sample_rate, units, kept)]
     else:
-        logs = [_recorded(one, time, sample_rate) for one in _listed(log)]
-    checks = [_recorded(one, time, sample_rate) for one in _listed(validate)]
-    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked))
-    found = identify_recordings(logs, asked, checks, arguments)
+        logs = [_recorded(one, time, sample_rate, kept) for one in _listed(log)]
+    checks = [_recorded(one, time, sample_rate, kept) for one in _listed(validate)]
+    named = {"prior": os.path.basename(prior)} if isinstance(prior, str | os.PathLike) else {}
+    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked) | named)
+    found = identify_recordings(logs, asked, checks, arguments, kept)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
     return Model(found.model, found.summary, found.remarks)
@@ -329,16 +335,19 @@ def _names(logs: Sequence[RecordedLog]) -> list[str]:
     return [str(one.record["name"]) for one in logs]
 
 
-def _recorded(log: Any, time: Any, sample_rate: float | None) -> RecordedLog:
-    """Return one log, a table or a file, ready to be identified from."""
-    from dbo_cli.runs.identifying import RecordedLog, read_recordings, recording_of
+def _recorded(
+    log: Any, time: Any, sample_rate: float | None, prior: ActuatorModel | None = None
+) -> RecordedLog:
+    """Return one log, a table or a file, ready to be identified from, in the units of a prior."""
+    from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, read_recordings, recording_of
 
     if is_file(log):
         options = ReadingOptions(time=time, sample_rate=sample_rate)
-        return read_recordings([parse_address(log)], [], options)[0][0]
+        return read_recordings([parse_address(log)], [], options, prior=prior)[0][0]
     if not is_table(log):
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     source = table_source(log, recording_wishes(None, None), time, sample_rate)
+    bring_to_prior(source, prior)
     record = log.attrs.get("provenance") or _record(source)
     remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
     return RecordedLog(recording_of(source, record["name"]), record, remarks)
@@ -350,13 +359,15 @@ def _recorded_arrays(
     time: ArrayLike | None,
     sample_rate: float | None,
     units: dict[str, str | None],
+    prior: ActuatorModel | None,
 ) -> RecordedLog:
-    from dbo_cli.runs.identifying import RecordedLog, recording_of
+    from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, recording_of
 
     source = ArraySource({"voltage": voltage, "displacement": displacement}, time, sample_rate)
     source.columns = {
         role: dataclasses.replace(column, unit=units[role]) for role, column in source.columns.items()
     }
+    bring_to_prior(source, prior)
     return RecordedLog(recording_of(source, "arrays"), _record(source), Remarks(list(source.notes)))
 
 

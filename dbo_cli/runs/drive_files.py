@@ -11,7 +11,7 @@ from dbo_cli.drives.model_run import reads_ahead
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.planning import compensation
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import Address, check_document, check_format
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions

@@ -17,7 +17,8 @@ from dbo_cli.drives.compensation import Compensation, DriveFigures
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
+from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import (

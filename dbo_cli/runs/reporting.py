@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
