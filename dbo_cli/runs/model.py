@@ -263,8 +263,8 @@ class Model:
         LimitError
             A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
         """
+        from dbo_cli.drives.loops import compensation
         from dbo_cli.drives.options import DriveOptions
-        from dbo_cli.drives.planning import compensation
 
         require_known(DriveOptions, options, "is no parameter of compensate")
         asked = DriveOptions(**options | {"state": self._start(options.get("state", "auto"))})

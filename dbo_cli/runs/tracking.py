@@ -208,7 +208,7 @@ class TrackingRun:
 
     def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
         for block in counted(source, listener):
-            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]))
+            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]).y)
 
 
 def refuse_both() -> NoReturn:
