@@ -375,12 +375,13 @@ def excite(given: Given) -> None:
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
-    from dbo_cli.hysteresis.excitation import Excitation
+    from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.runs.drive_files import write_excitation
 
-    rows = write_excitation(given.output, Excitation(**given.of(options.EXCITATION)), given.format)
+    asked = excitation_of(**given.of(options.EXCITATION))
+    rows = write_excitation(given.output, asked, given.format)
     given.reporter.detail(
-        f"{rows:,} rows, {rows / given.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
+        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
     )
 
 

@@ -307,7 +307,8 @@ CHECKING = (  # the fields of ``CheckOptions``
     MAX_SLEW,
     FROM,
     Option("--loop", "The drive is looped: from its last row to its first, too."),
-    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset.", address),
+    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset, speed.", address),
+    Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", number, "1"),
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed [default: a thousandth of the range].",
@@ -360,19 +361,16 @@ SAVE_MODELS = Option(
 )
 
 # --- excite: the parameters of ``write_excitation`` ---
-EXCITATION = (
+EXCITATION = (  # of ``excitation_of``
     Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", number, REQUIRED),
     Option("--v-min VOLT", "Lowest drive voltage.", number, "0"),
-    Option("--sample-rate HZ", "Rows per second.", positive, "1000"),
+    Option("--sample-rate HZ", "Rows per second [default: 1000].", positive),
+    Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", whole(2)),
     Option("--duration SECONDS", "Length of the drive.", positive, "15"),
     Option("--frequency HZ", "Full cycles per second.", positive, "1"),
     MAX_SLEW,
     Option("--seed N", "Another number, another drive.", whole(0), "1"),
-    Option(
-        "--sweep-to HZ",
-        "Append a small sweep up to this frequency, for the dynamics of the actuator.",
-        positive,
-    ),
+    Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics.", positive),
     Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", positive),
 )
 
