@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dbo_cli.drives.gate import DriveGate
+from dbo_cli.drives.loops import compensation
 from dbo_cli.drives.model_run import reads_ahead
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.planning import compensation
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits

@@ -25,7 +25,7 @@ from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import ArraySource, Source, checked_rate, is_file, is_table, table_source
+from dbo_cli.logs.sources import ArraySource, Source, is_file, is_table, table_source
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.roles import bring_to, quantity_wish
@@ -263,8 +263,8 @@ class Model:
         LimitError
             A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
         """
+        from dbo_cli.drives.loops import compensation
         from dbo_cli.drives.options import DriveOptions
-        from dbo_cli.drives.planning import compensation
 
         require_known(DriveOptions, options, "is no parameter of compensate")
         asked = DriveOptions(**options | {"state": self._start(options.get("state", "auto"))})
@@ -364,7 +364,7 @@ def _source(
     last, role = (taken[1] if ahead else None), quantity.quantity
     taken = (taken[0], None) if ahead else taken
     if is_file(data):
-        options = ReadingOptions(time=time, sample_rate=checked_rate(sample_rate), rows=taken)
+        options = ReadingOptions(time=time, sample_rate=sample_rate, rows=taken)
         source: Source = open_log(data, {role: want}, options)
     elif is_table(data):
         source = table_source(data, {role: want}, time, sample_rate, taken)
