@@ -97,8 +97,14 @@ def _choice(spelled: str, meaning: str, default: str | None = None) -> Option:
 
 # --- arguments ---
 LOGS = _argument("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True)
-LOG = _argument("LOG", "The input signal; FILE::/group in HDF5; - is stdin.")
-TRAJECTORY = _argument("TRAJECTORY", "The desired displacement; FILE::/group in HDF5; - is stdin.")
+INPUTS = _argument(
+    "LOG", "The input signal; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.", repeated=True
+)
+TRAJECTORIES = _argument(
+    "TRAJECTORY",
+    "The desired displacement; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.",
+    repeated=True,
+)
 MODEL = _argument("MODEL", "The model file; - is stdin.", parse=None)
 DRIVE = _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")
 
