@@ -240,8 +240,8 @@ def _require_rising(place: str, block: SampleBlock) -> None:
         where = f"row {block.rows[index]}" if block.lines is None else f"line {block.lines[index]}"
         jump = f"from {_stamp(block.time[index - 1])} s to {_stamp(block.time[index])} s"
         raise InputError(
-            f"{place}: time does not advance at {where} ({jump}), so it cannot be resampled (cut the log with "
-            "`rows` A:B)"
+            f"{place}: time does not advance at {where} ({jump}), so it cannot be resampled (cut the log "
+            "with `rows` A:B)"
         )
 
 

@@ -34,7 +34,7 @@ from dbo_cli.logs.output_files import is_running, partial_path, try_lock, writer
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
 
-MARK = "dbo_columns"  # docs/python.md: the attribute of a group that this program wrote
+MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
 _COPY_BYTES = 1 << 23  # at a time, so that an interrupt is heard
