@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -261,3 +262,77 @@ def test_what_codes_of_16_14_and_12_bits_cost_in_displacement(model: Any) -> Non
         away = 1e3 * (bench.displacement(scan["time"], played) - exact)
         rms, most = float(np.sqrt(np.mean(away**2))), float(np.abs(away).max())
         assert f"| {bits} | {coding.step * 1e3:.2g} mV | {rms:#.2g} nm | {most:#.2g} nm |" in page
+
+
+def played(name: str, amplitude: float = 1.0) -> tuple[float, Any]:
+    """Return points a second and the volts that a generator makes of a .arb file, as its description says."""
+    head, _, body = Path(name).read_text().partition("Data:\n")
+    values = dict(line.split(":") for line in head.splitlines())
+    low, high = float(values["Low Level"]), float(values["High Level"])
+    codes = np.array(body.split(), dtype=float)
+    assert codes.size == int(values["Data Points"])
+    return float(values["Sample Rate"]), amplitude * (
+        0.5 * (low + high) + codes / 32767.0 * 0.5 * (high - low)
+    )
+
+
+def test_the_circle_from_a_trajectory_to_the_report_closes(dbo: Any, model: Any) -> None:
+    model.save("model.json")
+    scan = [
+        "--rate",
+        2000,
+        "--range",
+        "3:9",
+        "--lines",
+        4,
+        "--frequency",
+        2,
+        "--bandwidth",
+        20,
+        "--rest",
+        0.1,
+    ]
+    ok(dbo("trajectory", "raster", *scan, "--model", "model.json", "-o", "scan.csv"))
+    limits = ["--v-min", 0, "--v-max", 100, "--max-slew", 2000]
+    way = ["--displacement", "x_um", "--from", 0, "--approach", "auto", "--return", "auto"]
+    ok(dbo("compensate", "model.json", "scan.csv", *way, *limits, "-o", "drive.csv"))
+    ok(
+        dbo(
+            "waveform",
+            "drive.csv",
+            "--to",
+            "keysight-arb",
+            "--gain",
+            20,
+            "--points",
+            16384,
+            *limits,
+            "-o",
+            "d.arb",
+        )
+    )
+
+    rate, volts = played("d.arb")
+    time = np.arange(volts.size) / rate
+    early = int(0.0137 * rate)  # the recording begins before the drive
+    monitor = np.concatenate([np.full(early, volts[0]), volts])
+    noisy = monitor + np.random.default_rng(3).normal(0.0, 2e-4, monitor.size)
+    write("played.csv", np.arange(monitor.size) / rate, noisy, header="time_s,monitor_V")
+    done = dbo("check", "played.csv", "--against", "drive.csv", "--gain", 20)
+    assert done.code == 0, done.err + done.out
+    assert re.search(
+        rf"played: 16,38\d rows, {early} later \(13\.6\d ms\), gain 1, offset .*e-05 V, largest", done.out
+    )
+    assert "V, at another rate, times the amplifier's 20" in done.out
+    first = np.loadtxt("drive.csv", delimiter=",", skiprows=1, usecols=0)[0]
+    measured = VirtualActuator(PRESETS["stack"]).play(time, 20.0 * volts, seed=4)
+    write("tracked.csv", time + first, measured, header="time_s,sensor_um")
+    done = dbo("report", "tracked.csv", "--trajectory", "drive.csv", "--max-nrmse-percent", 0.6)
+    assert done.code == 0, done.err + done.out
+
+    _, wrong = played("d.arb", amplitude=1.05)  # typed wrong at the generator
+    write("wrong.csv", time, wrong, header="time_s,monitor_V")
+    done = dbo("check", "wrong.csv", "--against", "drive.csv", "--gain", 20)
+    assert done.code == 3 and "before the amplifier an amplitude of 105 % and an offset of" in done.err, (
+        done.err
+    )
