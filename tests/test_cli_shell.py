@@ -26,7 +26,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.runs.identifying import identify_logs
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare"
+LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory, waveform"
 
 
 def test_version(dbo: Any) -> None:
@@ -180,6 +180,9 @@ PROMISED = {
     "compare": "--models --validate --skip --format --figures --save-models --no-timings --voltage --displacement",
     "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
     "--arduino --fmu --shared --overwrite",
+    "trajectory": "--rate --range --slow-range --frequency --lines --pixels --overscan --one-way --turns --cycles --steps "
+    "--dwell --rest --loop --bandwidth --model --unit",
+    "waveform": "--to --gain --points --rate --codes --volts --loop --v-min --v-max --max-slew --tolerance --voltage",
 }
 
 

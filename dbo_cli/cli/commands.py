@@ -18,7 +18,7 @@ from dbo_cli.errors import UsageError
 if TYPE_CHECKING:
     from dbo_cli.export import ExportSummary
     from dbo_cli.logs.reading_options import ReadingOptions
-    from dbo_cli.runs.jobs import Outcome
+    from dbo_cli.runs.jobs import Outcome, Work
 
 
 class Given(SimpleNamespace):
@@ -99,43 +99,16 @@ def identify(given: Given) -> None:
     if (given.v_min is None) != (given.v_max is None):
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import identify_logs
+    from dbo_cli.runs.many import identified
 
     asked = IdentificationOptions(
         **given.of([*options.IDENTIFICATION, options.ZERO, options.METHOD, options.FORCE]),
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    columns = given.of([options.VOLTAGE, options.DISPLACEMENT])
-    if _wants_channels(given, *columns.values()):
-        from dbo_cli.runs.channel_models import identify_channels
-
-        _finish(
-            given,
-            identify_channels(
-                given.log,
-                given.validate or [],
-                given.output,
-                reading,
-                asked,
-                **columns,
-                prior=given.prior,
-                **_work(given),
-            ),
-        )
-        return
-    found = identify_logs(
-        given.log,
-        given.validate or [],
-        given.output,
-        reading,
-        asked,
-        **columns,
-        prior=given.prior,
-        listener=Progress(given.reporter, "read"),
-    )
-    given.reporter.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
-    given.reporter.warnings(found.remarks.warnings)
+    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR])
+    words = (given.log, given.validate or [], given.output, reading, asked)
+    _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
 
 
 @_command(options.MODEL, *options.REPORTING, options.SHOW_FORMAT, options.MODEL_FIGURES, options.OUTPUT)
@@ -168,7 +141,7 @@ def invert(given: Given) -> None:
 
 @_command(
     options.MODEL,
-    options.LOG,
+    options.INPUTS,
     *options.READING,
     *options.REPORTING,
     options.OUTSIDE,
@@ -190,36 +163,25 @@ def simulate(given: Given) -> None:
     Example: dbo simulate model.json drive.csv -o predicted.csv
     """
     from dbo_cli.runs.files import simulate_log
+    from dbo_cli.runs.many import signals
 
-    destination = _destination(given, [given.model, given.log, given.state])
-    if _wants_channels(given, given.input):
-        from dbo_cli.runs.channel_signals import signals_of_channels
-        from dbo_cli.runs.channels import Columns
-
-        columns = Columns.of(input=given.input or "")
-        _finish(
-            given,
-            signals_of_channels(
-                simulate_log, given.model, given.log, destination, given.reading, columns,
-                **given.of([options.OUTSIDE, options.STATE]), **_work(given),
-            ),
-        )  # fmt: skip
-        return
-    remarks = simulate_log(
+    outcome = signals(
+        simulate_log,
         given.model,
         given.log,
-        destination,
+        _destination(given, [given.model, *given.log, given.state]),
         given.reading,
-        column=given.input,
+        {"input": given.input},
         **given.of([options.OUTSIDE, options.STATE]),
+        work=_work(given),
         listener=Progress(given.reporter, "written"),
     )
-    given.reporter.remarks(remarks)
+    _finish(given, outcome)
 
 
 @_command(
     options.MODEL,
-    options.TRAJECTORY,
+    options.TRAJECTORIES,
     *options.READING,
     *options.DRIVING,
     *options.WORK,
@@ -249,36 +211,23 @@ def compensate(given: Given) -> None:
 
     asked = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
     from dbo_cli.runs.drive_files import compensate_trajectory
+    from dbo_cli.runs.many import signals
 
     tracked = given.tracked or ()
-    destination = _destination(given, [given.model, given.trajectory, given.state, *tracked])
-    if _wants_channels(given, given.displacement):
-        from dbo_cli.runs.channel_signals import signals_of_channels
-        from dbo_cli.runs.channels import Columns
-
-        if tracked or asked.history is not None:
-            raise UsageError("`tracked` learns one channel at a time: name its columns")
-        columns = Columns.of(displacement=given.displacement or "")
-        _finish(
-            given,
-            signals_of_channels(
-                compensate_trajectory, given.model, given.trajectory, destination, reading, columns,
-                options=asked, state=given.state, **_work(given),
-            ),
-        )  # fmt: skip
-        return
-    remarks = compensate_trajectory(
+    outcome = signals(
+        compensate_trajectory,
         given.model,
         given.trajectory,
-        destination,
+        _destination(given, [given.model, *given.trajectory, given.state, *tracked]),
         reading,
-        asked,
-        column=given.displacement,
+        {"displacement": given.displacement},
+        options=asked,
         tracked=tracked,
         **given.of([options.STATE, options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
+        work=_work(given),
         listener=Progress(given.reporter, "written"),
     )
-    given.reporter.remarks(remarks)
+    _finish(given, outcome)
 
 
 @_command(
@@ -328,32 +277,19 @@ def report(given: Given) -> None:
 
     Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
-    from dbo_cli.runs.reporting import Limits, report_logs
+    from dbo_cli.runs.many import reported
+    from dbo_cli.runs.reporting import Limits
     from dbo_cli.runs.tracking import TrackingOptions
 
     asked = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
-    if _wants_channels(given, asked.desired, asked.measured, asked.voltage):
-        from dbo_cli.runs.channel_reports import report_channels
-
-        written, outcome = report_channels(
-            given.log,
-            given.output,
-            given.reading,
-            asked,
-            form=given.format,
-            figures=given.figures,
-            **_work(given),
-        )
-        _finish(given, outcome)
-        written.check(Limits(**given.of(options.LIMITS)))
-        return
-    written = report_logs(
+    written = reported(
         given.log,
         given.output,
         given.reading,
         asked,
         form=given.format,
         figures=given.figures,
+        work=_work(given),
         listener=Progress(given.reporter, "compared"),
     )
     given.reporter.remarks(written.remarks)
@@ -375,12 +311,13 @@ def excite(given: Given) -> None:
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
-    from dbo_cli.hysteresis.excitation import Excitation
+    from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.runs.drive_files import write_excitation
 
-    rows = write_excitation(given.output, Excitation(**given.of(options.EXCITATION)), given.format)
+    asked = excitation_of(**given.of(options.EXCITATION))
+    rows = write_excitation(given.output, asked, given.format)
     given.reporter.detail(
-        f"{rows:,} rows, {rows / given.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
+        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
     )
 
 
@@ -442,20 +379,11 @@ def compare(given: Given) -> None:
     given.reporter.remarks(remarks)
 
 
-def _wants_channels(given: Given, *selectors: str | None) -> bool:
-    """Tell whether columns are named by a pattern; nothing is loaded to find that out."""
-    if not any("{" in one for one in (given.output.text, *selectors) if one is not None):
-        return False
-    from dbo_cli.runs.channels import wants_channels
-
-    return wants_channels(given.output, *selectors)
-
-
-def _work(given: Given) -> dict[str, Any]:
-    """Return how many runs are to be worked through, and what shows how far they are."""
+def _work(given: Given) -> Work:
+    """Return how many runs are to be worked through."""
     from dbo_cli.runs.jobs import Work
 
-    return {"work": Work(given.jobs, given.keep_going), "listener": Progress(given.reporter, "read")}
+    return Work(given.jobs, given.keep_going)
 
 
 def _finish(given: Given, outcome: Outcome) -> None:

@@ -21,7 +21,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli.cli import options
-from dbo_cli.cli.commands import COMMANDS, Given
+from dbo_cli.cli.bench_commands import COMMANDS
+from dbo_cli.cli.commands import Given
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 from dbo_cli.version import __version__

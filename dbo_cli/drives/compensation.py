@@ -369,9 +369,25 @@ class Compensation(ModelRun):
         remarks = Remarks()
         remarks.add(self.remarks_before)
         remarks.add(super().remarks())
-        texts = (self._first_row(), self.expected_error(), self._settling_time(), self._load())
+        texts = (
+            self._first_row(),
+            self._whose_volts(),
+            self.expected_error(),
+            self._settling_time(),
+            self._load(),
+        )
         remarks.note(text for text in texts if text)
         return remarks
+
+    def _whose_volts(self) -> str:
+        """Say that the drive is in other voltages than the model's logs, where they were scaled."""
+        scale = self.voltage_scale
+        if scale is None:
+            return ""
+        return (
+            f"{self.source.name}: the drive is in the voltages of the model's logs {scale} (`gain` of "
+            "waveform takes it back to the converter's)"
+        )
 
     def _first_row(self) -> str:
         """Say how the drive begins, where it may step."""

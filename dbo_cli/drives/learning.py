@@ -278,13 +278,9 @@ class RepeatedMove:
 
     def _trusted(self, believed: FloatArray, measured: FloatArray) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
-        known, dynamics = self.model.fit.get("trusted_hz"), self.model.dynamics
-        highest = min(0.45 / self.step, _safe(self.model))
-        if isinstance(known, int | float) and not isinstance(known, bool) and known > 0.0:
-            return min(float(known), highest)
-        if dynamics is not None and dynamics.resonances:
-            return min(dynamics.resonances[0].frequency / RESONANCE_PART, highest)
-        return min(_trusted_by_bands(believed, measured, self.step), highest)
+        known = trusted_frequency(self.model)
+        frequency = _trusted_by_bands(believed, measured, self.step) if known is None else known
+        return min(frequency, 0.45 / self.step, _safe(self.model))
 
 
 def learned_source(
@@ -317,6 +313,16 @@ def _resting_ends(learned: FloatArray, per_sample: float) -> FloatArray:
 
 def _digest(drive: FloatArray) -> str:
     return hashlib.sha256(np.ascontiguousarray(drive).tobytes()).hexdigest()
+
+
+def trusted_frequency(model: ActuatorModel) -> float | None:
+    """Return the frequency (Hz) to which a model can be trusted, or None where it does not know."""
+    known = model.fit.get("trusted_hz")
+    if isinstance(known, int | float) and not isinstance(known, bool) and known > 0.0:
+        return float(known)
+    if model.dynamics is not None and model.dynamics.resonances:
+        return model.dynamics.resonances[0].frequency / RESONANCE_PART
+    return None
 
 
 def _safe(model: ActuatorModel) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -187,6 +187,14 @@ class ModelRun:
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
         delay, dynamics = (model.delay_seconds, model.dynamics) if inverting else (0.0, None)
         self.inputs = Inputs(self.source, self.taken, delay, dynamics, self.bandwidth, self.last_row, begun)
+
+    @property
+    def voltage_scale(self) -> str | None:
+        """What the voltages of the model's logs were multiplied by, ``times 20``; None where by nothing."""
+        inputs: Any = self.model.provenance.get("inputs") or []
+        reads = [one.get("read", {}) for one in inputs]
+        found = {read.get("columns", {}).get("voltage", {}).get("scale") for read in reads}
+        return found.pop() if len(found) == 1 else None
 
     def responses(self) -> Iterator[Response]:
         """Run over the whole source; the blocks may be of any length, their samples always the same.

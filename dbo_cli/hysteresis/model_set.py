@@ -37,9 +37,12 @@ class ModelSet(Mapping[str, ActuatorModel]):
     def __init__(self, root: Node) -> None:
         self.file = root.file
         self._models = root.node("models")
+        self._last: tuple[str, ActuatorModel] | None = None  # asked for a thousand times by as many files
 
     def __getitem__(self, channel: str) -> ActuatorModel:
         """Return the model of a channel (InputError where there is none, ModelError where it is wrong)."""
+        if self._last is not None and self._last[0] == channel:
+            return self._last[1]
         if channel not in self._models.values:
             raise InputError(
                 f"{self.file}: there is no model of channel '{channel}' ({shortened(list(self))})"
@@ -48,7 +51,8 @@ class ModelSet(Mapping[str, ActuatorModel]):
         node = Node(self.file, f"models[{json.dumps(channel)}]", self._models.node(channel).values)
         if node.values.get("format") != MODEL_FORMAT:
             raise node.refuse("format", f'must be "{MODEL_FORMAT}"')
-        return model_of(checked_version(node))
+        self._last = channel, model_of(checked_version(node))
+        return self._last[1]
 
     def __contains__(self, channel: object) -> bool:
         """Tell whether there is a model of a channel."""
@@ -76,6 +80,14 @@ def read_model(path: str) -> ActuatorModel:
     file, separator, channel = path.partition("::")
     if separator and not os.path.exists(path):
         return read_set(file)[channel]
+    if not os.path.isfile(path):
+        return read_single_model(path)
+    found = os.stat(path)
+    return _single(path, found.st_mtime_ns, found.st_size)
+
+
+@functools.lru_cache(maxsize=1)  # a thousand files are run over one model
+def _single(path: str, changed: int, size: int) -> ActuatorModel:
     return read_single_model(path)
 
 

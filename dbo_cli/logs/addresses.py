@@ -20,11 +20,17 @@ _NOT_WRITTEN = {
     ".hdf.gz": "HDF5 is compressed inside: leave out .gz",
     ".lvm": "LabVIEW's own files are not written: call it .txt",
 } | {
+    ending: f"{ending} is a generator's file, which dbo waveform writes: call this one .csv"
+    for ending in (".arb", ".tfw", ".raf", ".i16", ".u16", ".gcs", ".npy", ".wav", ".tdms", ".bin", ".raw")
+} | {
+    ending: f"{ending} files of generators and oscilloscopes are not written: call it .csv"
+    for ending in (".wfm", ".isf", ".awg", ".rdf", ".bsv", ".trc", ".wvf", ".ota")
+} | {
     ending: f"{ending} files are not written: .csv, .tsv, .txt, .dat (also with .gz) and .h5 are"
     for ending in (
         ".xlsx", ".xls", ".xlsm", ".xlsb", ".ods", ".parquet", ".pq", ".feather", ".arrow", ".ipc", ".orc",
-        ".avro", ".npy", ".npz", ".pkl", ".pickle", ".tdms", ".tdm", ".nc", ".nc4", ".netcdf", ".cdf",
-        ".fits", ".zarr", ".wav", ".bin", ".raw", ".sqlite", ".db", ".dta", ".sav", ".rds", ".rdata",
+        ".avro", ".npz", ".pkl", ".pickle", ".tdm", ".nc", ".nc4", ".netcdf", ".cdf",
+        ".fits", ".zarr", ".sqlite", ".db", ".dta", ".sav", ".rds", ".rdata",
         ".msgpack", ".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".toml", ".xml", ".html", ".htm", ".pdf",
         ".doc", ".docx", ".tex", ".png", ".svg", ".jpg", ".zip", ".tar", ".tgz", ".tar.gz", ".bz2", ".xz",
         ".zst", ".lz4", ".7z",

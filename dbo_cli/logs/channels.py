@@ -15,11 +15,11 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import column_label, list_columns
-from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.held_table import HeldTable, ReadLog
-from dbo_cli.logs.provenance import file_sha256
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
+from dbo_cli.logs.signal_log import file_sha256
+from dbo_cli.logs.tables import open_table
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.time_column import find_time_column
 
@@ -190,7 +190,9 @@ class ChannelReader:
 
     def _open(self) -> Table:
         address = self.address.or_format(self.options.format)
-        return open_table(address, self.options, False, self.digest, list(self.patterns.values()))
+        # Read to the end, whatever rows are asked for: a channel's log takes its own rows of what is held.
+        whole = replace(self.options, rows=(self.options.rows[0], None), skip_bad=False)
+        return open_table(address, whole, False, self.digest, list(self.patterns.values()))
 
     def _hold(self, channels: Sequence[str]) -> None:
         """Read channels together, or in two halves where a row is bad in one of them."""
@@ -210,9 +212,8 @@ class ChannelReader:
         picked = {column.number: column for one in channels for column in self.channels[one].values()}
         picks = {str(number): column for number, column in picked.items()}
         picks |= {} if clock is None else clock.picks
-        options = self.options
         try:
-            parts = list(table.blocks(picks, (options.rows[0], None), False, options.block_rows))
+            parts = list(table.blocks(picks))
         except InputError:
             if self.address.is_stream:
                 raise

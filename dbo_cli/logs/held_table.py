@@ -14,7 +14,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, Places, SampleBlock, Table
 from dbo_cli.logs.time_column import FoundTime
 
@@ -45,14 +45,15 @@ class HeldTable(Table):
     clock: tuple[float | None, float] | InputError
     digest: str | None
     remarks: tuple[str, ...] = ()
+    rows: Rows = ALL_ROWS
     notes: list[str] = field(default_factory=list)
 
-    def opened(self) -> HeldTable:
+    def opened(self, options: ReadingOptions) -> HeldTable:
         """Return a table to read from, whose notes and clock are its own."""
         found = self.found_time
         if found.clock is not None:
             found = found._replace(clock=dataclasses.replace(found.clock, notes=list(found.clock.notes)))
-        return dataclasses.replace(self, found_time=found, notes=list(self.remarks))
+        return dataclasses.replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
@@ -64,12 +65,11 @@ class HeldTable(Table):
         """Describe in one line how the log is written."""
         return self.described
 
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Return the rows asked for as one block; none of them is bad."""
-        first = _before(self.block.rows, rows[0])
-        last = len(self.block) if rows[1] is None else _before(self.block.rows, rows[1] + 1)
+        start, end = self.rows
+        first = _before(self.block.rows, start)
+        last = len(self.block) if end is None else _before(self.block.rows, end + 1)
         if first >= last:
             return
         values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
@@ -79,9 +79,6 @@ class HeldTable(Table):
     def sha256(self) -> str | None:
         """The digest of what was read."""
         return self.digest
-
-    def close(self) -> None:
-        """Do nothing: there is no file."""
 
 
 @dataclass(frozen=True)

@@ -254,7 +254,7 @@ def try_lock(handle: int) -> bool:
     return True
 
 
-def writers_in(folder: str, start: str = "") -> dict[str, int]:
+def writers_in(folder: str, start: str = ".") -> dict[str, int]:
     """Give the temporary files in a folder whose names begin with ``start``, and their writers' ids."""
     try:
         names = os.listdir(folder or ".")

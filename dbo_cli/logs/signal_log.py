@@ -7,9 +7,10 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
@@ -17,12 +18,12 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, selected_files, without_folder
 from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
-from dbo_cli.logs.file_kinds import open_table
 from dbo_cli.logs.held_table import HeldTable
-from dbo_cli.logs.provenance import InputRecord, input_record
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.sources import Source
+from dbo_cli.logs.tables import join_files, open_table
 from dbo_cli.logs.time_column import TimeColumn, find_time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
 
@@ -51,9 +52,9 @@ class SignalLog(Source):
         clock: TimeColumn | None,
         sample_rate: float | None,
         options: ReadingOptions,
-        scales: Mapping[str, Scale] | None = None,
-        start_time: float = 0.0,
-        others: Sequence[str] = (),
+        scales: Mapping[str, Scale],
+        start_time: float,
+        others: Sequence[str],
     ) -> None:
         gaps = options.skip_bad or any(column.may_be_blank for column in columns.values())
         super().__init__(
@@ -66,8 +67,8 @@ class SignalLog(Source):
         self._address = address
         self._others = others
         self._picks = columns
-        self._scales = dict(scales or {})
-        scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in self._scales.items()}
+        self._scales = scales
+        scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in scales.items()}
         self._factors = {role: factor for role, (factor, _) in scaled.items()}
         self.columns |= {role: column for role, (_, column) in scaled.items()}
         self._clock = clock
@@ -190,7 +191,7 @@ class SignalLog(Source):
         check: TimeCheck | None = None
         empty = True
         most = self._options.block_rows
-        found = self._table.blocks(picks, self._options.rows, self._options.skip_bad, most)
+        found = self._table.blocks(picks)
         for raw in found if clock is None else clock.held_back(found):
             for start in range(0, len(raw.rows), most):
                 block = self._with_time(raw.part(start, start + most))
@@ -292,8 +293,6 @@ def open_log(
     others: list[str] = []
     try:
         if elsewhere or any("::" in one for one in named):
-            from dbo_cli.logs.joined_logs import join_files
-
             table, want, options, others = join_files(table, want, options)
         if isinstance(table, HeldTable):
             found = table.found_time
@@ -345,3 +344,48 @@ def _scales_by_role(
         if role in columns:
             found[role] = scale
     return found
+
+
+# --- where a model comes from ------------------------------------------------------------------------
+
+
+class InputRecord(TypedDict):
+    """What a model says about one of its inputs; ``joined`` are the other files that columns came from."""
+
+    name: str
+    sha256: str
+    rows: int
+    joined: NotRequired[list[InputRecord]]
+
+
+def file_sha256(path: str) -> str:
+    """Hash a file's bytes (hexadecimal SHA-256).
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    import hashlib
+
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+
+
+def input_record(
+    address: Given, rows: int, sha256: str | None = None, others: Sequence[Given] = ()
+) -> InputRecord:
+    """Record an input: its name without folders (they differ between machines), its digest and the rows used.
+
+    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``); ``others``
+    are the addresses of further files of the same log.
+    """
+    parsed = parse_address(address)
+    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
+    record = InputRecord(name=cleaned(name), sha256=sha256 or file_sha256(parsed.path), rows=rows)
+    if others:
+        record["joined"] = [input_record(other, rows) for other in others]
+    return record

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import TimeCheck, require_even
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
 from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.logs.units import ONE, UnitFactor, match_units
@@ -160,17 +160,6 @@ def stamps(values: ArrayLike) -> FloatArray:
         raise InputError(f"`time`: sample {row + 1} is missing (NaT) (leave it out)")
     count, second = given.astype(f"{given.dtype.kind}8[ns]").astype(np.int64), 1_000_000_000
     return samples("time", count // second + (count % second) / 1e9)
-
-
-def checked_rate(sample_rate: float | None) -> float | None:
-    """Return samples a second (Hz), or refuse what is no rate (UsageError)."""
-    if sample_rate is None:
-        return None
-    number = isinstance(sample_rate, int | float | np.number) and not isinstance(sample_rate, bool)
-    if not number or not 0.0 < sample_rate < float("inf"):
-        shown = f"{sample_rate:g}" if number else repr(sample_rate)
-        raise UsageError(f"`sample_rate` {shown}: give a positive number of samples a second")
-    return float(sample_rate)
 
 
 def is_table(data: object) -> bool:

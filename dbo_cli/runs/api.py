@@ -17,7 +17,7 @@ from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import ArraySource, checked_rate, is_file, is_log, is_table, table_source
+from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.model import Model, read_model, require_known
 from dbo_cli.runs.roles import recording_wishes, short_names
@@ -230,7 +230,7 @@ def report(
     from dbo_cli.runs.tracking import TrackingRun
 
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
-    options["sample_rate"] = checked_rate(sample_rate)
+    options["sample_rate"] = sample_rate
     reading = _reading(time if isinstance(time, str) else None, options.pop("rows", None), options)
     arrays: dict[str, Any] = {}
     if not logs:

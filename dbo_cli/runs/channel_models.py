@@ -1,4 +1,4 @@
-"""Identification over channels: a model of each, in one set or a file of each."""
+"""Identification over channels or files: a model of each, in one set or a file of each."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import functools
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -29,10 +30,12 @@ from dbo_cli.runs.identifying import (
     Identified,
     arguments_of,
     chosen_of,
+    identify_logs,
     identify_recordings,
     read_recordings,
 )
 from dbo_cli.runs.jobs import Outcome, Work, good_ones, named, run_jobs, spread_line, summed_up
+from dbo_cli.runs.many_files import check_names, each_file, of_file
 
 
 def identify_channels(
@@ -63,7 +66,38 @@ def identify_channels(
             _write_models(
                 output, {channel: one.model for channel, one in found.items()}, [*logs, *validation]
             )
-    _say_found(found, columns, outcome.remarks)
+    if found:
+        first = next(iter(found.values()))
+        patterns = ", ".join(f"{option} '{one}'" for option, one in columns.patterns.items())
+        outcome.remarks.read += [
+            f"{line}; {len(found):,} channels: {patterns}" for line in first.remarks.read
+        ]
+    _say_found(found, "channel", outcome.remarks)
+    return outcome
+
+
+def identify_files(
+    logs: Sequence[Address],
+    validation: Sequence[Address],
+    output: Address,
+    *words: Any,
+    work: Work = Work(),  # noqa: B008 - frozen
+    listener: Listener = SILENT,
+    **more: Any,
+) -> Outcome:
+    """Identify a model of each log by itself; ``words`` and ``more`` are those of ``identify_logs``."""
+    check_names(output, logs)
+    files = [of_file(output, log) or output for log in logs]
+    check_outputs(files, [*logs, *validation])
+    calls = [
+        (log, functools.partial(identify_logs, [log], validation, file, *words, **more))
+        for log, file in zip(logs, files, strict=True)
+    ]
+    found, outcome = each_file(calls, work, listener)
+    outcome.remarks.read += summed_up({name: one.remarks.read for name, one in found.items()}, "file")
+    if len(logs) == 1 and found:
+        outcome.remarks.notes += next(iter(found.values())).summary
+    _say_found(found, "file", outcome.remarks)
     return outcome
 
 
@@ -151,18 +185,13 @@ def _write_models(output: Address, models: Mapping[str, ActuatorModel], inputs: 
         write_whole(files[channel], model_to_bytes(model), protect=inputs)
 
 
-def _say_found(found: Mapping[str, Identified], columns: Columns, remarks: Remarks) -> None:
-    """Sum up what was found over all channels."""
-    if not found:
-        return
-    first = next(iter(found.values()))
-    patterns = ", ".join(f"{option} '{one}'" for option, one in columns.patterns.items())
-    remarks.read += [f"{line}; {len(found):,} channels: {patterns}" for line in first.remarks.read]
+def _say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> None:
+    """Sum up what was found over all channels or files."""
     why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
     for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
         percents = {c: one.model.fit.get(key) for c, one in found.items()}
         known = {c: value for c, value in percents.items() if isinstance(value, float)}
         if known:
-            remarks.notes.append(spread_line(known, "channel", what, why))
-    remarks.notes += summed_up({c: one.remarks.notes for c, one in found.items()}, "channel")
-    remarks.warnings += summed_up({c: one.remarks.warnings for c, one in found.items()}, "channel")
+            remarks.notes.append(spread_line(known, noun, what, why))
+    remarks.notes += summed_up({c: one.remarks.notes for c, one in found.items()}, noun)
+    remarks.warnings += summed_up({c: one.remarks.warnings for c, one in found.items()}, noun)

@@ -31,7 +31,7 @@ def report_channels(
     figures: str | None = None,
     work: Work = Work(),  # noqa: B008 - frozen
     listener: Listener = SILENT,
-) -> tuple[Written, Outcome]:
+) -> Written:
     """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
     chosen = report_form(output, form)
     check_document(output, "a report", chosen)
@@ -80,7 +80,7 @@ def report_channels(
     percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
     if percents:
         outcome.remarks.notes.append(spread_line(percents, "channel", "RMSE of range", {}))
-    return Written(report, chosen, outcome.remarks), outcome
+    return Written(report, chosen, outcome.remarks, outcome.failure)
 
 
 def _reported(

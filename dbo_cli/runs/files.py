@@ -137,9 +137,6 @@ def write_response(
     if out.header == given.header:
         out = OutColumn(f"model_{result.quantity}", result.unit)
     columns = [*([OutColumn("time", "s")] if log.has_time else []), given, out]
-    attributes: dict[str, str | float] = {"model_sha256": run.model.digest, "command": destination.command}
-    if log.stated_rate is not None:
-        attributes["sample_rate"] = log.stated_rate
     responses = run.responses()
     # Computed before anything is opened: a log that is bad from the start leaves not even a header.
     first = next(responses)
@@ -149,7 +146,7 @@ def write_response(
             with signal_writer(
                 destination.output.or_format(reading.format),
                 columns,
-                attributes=attributes,
+                attributes=_attributes(run, log, destination.command),
                 flush=destination.live,
                 protect=destination.protect,
             ) as writer:
@@ -174,6 +171,16 @@ def write_response(
     if destination.live:
         remarks.read.clear()  # printed when the stream began
     return remarks
+
+
+def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | float]:
+    """Return what an HDF5 output says of itself."""
+    attributes: dict[str, str | float] = {"model_sha256": run.model.digest, "command": command}
+    if log.stated_rate is not None:
+        attributes["sample_rate"] = log.stated_rate
+    if run.voltage_scale is not None:
+        attributes["voltage_scale"] = f"{run.voltage_scale}, of the voltages in the model's logs"
+    return attributes
 
 
 def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:

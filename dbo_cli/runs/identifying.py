@@ -22,7 +22,6 @@ from dbo_cli.logs.addresses import (
 )
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
@@ -30,6 +29,7 @@ from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import bring_to, recording_wishes, short_names
+from dbo_cli.version import program_version_string
 
 
 @dataclass(frozen=True)

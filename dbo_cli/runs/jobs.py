@@ -6,6 +6,7 @@ jobs writes them: in the order of the jobs, all or none, or those that went well
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -69,14 +70,15 @@ class Outcome:
             raise self.failure
 
 
-def run_jobs(jobs: Jobs[Value], processes: int = 1) -> Iterator[Done[Value]]:
+def run_jobs(jobs: Jobs[Value], processes: int = 1, keep: bool = True) -> Iterator[Done[Value]]:
     """Run jobs and give what came of them in their order; of several processes, each takes the next job.
 
-    Calls must pickle where there is more than one process. Errors that are no ``DboError`` come through.
+    Without ``keep`` each job writes its outputs itself. Calls must pickle where there is more than one
+    process. Errors that are no ``DboError`` come through.
     """
     if processes == 1:
         for name, call in jobs:
-            yield run_job(name, call)
+            yield run_job(name, call, keep)
         return
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
@@ -87,7 +89,7 @@ def run_jobs(jobs: Jobs[Value], processes: int = 1) -> Iterator[Done[Value]]:
     running: deque[Future[Done[Value]]] = deque()
     try:
         for name, call in jobs:
-            running.append(pool.submit(run_job, name, call))
+            running.append(pool.submit(run_job, name, call, keep))
             if len(running) >= _AHEAD * processes:
                 yield running.popleft().result()
         while running:
@@ -105,9 +107,9 @@ def _prepare_worker() -> None:
     warnings.simplefilter("ignore")
 
 
-def run_job(name: str, call: Callable[[], Value]) -> Done[Value]:
-    """Run one job, its outputs kept."""
-    with kept_outputs() as outputs:
+def run_job(name: str, call: Callable[[], Value], keep: bool) -> Done[Value]:
+    """Run one job, its outputs kept or written."""
+    with kept_outputs() if keep else contextlib.nullcontext(KeptOutputs()) as outputs:
         try:
             return Done(name, call(), outputs)
         except DboError as problem:
@@ -148,7 +150,9 @@ def good_ones(
             yield one
         else:
             failed[one.name] = one.problem
-            text = f"{noun} {one.name}: {one.problem}"
+            text = str(one.problem)
+            if noun != "file" or not text.startswith(one.name):
+                text = f"{noun} {one.name}: {text}"
             if not work.keep_going:
                 raise type(one.problem)(f"{text} (`keep_going` writes the other {noun}s)")
             outcome.remarks.warn(text)
@@ -174,8 +178,9 @@ def summed_up(texts: Mapping[str, Sequence[str]], noun: str) -> list[str]:
     """
     groups: dict[str, list[tuple[str, str]]] = {}
     for name, own in texts.items():
+        whole = re.compile(rf"(?<!\w){re.escape(name)}(?!\w)")
         for text in dict.fromkeys(own):
-            shape = re.sub(rf"\b{re.escape(name)}\b", "#", _NUMBER.sub("#", text))
+            shape = _NUMBER.sub("#", text if name.isdigit() else whole.sub("#", text))
             groups.setdefault(shape, []).append((name, text))
     lines = []
     for group in groups.values():
@@ -184,7 +189,9 @@ def summed_up(texts: Mapping[str, Sequence[str]], noun: str) -> list[str]:
         if len(texts) == 1:
             lines.append(first)
         elif len(names) == 1:
-            lines.append(f"{noun} {names[0]}: {first}")
+            lines.append(
+                first if noun == "file" and first.startswith(names[0]) else f"{noun} {names[0]}: {first}"
+            )
         else:
             which = f"all {len(texts):,} {noun}s" if len(names) == len(texts) else f"{noun}s {named(names)}"
             own = "" if all(text == first for _, text in group) else f" ({noun} {names[0]}'s)"

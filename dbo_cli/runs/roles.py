@@ -20,7 +20,7 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import ArraySource, Source, checked_rate, is_file, is_table, table_source
+from dbo_cli.logs.sources import ArraySource, Source, is_file, is_table, table_source
 
 
 def quantity_wish(
@@ -72,7 +72,7 @@ def source_of(
         How messages call arrays.
     """
     if is_file(signals[0]):
-        options = ReadingOptions(time=time, sample_rate=checked_rate(sample_rate), rows=rows)
+        options = ReadingOptions(time=time, sample_rate=sample_rate, rows=rows)
         return open_log(signals[0], want, options)
     if is_table(signals[0]):
         return table_source(signals[0], want, time, sample_rate, rows)

@@ -14,7 +14,6 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.sources import Source, remarks_of
@@ -22,6 +21,7 @@ from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch
 from dbo_cli.runs.roles import bring_to
+from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     import pandas

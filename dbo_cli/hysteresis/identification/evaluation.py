@@ -308,7 +308,7 @@ def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
         told = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
         warnings.append(
             f"the logs' gains differ (over the model's: {told}), and this makes most of the error: different "
-            "actuators, loads or temperatures? identify each by itself"
+            "actuators, loads or temperatures? identify each by itself (`output` 'models/{file}.json' does)"
         )
     if max(trends, key=abs) and along <= GAIN_EXPLAINS * before:
         warnings.append(
