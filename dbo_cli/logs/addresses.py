@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from dbo_cli.errors import UsageError
 
+# What loggers, oscilloscopes and LabVIEW call delimited text, and HDF5 by its users (HDF-EOS, MATLAB, NeXus).
 TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".prn", ".log")
 HDF5_ENDINGS = (".h5", ".hdf5", ".hdf", ".he5", ".mat", ".nxs")
 # Endings of files that hold something else; a signal under such a name would not be what it is called.
@@ -38,6 +39,7 @@ _NOT_WRITTEN = {
 }  # fmt: skip
 # What a model, a state or a report is written as; every other ending that is known says something else.
 _DOCUMENTS = {"json": (".json",), "csv": (".csv",), "html": (".html", ".htm"), "text": ()}
+# What ``format`` may be, and the kind of file that it is.
 FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hdf5", "hdf5": "hdf5"}
 
 

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
 Item = TypeVar("Item")
-HEAD_BYTES = 1 << 18
-LONGEST_LINE = 1 << 24
+HEAD_BYTES = 1 << 18  # read ahead: longer than the header of any instrument, and some thousand rows
+LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
-_PIPE_BYTES = 1 << 18
-_UNREADABLE = (EOFError, zlib.error, OSError)
-_GZIP_MAGIC = b"\x1f\x8b"
+_PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
+_UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
+_GZIP_MAGIC = b"\x1f\x8b"  # RFC 1952, 2.3.1
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 # First bytes of a file that is no text: what messages call it, and the module and function that read it.
 BINARY = {
@@ -38,7 +38,7 @@ BINARY = {
     b"CDF\x02": ("netCDF", "binary.arrays.open_netcdf"),
     b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.excel.open_excel"),
 }
-ZIP = b"PK\x03\x04"
+ZIP = b"PK\x03\x04"  # APPNOTE.TXT 4.3.7; the other signatures are those of the file(1) database
 _UNPACK = "unpack it, or compress it with gzip"
 _UNREAD = {
     ZIP: "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",

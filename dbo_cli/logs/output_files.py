@@ -20,6 +20,7 @@ from typing import IO
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, parse_address
 
+# Linux' names of open files, and the names that ``partial_path`` gives.
 _DESCRIPTOR = re.compile(r"/(?:dev/fd|proc/(?:self|thread-self|\d+)/fd)/(\d{1,9})")
 _PARTIAL = re.compile(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
 _NAME_BYTES = 100  # of the output's own name; most file systems allow 255 bytes for all of it

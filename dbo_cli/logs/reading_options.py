@@ -20,7 +20,7 @@ Rows = tuple[int, int | None]
 """The first and the last data row that take part, counted from 1; None: to the end."""
 
 ALL_ROWS: Rows = (1, None)
-BLOCK_ROWS = 1 << 16
+BLOCK_ROWS = 1 << 16  # half a megabyte a column, so that some columns fit the cache
 _LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost in rounding, or the rows are
 
 SKIP_REMEDY = "(`skip_bad` drops such rows)"

@@ -30,6 +30,7 @@ from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 
 _PIECE = 1 << 23  # bytes read at once: a matrix is read by whole rows, whatever its width
+# What the exports of PicoScope (Tstart), Simulink (values, label) and dSPACE (X, Y, Data, Unit) call these.
 _START_NAMES = ("tstart", "t0", "x0")
 _LABELS = ("Name", "name", "label", "Label", "title")
 _VALUES = ("Data", "data", "values", "value", "Values", "Y")

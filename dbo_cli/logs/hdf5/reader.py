@@ -45,8 +45,10 @@ from dbo_cli.logs.hdf5.columns import (
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name
 
+# What h5py raises at damaged bytes.
 _DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError, IndexError)
 _DEEPEST = 8  # levels looked through for a table; LabOne's is the deepest known (/000/dev/demods/0/sample)
+# What NXlog, Bluesky's writers (EPOCH) and LabOne call values, stamps and what stands beside them.
 _VALUES = ("value", "values", "data", "average_value")
 _TIMES = ("time", "timestamp", "timestamps", "EPOCH")
 _BESIDE = ("raw_value", "chunk", "status", "severity", "alarm_status", "alarm_severity", "connection_status")
