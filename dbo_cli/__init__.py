@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dbo_cli.remarks import DboWarning
     from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
     from dbo_cli.runs.model import Model
+    from dbo_cli.runs.trajectories import trajectory
 
 __all__ = [
     "DboError",
@@ -42,9 +43,10 @@ __all__ = [
     "read_model",
     "report",
     "simulate",
+    "trajectory",
 ]
 
-_ROOMS = {"Model": "runs.model", "DboWarning": "remarks"}
+_ROOMS = {"Model": "runs.model", "DboWarning": "remarks", "trajectory": "runs.trajectories"}
 
 
 def __getattr__(name: str) -> Any:

@@ -21,11 +21,12 @@ from dbo_cli.cli.messages import Progress, Reporter
 from dbo_cli.cli.typer_adapter import COMMANDS
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.runs.identifying import identify_logs
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare"
+LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory, waveform"
 
 
 def test_version(dbo: Any) -> None:
@@ -179,6 +180,9 @@ PROMISED = {
     "compare": "--models --validate --skip --format --figures --save-models --no-timings --voltage --displacement",
     "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
     "--arduino --fmu --shared --overwrite",
+    "trajectory": "--rate --range --slow-range --frequency --lines --pixels --overscan --one-way --turns --cycles --steps "
+    "--dwell --rest --loop --bandwidth --model --unit",
+    "waveform": "--to --gain --points --rate --codes --volts --loop --v-min --v-max --max-slew --tolerance --voltage",
 }
 
 
@@ -301,8 +305,8 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
 
     ear: Any = Ear()
     asked = IdentificationOptions(gears=8, points=0, relaxation=(), delay=0.0)
-    log = str(ROOT / "sample_data" / "identification.csv")
-    identify_logs([log], [], str(tmp_path / "m.json"), ReadingOptions(block_rows=4000), asked, listener=ear)
+    log, output = map(parse_address, (ROOT / "sample_data" / "identification.csv", tmp_path / "m.json"))
+    identify_logs([log], [], output, ReadingOptions(block_rows=4000), asked, listener=ear)
     assert [one for one in ear.heard if one[0] != "opened"] == [
         ("progressed", 4000), ("progressed", 1786), ("working", "fitting 5,786 rows"), ("finished",),
     ]  # fmt: skip

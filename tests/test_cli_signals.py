@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from conftest import SMALL_MODEL, folder_content
@@ -427,3 +428,49 @@ def test_the_first_line_says_what_was_read(whole_dbo: Any, model_file: Path) -> 
     assert done.out.splitlines()[0] == "time_s,CH1_V,displacement_um"
     assert done.out.splitlines()[2] == "0.1,5.0,4.2"
     assert whole_dbo("simulate", "model.json", "drive.csv", "-q").err == ""
+
+
+@pytest.mark.parametrize(
+    ("more", "rows"),
+    [([], 16384), (["--sweep-to", "200"], 65536), (["--duration", "8", "--frequency", "2"], 4096)],
+)
+def test_excite_fits_a_generator(dbo: Any, more: list[str], rows: int) -> None:
+    done = dbo("excite", "--v-max", 100, "--points", rows, *more, "-o", "e.csv")
+    assert done.code == 0, done.err
+    drive = np.loadtxt("e.csv", delimiter=",", skiprows=1)
+    assert drive.shape == (rows, 2) and drive[-1, 1] == 0.0 and drive[:, 1].max() == 100.0
+    assert dbo("waveform", "e.csv", "--to", "rigol-raf", "--gain", 20, "-o", "e.raf").code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--points 16384 --sample-rate 100", "--points and --sample-rate exclude each other: the rate follows from the "
+         "points"),
+        ("--points 200", "--points 200: 13.33 rows a second, at least 20 are needed (--points 300)"),
+        ("--points 16384 --sweep-to 200", "--points 16,384: 885.6 rows a second, at least 2000 are needed (--points "
+         "37,001)"),
+    ],
+)  # fmt: skip
+def test_excite_refuses_points_that_are_too_few(dbo: Any, words: str, message: str) -> None:
+    done = dbo("excite", "--v-max", "100", *words.split())
+    assert (done.code, done.out, done.err) == (2, "", f"dbo: error: {message}\n")
+
+
+def test_whose_volts_a_drive_is_in_is_said_where_the_logs_were_scaled(dbo: Any, tmp_path: Path) -> None:
+    content = SMALL_MODEL | {
+        "version": 2,
+        "provenance": {
+            "inputs": [{"name": "a.csv", "read": {"columns": {"voltage": {"scale": "times 20"}}}}]
+        },
+    }
+    (tmp_path / "scaled.json").write_text(json.dumps(content))
+    write = "time_s,displacement_um\n" + "".join(f"{k / 100},{2 + k / 50}\n" for k in range(100))
+    (tmp_path / "wish.csv").write_text(write)
+    done = dbo("compensate", "scaled.json", "wish.csv", "-o", "drive.h5")
+    assert (
+        "dbo: wish.csv: the drive is in the voltages of the model's logs times 20 (--gain of waveform takes it back to "
+        "the converter's)\n"
+    ) in done.err
+    with h5py.File("drive.h5") as file:
+        assert file.attrs["voltage_scale"] == "times 20, of the voltages in the model's logs"

@@ -20,10 +20,10 @@ from dbo_cli.logs.columns import (
     matching_columns,
     split_header,
 )
-from dbo_cli.logs.provenance import input_record, program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_log import input_record, open_log
 from dbo_cli.logs.units import normalise_unit
+from dbo_cli.version import program_version_string
 
 
 @pytest.mark.parametrize(
@@ -126,6 +126,15 @@ def test_provenance(tmp_path: Path) -> None:
     assert input_record(f"{path}", 2) == record
     with pytest.raises(InputError, match="cannot be read: No such file"):
         input_record(str(tmp_path / "none.csv"), 1)
+
+
+def test_the_digest_is_that_of_the_whole_file_though_few_rows_of_it_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("voltage\n" + "1.234567\n" * 50_000)  # longer than what is read ahead
+    with open_log(str(path), {"voltage": ColumnWish("1")}, ReadingOptions(rows=(1, 5)), digest=True) as log:
+        log.read()
+        record = log.record()
+    assert record == {"name": "log.csv", "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "rows": 5}
 
 
 def calls_to_match(columns: int) -> int:

@@ -18,6 +18,7 @@ from dbo_cli.errors import UsageError
 if TYPE_CHECKING:
     from dbo_cli.export import ExportSummary
     from dbo_cli.logs.reading_options import ReadingOptions
+    from dbo_cli.runs.jobs import Outcome, Work
 
 
 class Given(SimpleNamespace):
@@ -75,9 +76,11 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.ZERO,
     options.METHOD,
     options.VALIDATE,
+    options.PRIOR,
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
+    *options.WORK,
     options.VOLTAGE,
     options.DISPLACEMENT,
     options.OUTPUT,
@@ -96,24 +99,16 @@ def identify(given: Given) -> None:
     if (given.v_min is None) != (given.v_max is None):
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import identify_logs
+    from dbo_cli.runs.many import identified
 
     asked = IdentificationOptions(
         **given.of([*options.IDENTIFICATION, options.ZERO, options.METHOD, options.FORCE]),
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    found = identify_logs(
-        given.log,
-        given.validate or [],
-        given.output,
-        reading,
-        asked,
-        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
-        listener=Progress(given.reporter, "read"),
-    )
-    given.reporter.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
-    given.reporter.warnings(found.remarks.warnings)
+    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR])
+    words = (given.log, given.validate or [], given.output, reading, asked)
+    _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
 
 
 @_command(options.MODEL, *options.REPORTING, options.SHOW_FORMAT, options.MODEL_FIGURES, options.OUTPUT)
@@ -146,10 +141,11 @@ def invert(given: Given) -> None:
 
 @_command(
     options.MODEL,
-    options.LOG,
+    options.INPUTS,
     *options.READING,
     *options.REPORTING,
     options.OUTSIDE,
+    *options.WORK,
     options.STATE,
     options.SAVE_STATE,
     options.INPUT,
@@ -167,24 +163,28 @@ def simulate(given: Given) -> None:
     Example: dbo simulate model.json drive.csv -o predicted.csv
     """
     from dbo_cli.runs.files import simulate_log
+    from dbo_cli.runs.many import signals
 
-    remarks = simulate_log(
+    outcome = signals(
+        simulate_log,
         given.model,
         given.log,
-        _destination(given, [given.model, given.log, given.state]),
+        _destination(given, [given.model, *given.log, given.state]),
         given.reading,
-        column=given.input,
+        {"input": given.input},
         **given.of([options.OUTSIDE, options.STATE]),
+        work=_work(given),
         listener=Progress(given.reporter, "written"),
     )
-    given.reporter.remarks(remarks)
+    _finish(given, outcome)
 
 
 @_command(
     options.MODEL,
-    options.TRAJECTORY,
+    options.TRAJECTORIES,
     *options.READING,
     *options.DRIVING,
+    *options.WORK,
     *options.REPORTING,
     options.TRACKED,
     options.TRACKED_VOLTAGE,
@@ -211,20 +211,23 @@ def compensate(given: Given) -> None:
 
     asked = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
     from dbo_cli.runs.drive_files import compensate_trajectory
+    from dbo_cli.runs.many import signals
 
     tracked = given.tracked or ()
-    remarks = compensate_trajectory(
+    outcome = signals(
+        compensate_trajectory,
         given.model,
         given.trajectory,
-        _destination(given, [given.model, given.trajectory, given.state, *tracked]),
+        _destination(given, [given.model, *given.trajectory, given.state, *tracked]),
         reading,
-        asked,
-        column=given.displacement,
+        {"displacement": given.displacement},
+        options=asked,
         tracked=tracked,
         **given.of([options.STATE, options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
+        work=_work(given),
         listener=Progress(given.reporter, "written"),
     )
-    given.reporter.remarks(remarks)
+    _finish(given, outcome)
 
 
 @_command(
@@ -257,6 +260,7 @@ def check(given: Given) -> None:
     *options.REPORTING,
     *options.TRACKING,
     *options.LIMITS,
+    *options.WORK,
     options.FIGURES,
     options.REPORT_FORMAT,
     *options.REPORT_COLUMNS,
@@ -273,17 +277,19 @@ def report(given: Given) -> None:
 
     Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
-    from dbo_cli.runs.reporting import Limits, report_logs
+    from dbo_cli.runs.many import reported
+    from dbo_cli.runs.reporting import Limits
     from dbo_cli.runs.tracking import TrackingOptions
 
     asked = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
-    written = report_logs(
+    written = reported(
         given.log,
         given.output,
         given.reading,
         asked,
         form=given.format,
         figures=given.figures,
+        work=_work(given),
         listener=Progress(given.reporter, "compared"),
     )
     given.reporter.remarks(written.remarks)
@@ -305,12 +311,13 @@ def excite(given: Given) -> None:
 
     Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
-    from dbo_cli.hysteresis.excitation import Excitation
+    from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.runs.drive_files import write_excitation
 
-    rows = write_excitation(given.output, Excitation(**given.of(options.EXCITATION)), given.format)
+    asked = excitation_of(**given.of(options.EXCITATION))
+    rows = write_excitation(given.output, asked, given.format)
     given.reporter.detail(
-        f"{rows:,} rows, {rows / given.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
+        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
     )
 
 
@@ -325,7 +332,7 @@ def export(given: Given) -> None:
     Example: dbo export model.json -o firmware --sample-rate 10000
     """
     from dbo_cli.export import export_model
-    from dbo_cli.hysteresis.model_file import read_model
+    from dbo_cli.hysteresis.model_set import read_model
 
     summary = export_model(read_model(given.model), given.output, **given.of(options.EXPORTING))
     given.reporter.notes(_summary_lines(summary))
@@ -372,7 +379,20 @@ def compare(given: Given) -> None:
     given.reporter.remarks(remarks)
 
 
-def _destination(given: Given, inputs: list[str]) -> Any:
+def _work(given: Given) -> Work:
+    """Return how many runs are to be worked through."""
+    from dbo_cli.runs.jobs import Work
+
+    return Work(given.jobs, given.keep_going)
+
+
+def _finish(given: Given, outcome: Outcome) -> None:
+    """Print what is to be said of many runs, and end with their error, if there is one."""
+    given.reporter.remarks(outcome.remarks)
+    outcome.check()
+
+
+def _destination(given: Given, inputs: list[Any]) -> Any:
     """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
     from dbo_cli.runs.files import Destination
 

@@ -14,6 +14,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.logs.plain_text import cleaned
 
 if TYPE_CHECKING:
+    from dbo_cli.logs.addresses import Address
     from dbo_cli.remarks import Remarks
 
 _PARAMETER = re.compile(r"`([a-z]\w*)`")
@@ -63,9 +64,9 @@ class Reporter:
         print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
 
 
-def refuse_terminal(output: str) -> None:
+def refuse_terminal(output: Address) -> None:
     """Refuse to write a model onto a terminal, where nobody could read or keep it (UsageError)."""
-    if output == "-" and sys.stdout.isatty():
+    if output.is_stream and sys.stdout.isatty():
         raise UsageError("the model would be written onto the terminal: name a file (-o model.json)")
 
 

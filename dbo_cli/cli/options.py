@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from dbo_cli.cli.values import (
     Parser,
+    address,
     auto_or,
     choice,
     header_lines,
@@ -77,16 +78,16 @@ class Option(NamedTuple):
         return key + "_" if keyword.iskeyword(key) else key
 
 
-def _argument(spelled: str, meaning: str, repeated: bool = False) -> Option:
-    return Option(spelled, meaning, default=REQUIRED, repeated=repeated)
+def _argument(spelled: str, meaning: str, repeated: bool = False, parse: Parser | None = address) -> Option:
+    return Option(spelled, meaning, parse, REQUIRED, repeated=repeated)
 
 
 def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:
     return Option(spelled, meaning, parse, heading=READING_LOGS, repeated=repeated)
 
 
-def _common(spelled: str, meaning: str, default: Any = None) -> Option:
-    return Option(spelled, meaning, default=default, heading=MESSAGES)
+def _common(spelled: str, meaning: str, default: Any = None, parse: Parser | None = None) -> Option:
+    return Option(spelled, meaning, parse, default, MESSAGES)
 
 
 def _choice(spelled: str, meaning: str, default: str | None = None) -> Option:
@@ -96,16 +97,22 @@ def _choice(spelled: str, meaning: str, default: str | None = None) -> Option:
 
 # --- arguments ---
 LOGS = _argument("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True)
-LOG = _argument("LOG", "The input signal; FILE::/group in HDF5; - is stdin.")
-TRAJECTORY = _argument("TRAJECTORY", "The desired displacement; FILE::/group in HDF5; - is stdin.")
-MODEL = _argument("MODEL", "The model file; - is stdin.")
+INPUTS = _argument(
+    "LOG", "The input signal; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.", repeated=True
+)
+TRAJECTORIES = _argument(
+    "TRAJECTORY",
+    "The desired displacement; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.",
+    repeated=True,
+)
+MODEL = _argument("MODEL", "The model file; - is stdin.", parse=None)
 DRIVE = _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")
 
 # --- output and messages ---
-OUTPUT = _common("-o, --output FILE", "Where the result goes; - is stdout.", "-")
+OUTPUT = _common("-o, --output FILE", "Where the result goes; - is stdout.", "-", address)
 FOLDER = _common("-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED)
 FLUSH = _common("--flush", "Write each row as soon as it is there (live streams).")
-SUMMARY = _common("--summary FILE", "Also write what was done as JSON (dbo-summary).")
+SUMMARY = _common("--summary FILE", "Also write what was done as JSON (dbo-summary).", parse=address)
 OUTPUT_FORMAT = Option(
     "--format csv|tsv|hdf5", "Form of the output where no file name tells.", choice(FORMATS), None, MESSAGES
 )
@@ -217,7 +224,11 @@ METHOD = _choice(
     "--method least-squares|paper", "paper: gears by the rule of the 2018 publication.", "least-squares"
 )
 VALIDATE = Option(
-    "--validate LOG", "Another log, to say how well the model predicts; repeatable.", repeated=True
+    "--validate LOG", "Another log, to say how well the model predicts; repeatable.", address, repeated=True
+)
+PRIOR = Option(
+    "--prior MODEL",
+    "Keep the shape of this model, and find its gain, offset and lag again from a short log.",
 )
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number
@@ -235,7 +246,7 @@ STATE = Option(
     "auto",
     STARTING,
 )
-SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", heading=STARTING)
+SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", address, heading=STARTING)
 OUTSIDE = _choice("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
 VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].", number)
 VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].", number)
@@ -279,7 +290,8 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
         "With --tracked, learn the mean of the error, too (else it is taken for the sensor's zero).",
     ),
     Option(
-        "--history FILE", "With --tracked, keep the error of each pass there (JSON), so that growth is seen."
+        "--history FILE",
+        "With --tracked, keep the error of each pass there (JSON), so that growth is seen.",
     ),
     Option(
         "--settle DISTANCE",
@@ -292,6 +304,7 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
 TRACKED = Option(
     "--tracked LOG",
     "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
+    address,
     repeated=True,
 )
 CHECKING = (  # the fields of ``CheckOptions``
@@ -300,12 +313,19 @@ CHECKING = (  # the fields of ``CheckOptions``
     MAX_SLEW,
     FROM,
     Option("--loop", "The drive is looped: from its last row to its first, too."),
-    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset."),
+    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset, speed.", address),
+    Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", number, "1"),
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed [default: a thousandth of the range].",
         positive,
     ),
+)
+
+# --- channels and many files: the fields of ``Work`` ---
+WORK = (
+    Option("-j, --jobs N", "Processes, for channels or many files; changes no result.", whole(1), "1"),
+    Option("--keep-going", "Where a channel or file fails, write the others; exit 1."),
 )
 
 # --- report, show ---
@@ -314,7 +334,7 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
     Option("--remove-offset", "Take the mean of the error off before anything else."),
     Option("--segment cycles|SECONDS", "Also report every cycle, or every so many seconds.", segment),
     Option("--model MODEL", "Compare this model's prediction with the measurement."),
-    Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."),
+    Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves.", address),
     _choice(
         "--match auto|time|rows",
         "How logs and --trajectory belong together; auto: by time where both have one.",
@@ -347,19 +367,16 @@ SAVE_MODELS = Option(
 )
 
 # --- excite: the parameters of ``write_excitation`` ---
-EXCITATION = (
+EXCITATION = (  # of ``excitation_of``
     Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", number, REQUIRED),
     Option("--v-min VOLT", "Lowest drive voltage.", number, "0"),
-    Option("--sample-rate HZ", "Rows per second.", positive, "1000"),
+    Option("--sample-rate HZ", "Rows per second [default: 1000].", positive),
+    Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", whole(2)),
     Option("--duration SECONDS", "Length of the drive.", positive, "15"),
     Option("--frequency HZ", "Full cycles per second.", positive, "1"),
     MAX_SLEW,
     Option("--seed N", "Another number, another drive.", whole(0), "1"),
-    Option(
-        "--sweep-to HZ",
-        "Append a small sweep up to this frequency, for the dynamics of the actuator.",
-        positive,
-    ),
+    Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics.", positive),
     Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", positive),
 )
 

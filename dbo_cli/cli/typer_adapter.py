@@ -21,7 +21,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli.cli import options
-from dbo_cli.cli.commands import COMMANDS, Given
+from dbo_cli.cli.bench_commands import COMMANDS
+from dbo_cli.cli.commands import Given
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 from dbo_cli.version import __version__
@@ -222,6 +223,8 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
     name = max(parameter.opts, key=len) if is_option else parameter.metavar
     if parameter.required and value in (None, (), []) and not context.resilient_parsing:
         raise UsageError(f"{name} is missing ({context.command_path} --help lists what there is)")
-    if option is not None and option.parse is not None and isinstance(value, str):
-        value = option.parse(option.key, value)
+    if option is not None and option.parse is not None and value is not None:
+        texts = value if option.repeated else [value]
+        parsed = [option.parse(option.key, one) for one in texts]
+        value = parsed if option.repeated else parsed[0]
     return parameter.callback(context, parameter, value) if parameter.callback else value

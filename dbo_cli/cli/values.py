@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.addresses import Address
 
 Parser = Callable[[str, str], Any]
 
@@ -83,6 +86,24 @@ def times(option: str, text: str) -> tuple[float, ...]:
     if 0.0 in values or len(set(values)) < len(values):
         raise UsageError(f"`{option}`: time constants must differ and be above 0: '{shown(text)}'")
     return tuple(sorted(values))
+
+
+def span(option: str, text: str) -> tuple[float, float]:
+    """Return two numbers, ``LOW:HIGH``, the lower one first."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise UsageError(f"`{option}` {shown(text)}: give LOW:HIGH")
+    ends = number(option, low), number(option, high)
+    if not ends[0] < ends[1]:
+        raise UsageError(f"`{option}` {shown(text)}: {low} is not below {high}")
+    return ends
+
+
+def address(option: str, text: str) -> Address:
+    """Return a file, a group of an HDF5 file or a standard stream, taken apart once and for all."""
+    from dbo_cli.logs.addresses import parse_address
+
+    return parse_address(text)
 
 
 def rows(option: str, text: str) -> tuple[int, int | None]:

@@ -24,7 +24,8 @@ from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 from dbo_cli.hysteresis.stepper import BacklashStepper
-from dbo_cli.logs.sources import checked_rate, samples
+from dbo_cli.logs.reading_options import checked_rate
+from dbo_cli.logs.sources import samples
 
 
 class Controller:

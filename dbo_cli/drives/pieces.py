@@ -130,10 +130,16 @@ def way(
 def _way(begin: float, end: float, creep: float, count: int, step: float) -> Floats:
     """Return a smooth way of so many rows: no jump of speed or acceleration at either end."""
     t = np.arange(1.0, require_rows("the way to the first row", count, step) + 1.0) / count
-    rise = t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
-    found: Floats = begin + rise * (end - begin) + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
+    found: Floats = (
+        begin + soft_rise(t) * (end - begin) + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
+    )
     found[-1] = end
     return found
+
+
+def soft_rise(t: Floats) -> Floats:
+    """Return a rise from 0 at t = 0 to 1 at t = 1; speed and acceleration are zero at either end."""
+    return t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
 
 
 def require_rows(what: str, count: int, step: float) -> int:

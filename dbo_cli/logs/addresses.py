@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dbo_cli.errors import UsageError
 
+# What loggers, oscilloscopes and LabVIEW call delimited text, and HDF5 by its users (HDF-EOS, MATLAB, NeXus).
 TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".prn", ".log")
 HDF5_ENDINGS = (".h5", ".hdf5", ".hdf", ".he5", ".mat", ".nxs")
 # Endings of files that hold something else; a signal under such a name would not be what it is called.
@@ -20,11 +21,17 @@ _NOT_WRITTEN = {
     ".hdf.gz": "HDF5 is compressed inside: leave out .gz",
     ".lvm": "LabVIEW's own files are not written: call it .txt",
 } | {
+    ending: f"{ending} is a generator's file, which dbo waveform writes: call this one .csv"
+    for ending in (".arb", ".tfw", ".raf", ".i16", ".u16", ".gcs", ".npy", ".wav", ".tdms", ".bin", ".raw")
+} | {
+    ending: f"{ending} files of generators and oscilloscopes are not written: call it .csv"
+    for ending in (".wfm", ".isf", ".awg", ".rdf", ".bsv", ".trc", ".wvf", ".ota")
+} | {
     ending: f"{ending} files are not written: .csv, .tsv, .txt, .dat (also with .gz) and .h5 are"
     for ending in (
         ".xlsx", ".xls", ".xlsm", ".xlsb", ".ods", ".parquet", ".pq", ".feather", ".arrow", ".ipc", ".orc",
-        ".avro", ".npy", ".npz", ".pkl", ".pickle", ".tdms", ".tdm", ".nc", ".nc4", ".netcdf", ".cdf",
-        ".fits", ".zarr", ".wav", ".bin", ".raw", ".sqlite", ".db", ".dta", ".sav", ".rds", ".rdata",
+        ".avro", ".npz", ".pkl", ".pickle", ".tdm", ".nc", ".nc4", ".netcdf", ".cdf",
+        ".fits", ".zarr", ".sqlite", ".db", ".dta", ".sav", ".rds", ".rdata",
         ".msgpack", ".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".toml", ".xml", ".html", ".htm", ".pdf",
         ".doc", ".docx", ".tex", ".png", ".svg", ".jpg", ".zip", ".tar", ".tgz", ".tar.gz", ".bz2", ".xz",
         ".zst", ".lz4", ".7z",
@@ -32,12 +39,13 @@ _NOT_WRITTEN = {
 }  # fmt: skip
 # What a model, a state or a report is written as; every other ending that is known says something else.
 _DOCUMENTS = {"json": (".json",), "csv": (".csv",), "html": (".html", ".htm"), "text": ()}
+# What ``format`` may be, and the kind of file that it is.
 FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hdf5", "hdf5": "hdf5"}
 
 
 @dataclass(frozen=True)
 class Address:
-    """What the text of a file's name means; made once, by :func:`parse_address`.
+    """What the text of a file's name means; made once, where a text comes in, and handed on as it is.
 
     ``path`` is ``-`` for a standard stream, ``group`` what stands after ``::``; ``format`` was asked for
     beside the name, and ``kind`` is ``text`` or ``hdf5`` by either, or None where only the content can tell.
@@ -70,10 +78,23 @@ class Address:
         tabs = _plain(self.path).endswith(".tsv") if self.format is None else self.format == "tsv"
         return "\t" if tabs else ","
 
-    def contradicts(self, format: str) -> bool:
-        """Tell whether the name says another format; a name that says nothing does not."""
-        own, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(format, "::")
-        return own is not None and (own != FORMATS[format] or _plain(self.path).endswith(unlike))
+    def or_format(self, named: str | None) -> Address:
+        """Return this address with the format that was asked for, where its own name does not tell one."""
+        if named is None or self.kind is not None:
+            return self
+        return replace(self, kind=FORMATS[named], format=named)
+
+    def refuse_other(self, named: str, shown: str | None = None) -> None:
+        """Refuse a format that contradicts the name (UsageError); a name that tells none does not."""
+        own, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(named, "::")
+        if own is not None and (own != FORMATS[named] or _plain(self.path).endswith(unlike)):
+            raise UsageError(
+                f"{shown or self.text}: `format` {named} contradicts this name: leave one of them out"
+            )
+
+
+Given = str | os.PathLike[str] | Address
+"""What functions at the door take: a name as a caller gives it, or an address."""
 
 
 def _plain(path: str) -> str:
@@ -86,7 +107,7 @@ def _kind_by_name(path: str) -> str | None:
     return "text" if _plain(path).endswith(TEXT_ENDINGS) else None
 
 
-def parse_address(text: str | Address, format: str | None = None) -> Address:
+def parse_address(given: Given, format: str | None = None) -> Address:
     """Take the text of a name apart; an address is returned as it is.
 
     Raises
@@ -94,10 +115,9 @@ def parse_address(text: str | Address, format: str | None = None) -> Address:
     UsageError
         The text is empty, the format is unknown, or a group is asked of a text file.
     """
-    if isinstance(text, Address):
-        if format in (None, text.format):
-            return text
-        text = text.text
+    if isinstance(given, Address) and format in (None, given.format):
+        return given
+    text = given.text if isinstance(given, Address) else os.fspath(given)
     if not text:
         raise UsageError("an empty file name was given")
     if format is not None and format not in FORMATS:
@@ -113,7 +133,7 @@ def parse_address(text: str | Address, format: str | None = None) -> Address:
     return Address(text, path, group or "/", kind or "hdf5", format)
 
 
-def parse_output(text: str | Address, format: str | None = None) -> Address:
+def parse_output(given: Given, format: str | None = None) -> Address:
     """Take the name of a signal to be written apart; it is written as what its name says.
 
     Raises
@@ -122,17 +142,17 @@ def parse_output(text: str | Address, format: str | None = None) -> Address:
         As for :func:`parse_address`; or the name belongs to a format that is not written, or contradicts
         ``format``.
     """
-    target = parse_address(text, format)
+    target = parse_address(given, format)
     lower = target.path.lower()
     for ending, reason in _NOT_WRITTEN.items():
         if lower.endswith((ending, ending + ".gz")):
             raise UsageError(f"{target.path}: {reason}")
     if target.format is not None:
-        _refuse_contradiction(target.path, target, target.format)
+        target.refuse_other(target.format, target.path)
     return target
 
 
-def check_document(address: str | Address, what: str, form: str) -> None:
+def check_document(address: Given, what: str, form: str) -> None:
     """Refuse a name that says another format than that of a model, a state or a report.
 
     Parameters
@@ -149,8 +169,7 @@ def check_document(address: str | Address, what: str, form: str) -> None:
     UsageError
         The name ends in what belongs to another format.
     """
-    own = _DOCUMENTS[form]
-    path = parse_address(address).path
+    own, path = _DOCUMENTS[form], parse_address(address).path
     known = {".csv", ".tsv", ".gz", *HDF5_ENDINGS, *_NOT_WRITTEN} - set(own)
     named = _longest_ending(path, known)
     if named:
@@ -166,7 +185,7 @@ def _longest_ending(path: str, endings: Collection[str]) -> str:
     return max((one for one in endings if path.lower().endswith(one)), key=len, default="")
 
 
-def check_format(named: str | None, addresses: Sequence[str | Address]) -> None:
+def check_format(named: str | None, addresses: Sequence[Address]) -> None:
     """Refuse a format that no address can take and that contradicts the name of one.
 
     Raises
@@ -174,20 +193,9 @@ def check_format(named: str | None, addresses: Sequence[str | Address]) -> None:
     UsageError
         Every name tells its own format, and one of them another than ``named``.
     """
-    parsed = [parse_address(one) for one in addresses] if named is not None else []
-    if all(one.kind is not None for one in parsed):
-        for one in parsed:
-            _refuse_contradiction(one.text, one, str(named))
-
-
-def _refuse_contradiction(shown: str, address: Address, format: str) -> None:
-    if address.contradicts(format):
-        raise UsageError(f"{shown}: `format` {format} contradicts this name: leave one of them out")
-
-
-def format_for(address: str | Address, named: str | None) -> str | None:
-    """Return the format that was asked for where an address's own name does not tell it, else None."""
-    return named if named is not None and parse_address(address).kind is None else None
+    if named is not None and all(one.kind is not None for one in addresses):
+        for one in addresses:
+            one.refuse_other(named)
 
 
 def other_file(selector: str | None) -> tuple[str, str] | None:

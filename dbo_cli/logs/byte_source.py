@@ -18,28 +18,39 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
 Item = TypeVar("Item")
-HEAD_BYTES = 1 << 18
-LONGEST_LINE = 1 << 24
+HEAD_BYTES = 1 << 18  # read ahead: longer than the header of any instrument, and some thousand rows
+LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
-_PIPE_BYTES = 1 << 18
-_UNREADABLE = (EOFError, zlib.error, OSError)
-_GZIP_MAGIC = b"\x1f\x8b"
+_PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
+_UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
+_GZIP_MAGIC = b"\x1f\x8b"  # RFC 1952, 2.3.1
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-_AS_FILE = ", not through a pipe or compressed"
-_FOREIGN = {
-    b"\x89HDF\r\n\x1a\n": "HDF5: give it as a file" + _AS_FILE,
-    b"PK\x03\x04": "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
-    b"\xd0\xcf\x11\xe0": "an old Excel workbook: give it as a file" + _AS_FILE,
-    b"MATLAB 5.0 MAT-file": "a MATLAB file: give it as a file" + _AS_FILE,
-    b"\x93NUMPY": "a NumPy array: give it as a file" + _AS_FILE,
-    b"PAR1": "Parquet: give it as a file" + _AS_FILE,
-    b"TDSm": "TDMS: give it as a file" + _AS_FILE,
-    b"CDF\x01": "netCDF: give it as a file" + _AS_FILE,
-    b"BZh": "compressed with bzip2: unpack it, or compress it with gzip",
-    b"\xfd7zXZ": "compressed with xz: unpack it, or compress it with gzip",
-    b"(\xb5/\xfd": "compressed with zstd: unpack it, or compress it with gzip",
-    b"7z\xbc\xaf": "a 7z archive: unpack it, or compress it with gzip",
+# First bytes of a file that is no text: what messages call it, and the module and function that read it.
+BINARY = {
+    b"\x89HDF\r\n\x1a\n": ("HDF5", "hdf5.reader.open_hdf5"),
+    b"MATLAB 5.0 MAT-file": ("a MATLAB file", "binary.arrays.open_matlab"),
+    b"\x93NUMPY": ("a NumPy array", "binary.arrays.open_npy"),
+    b"PAR1": ("Parquet", "binary.arrow.open_parquet"),
+    b"ARROW1": ("Feather", "binary.arrow.open_feather"),
+    b"FEA1": ("Feather", "binary.arrow.open_old_feather"),
+    b"TDSm": ("TDMS", "binary.tdms.open_tdms"),
+    b"CDF\x01": ("netCDF", "binary.arrays.open_netcdf"),
+    b"CDF\x02": ("netCDF", "binary.arrays.open_netcdf"),
+    b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.excel.open_excel"),
+}
+ZIP = b"PK\x03\x04"  # APPNOTE.TXT 4.3.7; the other signatures are those of the file(1) database
+_UNPACK = "unpack it, or compress it with gzip"
+_UNREAD = {
+    ZIP: "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
+    b"BZh": f"compressed with bzip2: {_UNPACK}",
+    b"\xfd7zXZ": f"compressed with xz: {_UNPACK}",
+    b"(\xb5/\xfd": f"compressed with zstd: {_UNPACK}",
+    b"7z\xbc\xaf": f"a 7z archive: {_UNPACK}",
     b"%PDF": "a PDF document: give the measured data as CSV",
+}
+_REMEDIES = _UNREAD | {
+    start: f"{name}: give it as a file, not through a pipe or compressed"
+    for start, (name, _) in BINARY.items()
 }
 
 
@@ -113,7 +124,7 @@ class ByteSource:
     live
         Hand on what has arrived instead of waiting for a full block.
     digest
-        Hash the bytes as they are read (for a stream, which cannot be read again).
+        Hash the bytes of a stream as they are read: it cannot be read again.
     encoding
         A codec that the user forced; otherwise a byte-order mark decides, and UTF-8 is the default.
     content
@@ -142,7 +153,7 @@ class ByteSource:
         self._begun: os.stat_result | None = None  # how a regular file was when it was opened
         self._largest = 0  # bytes that it has had since
         self._live = live
-        self._hash = _new_digest() if digest else None
+        self._hash = _new_digest() if digest and address.is_stream else None
         self._owned: list[IO[bytes]] = []
         try:
             self._stream = self._open(address)
@@ -268,7 +279,7 @@ class ByteSource:
             self._owned.append(cast(IO[bytes], unpacked))
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
             start = self._first_bytes(stream)
-        for magic, remedy in _FOREIGN.items():
+        for magic, remedy in _REMEDIES.items():
             if start.startswith(magic):
                 raise InputError(f"{self.name}: this is not a text log but {remedy}")
         self._start = start

@@ -19,7 +19,7 @@ from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import GAVE_UP
-from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions
 from dbo_cli.logs.sample_block import (
     ColumnInfo,
     FloatArray,
@@ -282,9 +282,7 @@ class ColumnTable(Table):
             )
         return rate, starts.pop() or self.start if starts else self.start
 
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of ``block_rows`` rows.
 
         Raises
@@ -298,17 +296,17 @@ class ColumnTable(Table):
             if source.problem:
                 raise InputError(f"{self.place}: {source.problem}")
             self.notes.extend(f"{self.place}: {remark}" for remark in source.remarks)
-        length = self._common_length(sources)
-        end = length if rows[1] is None else min(length, rows[1])
+        length, options = self._common_length(sources), self.request.options
+        end = length if options.rows[1] is None else min(length, options.rows[1])
         dropped, first = 0, ""
-        for start in range(rows[0] - 1, end, block_rows):
-            block = self._block(list(picks), sources, start, min(end, start + block_rows))
+        for start in range(options.rows[0] - 1, end, options.block_rows):
+            block = self._block(list(picks), sources, start, min(end, start + options.block_rows))
             good = np.logical_and.reduce([are_measured(array) for array in block.values.values()])
             if not good.all():
                 bad = np.logical_or.reduce([_bad(block.values[role], pick) for role, pick in picks.items()])
                 if bad.any():
                     message = self._complaint(picks, block, int(np.flatnonzero(bad)[0]))
-                    if not skip_bad:
+                    if not options.skip_bad:
                         raise InputError(f"{message} {SKIP_REMEDY}")
                     dropped, first = dropped + int(bad.sum()), first or message
                 kept = {role: array[good] for role, array in block.values.items()}

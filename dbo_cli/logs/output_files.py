@@ -18,8 +18,9 @@ from collections.abc import Iterator, Sequence
 from typing import IO
 
 from dbo_cli.errors import DboError, OutputError, UsageError
-from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.addresses import Address, Given, parse_address
 
+# Linux' names of open files, and the names that ``partial_path`` gives.
 _DESCRIPTOR = re.compile(r"/(?:dev/fd|proc/(?:self|thread-self|\d+)/fd)/(\d{1,9})")
 _PARTIAL = re.compile(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
 _NAME_BYTES = 100  # of the output's own name; most file systems allow 255 bytes for all of it
@@ -71,7 +72,7 @@ def _plain_folder(folder: str) -> str:
     return resolved
 
 
-def identity_of(address: str | Address, *, reading: bool = False) -> FileIdentity | None:
+def identity_of(address: Given, *, reading: bool = False) -> FileIdentity | None:
     """Return what two spellings of one file have in common, also of a file that is not there yet.
 
     None for what may be used twice without harm: devices such as ``/dev/null``, a terminal, a pipe that
@@ -117,7 +118,7 @@ def _ignores_case(folder: str) -> bool:
         return False
 
 
-def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str | Address] = ()) -> None:
+def check_outputs(outputs: Sequence[Given], inputs: Sequence[Given] = ()) -> None:
     """Refuse outputs that cannot be written, are an input or each other, before any long work starts.
 
     Parameters
@@ -152,7 +153,7 @@ def check_outputs(outputs: Sequence[str | Address], inputs: Sequence[str | Addre
         _check_place(target)
 
 
-def _readable(inputs: Sequence[str | Address]) -> Iterator[Address]:
+def _readable(inputs: Sequence[Given]) -> Iterator[Address]:
     """Leave out what is no file: the name of a state, an empty word, what does not exist."""
     for given in inputs:
         with contextlib.suppress(DboError):
@@ -161,7 +162,7 @@ def _readable(inputs: Sequence[str | Address]) -> Iterator[Address]:
                 yield target
 
 
-def check_output(address: str | Address, protect: Sequence[str | Address] = ()) -> None:
+def check_output(address: Given, protect: Sequence[Given] = ()) -> None:
     """Refuse one output that cannot be written or is an input; see :func:`check_outputs`."""
     check_outputs([address], protect)
 
@@ -254,7 +255,7 @@ def try_lock(handle: int) -> bool:
     return True
 
 
-def writers_in(folder: str, start: str = "") -> dict[str, int]:
+def writers_in(folder: str, start: str = ".") -> dict[str, int]:
     """Give the temporary files in a folder whose names begin with ``start``, and their writers' ids."""
     try:
         names = os.listdir(folder or ".")

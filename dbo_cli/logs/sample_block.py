@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,8 +121,8 @@ def dropped_note(first: str, count: int) -> str:
     return f"{first}{more}: {count} row{'s' if count > 1 else ''} dropped"
 
 
-class Table(Protocol):
-    """A log in some format: its columns at once, its rows in blocks."""
+class Table:
+    """A log in some format: its columns at once, its rows in blocks, as the options that opened it ask."""
 
     place: str
     columns: list[ColumnInfo]
@@ -131,14 +130,15 @@ class Table(Protocol):
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
+        raise NotImplementedError
 
     def describe(self) -> str:
-        """Describe in one line how the log is written."""
+        """Describe in one line how the log is written, for ``verbose``."""
+        raise NotImplementedError
 
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
-        """Read the wanted columns in blocks; ``rows`` are the first and the last one, counted from 1."""
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+        """Read the wanted columns in blocks."""
+        raise NotImplementedError
 
     @property
     def sha256(self) -> str | None:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.addresses import Address, parse_output
+from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
 from dbo_cli.logs.output_files import descriptor_of, is_replaceable
-from dbo_cli.logs.whole_output import check_output, opened, replacing
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened, replacing
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -89,15 +90,33 @@ class TextWriter:
             self._stream.write(rows_as_text(arrays, self._delimiter))
 
 
+class _Keeper:
+    """Keeps rows in memory."""
+
+    def __init__(self, columns: Sequence[OutColumn]) -> None:
+        self._columns, self._headers = columns, unique_headers(columns)
+        self._parts: list[list[FloatArray]] = [[] for _ in columns]
+
+    def write(self, *arrays: ArrayLike) -> None:
+        """Append rows."""
+        require_finite(self._columns, self._headers, arrays)
+        for parts, array in zip(self._parts, arrays, strict=True):
+            parts.append(np.array(array, dtype=np.float64))
+
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """Return all rows, an array a column."""
+        return tuple(parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in self._parts)
+
+
 @contextlib.contextmanager
 def signal_writer(
-    address: str | Address,
+    address: Given,
     columns: Sequence[OutColumn],
     *,
     format: str | None = None,
     attributes: Mapping[str, str | float] | None = None,
     flush: bool = False,
-    protect: Sequence[str | Address] = (),
+    protect: Sequence[Given] = (),
 ) -> Iterator[SignalWriter]:
     """Open an output for signals; it appears when the block is left without an error, and not otherwise.
 
@@ -125,6 +144,12 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_output(address, format)
+    kept = KEPT.get()
+    if kept is not None:
+        keeper = _Keeper(columns)
+        yield keeper
+        kept.signals.append(KeptSignal(target, columns, format, attributes or {}, keeper.arrays()))
+        return
     check_output(target, protect)
     if target.kind == "hdf5":
         with _hdf5(target, columns, attributes or {}) as hdf5:

@@ -60,10 +60,12 @@ _NO_UNIT = frozenset(
 """What is written in the brackets of a time column where other columns have their unit."""
 
 _OTHER_HALVES = frozenset(("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day"))
+# ``Time / ms``, ``ms since 2026-01-02``, ``10us``.
 _STATED = re.compile(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
 _SINCE = re.compile(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
 _COUNT = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
 
+# Names of rates and steps without blanks and signs, from the formats and manuals in docs/instruments.md.
 _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",
           "acquisitionrate", "acquisitionfrequency", "fs", "srate", "sfreq", "scanrate", "abtastrate",
           "abtastfrequenz", "messfrequenz", "messrate"}  # fmt: skip

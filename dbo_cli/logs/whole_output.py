@@ -18,15 +18,15 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import IO
+from dataclasses import dataclass, field
+from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs import output_files
-from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.output_files import (
     check_output,
@@ -39,8 +39,13 @@ from dbo_cli.logs.output_files import (
     remove_orphans,
 )
 
+if TYPE_CHECKING:
+    from dbo_cli.logs.out_column import OutColumn
+    from dbo_cli.logs.sample_block import FloatArray
+
 __all__ = [
-    "OutputSet", "all_or_none", "check_output", "check_outputs", "make_folder", "opened", "reason_of",
+    "KEPT", "KeptOutputs", "KeptSignal", "OutputSet", "all_or_none", "check_output", "check_outputs",
+    "kept_outputs", "make_folder", "opened", "reason_of",
     "replacing", "standard_output", "write_whole",
 ]  # fmt: skip
 
@@ -218,6 +223,39 @@ class OutputSet:
 _CURRENT: ContextVar[OutputSet | None] = ContextVar("dbo_outputs", default=None)
 
 
+@dataclass(frozen=True)
+class KeptSignal:
+    """A signal that was kept instead of written: what its writer was given."""
+
+    address: Address
+    columns: Sequence[OutColumn]
+    format: str | None
+    attributes: Mapping[str, str | float]
+    arrays: tuple[FloatArray, ...]
+
+
+@dataclass
+class KeptOutputs:
+    """Outputs that were kept instead of written, for another process or a larger file."""
+
+    signals: list[KeptSignal] = field(default_factory=list)
+    documents: list[tuple[str, bytes]] = field(default_factory=list)
+
+
+KEPT: ContextVar[KeptOutputs | None] = ContextVar("dbo_kept", default=None)
+
+
+@contextlib.contextmanager
+def kept_outputs() -> Iterator[KeptOutputs]:
+    """Let ``write_whole`` and ``signal_writer`` keep their data inside the block and write nothing."""
+    kept = KeptOutputs()
+    token = KEPT.set(kept)
+    try:
+        yield kept
+    finally:
+        KEPT.reset(token)
+
+
 @contextlib.contextmanager
 def all_or_none() -> Iterator[OutputSet]:
     """Let all outputs written inside the block appear together at its end, or none of them.
@@ -351,7 +389,7 @@ def _bring_to_disk(path: str, flags: int) -> None:
         os.close(handle)
 
 
-def write_whole(address: str | Address, data: bytes, *, protect: Sequence[str | Address] = ()) -> None:
+def write_whole(address: Given, data: bytes, *, protect: Sequence[Given] = ()) -> None:
     """Write a complete file at once (``-`` is standard output).
 
     Raises
@@ -362,6 +400,10 @@ def write_whole(address: str | Address, data: bytes, *, protect: Sequence[str | 
         It cannot be written; what stood there is left as it was.
     """
     target = parse_address(address)
+    kept = KEPT.get()
+    if kept is not None:
+        kept.documents.append((target.text, data))
+        return
     check_output(target, protect)
     if target.group is not None:
         raise UsageError(f"{target.text}: '::' names a group of an HDF5 file, and this output is no signal")

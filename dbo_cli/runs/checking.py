@@ -10,17 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
-from dbo_cli.errors import LimitError
+from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.addresses import check_document, selected_files
+from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock, joined
+from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import Remarks, plain
-from dbo_cli.runs.roles import open_file
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,8 @@ class CheckOptions:
     """What a drive is checked for.
 
     Limits are infinite where not given. With ``against``, the drive is a recording of what was played, and
-    ``against`` the file of what was to be. ``voltage`` is the drive's column.
+    ``against`` the file of what was to be; ``gain`` is that of an amplifier between the two places.
+    ``voltage`` is the drive's column.
     """
 
     v_min: float | None = None
@@ -36,9 +37,19 @@ class CheckOptions:
     max_slew: float | None = None
     from_: float | None = None
     loop: bool = False
-    against: str | None = None
+    against: Address | None = None
     tolerance: float | None = None
+    gain: float = 1.0
     voltage: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a gain of nothing, and one of no recording."""
+        if self.gain == 0.0:
+            raise UsageError(
+                "`gain` 0: an amplifier of no gain moves nothing (give its volts out per volt in)"
+            )
+        if self.gain != 1.0 and self.against is None:
+            raise UsageError("`gain` is that behind a recording (`against` FILE is the drive it is of)")
 
     def limits(self) -> DriveLimits:
         """Return the limits."""
@@ -47,7 +58,7 @@ class CheckOptions:
 
 
 def check_file(
-    drive: str, output: str, form: str | None, reading: ReadingOptions, options: CheckOptions
+    drive: Address, output: Address, form: str | None, reading: ReadingOptions, options: CheckOptions
 ) -> Remarks:
     """Write what is wrong with a drive, as text or JSON (``dbo-check``).
 
@@ -57,9 +68,10 @@ def check_file(
         A limit is broken, or something else was played; the report is written all the same.
     """
     against = options.against
-    chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "a check", chosen)
-    inputs = [drive, *([] if against is None else [against]), *selected_files(options.voltage, reading.time)]
+    inputs: list[Given] = [drive, *([] if against is None else [against])]
+    inputs += selected_files(options.voltage, reading.time)
     check_output(output, inputs)
     block, unit, step, remarks = _read(drive, options.voltage, reading)
     values, rows = block.values["voltage"], np.asarray(block.rows)
@@ -77,8 +89,8 @@ def check_file(
     if against is not None:
         other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
         remarks.add(more)
-        check_played(checked, other.values["voltage"], values, (own, step), options.tolerance)
-    name = drive if drive != "-" else "standard input"
+        check_played(checked, other.values["voltage"], values, (own, step), options.tolerance, options.gain)
+    name = drive.name
     lines = _lines(name, checked, unit)
     found = {"format": "dbo-check", "version": 1, "name": name, "unit": unit, "passed": not checked.problems,
              **dataclasses.asdict(checked.figures), "played": checked.played or None,
@@ -92,11 +104,11 @@ def check_file(
 
 
 def _read(
-    address: str, voltage: str | None, reading: ReadingOptions
+    address: Address, voltage: str | None, reading: ReadingOptions
 ) -> tuple[SampleBlock, str | None, float | None, Remarks]:
     """Return a drive read whole, its unit and its even step (s); rows that hold no number are dropped."""
     options = dataclasses.replace(reading, skip_bad=True)
-    with open_file(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
+    with open_log(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
         block = joined(list(log.blocks()))
         step = 1.0 / log.stated_rate if log.stated_rate else None
         if step is None and block.time is not None:
@@ -117,9 +129,10 @@ def _lines(name: str, checked: CheckedDrive, unit: str | None) -> list[str]:
     if checked.played:
         one = checked.played
         late = f" ({one['lag_seconds'] * 1e3:.4g} ms)" if one["lag_seconds"] else ""
+        gain, after = one["amplifier_gain"], ", at another rate" if one["resampled"] else ""
+        after += f", times the amplifier's {gain:g}" if gain != 1.0 else ""
         lines.append(
             f"  played: {one['rows']:,} rows, {one['lag_rows']} later{late}, gain {one['gain']:.6g}, offset "
-            f"{one['offset']:.3g}{u}, largest difference {one['largest_difference']:.3g}{u}"
-            f"{', at another rate' if one['resampled'] else ''}"
+            f"{one['offset']:.3g}{u}, largest difference {one['largest_difference']:.3g}{u}{after}"
         )
     return lines + [f"  {text}" for text in checked.problems]

@@ -7,20 +7,19 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dbo_cli.drives.gate import DriveGate
+from dbo_cli.drives.loops import compensation
 from dbo_cli.drives.model_run import reads_ahead
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.planning import compensation
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.addresses import check_document, check_format, format_for
+from dbo_cli.logs.addresses import Address, check_document, check_format
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.files import Destination, check_order, opened, shown_name, write_response
-from dbo_cli.runs.roles import bring_to, quantity_wish, tracked_of, tracked_wishes
-from dbo_cli.runs.starts import start_of
+from dbo_cli.runs.roles import bring_to, quantity_wish, start_of, tracked_of, tracked_wishes
 
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Tracked
@@ -29,14 +28,14 @@ if TYPE_CHECKING:
 
 def compensate_trajectory(
     model_file: str,
-    trajectory: str,
+    trajectory: Address,
     destination: Destination,
     reading: ReadingOptions,
     options: DriveOptions,
     *,
     column: str | None = None,
     state: str = "auto",
-    tracked: Sequence[str] = (),
+    tracked: Sequence[Address] = (),
     voltage: str | None = None,
     measured: str | None = None,
     listener: Listener = SILENT,
@@ -47,7 +46,7 @@ def compensate_trajectory(
     if options.history is not None:
         check_document(options.history, "a history", "json")
         check_outputs([destination.output, options.history], destination.protect)
-    check_order(model_file, trajectory)
+    check_order(model_file, trajectory.text)
     check_format(reading.format, [trajectory, destination.output])
     model = read_model(model_file)
     model.require("forward", shown_name(model_file))
@@ -69,7 +68,7 @@ def compensate_trajectory(
 
 
 def _recorded(
-    address: str,
+    address: Address,
     model: ActuatorModel,
     reading: ReadingOptions,
     voltage: str | None,
@@ -82,7 +81,7 @@ def _recorded(
         return tracked_of(log, model)
 
 
-def write_excitation(output: str, excitation: Excitation, form: str | None = None) -> int:
+def write_excitation(output: Address, excitation: Excitation, form: str | None = None) -> int:
     """Write the drive that identifies well; returns its rows."""
     time, voltage = excitation.drive()
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
@@ -90,6 +89,6 @@ def write_excitation(output: str, excitation: Excitation, form: str | None = Non
     check_format(form, [output])
     columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
     attributes = {"sample_rate": excitation.sample_rate}
-    with signal_writer(output, columns, format=format_for(output, form), attributes=attributes) as writer:
+    with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
         writer.write(time, voltage)
     return len(time)

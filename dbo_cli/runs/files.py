@@ -17,25 +17,26 @@ from dbo_cli.drives.compensation import Compensation, DriveFigures
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
+from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import (
+    Address,
+    Given,
     check_document,
     check_format,
-    format_for,
     other_file,
     parse_output,
     selected_files,
 )
 from dbo_cli.logs.columns import ColumnWish, split_header
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.signal_log import SignalLog
+from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks, plain
-from dbo_cli.runs.roles import bring_to, open_file, quantity_wish
-from dbo_cli.runs.starts import start_of
+from dbo_cli.runs.roles import bring_to, quantity_wish, start_of
 
 
 class Destination(NamedTuple):
@@ -44,12 +45,12 @@ class Destination(NamedTuple):
     ``command`` is the command line that an HDF5 output names; ``summary`` a file for what was done, as JSON.
     """
 
-    output: str
-    save_state: str | None = None
-    protect: Sequence[str] = ()
+    output: Address
+    save_state: Address | None = None
+    protect: Sequence[Given] = ()
     live: bool = False
     command: str = ""
-    summary: str | None = None
+    summary: Address | None = None
 
     def beside(self, *selectors: str | None) -> Destination:
         """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
@@ -57,7 +58,7 @@ class Destination(NamedTuple):
 
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
-        if list(self.protect).count("-") > 1:
+        if sum(one == "-" or (isinstance(one, Address) and one.is_stream) for one in self.protect) > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
         parse_output(self.output)
         outputs = (self.output, self.save_state, self.summary)
@@ -70,7 +71,7 @@ class Destination(NamedTuple):
 
 def simulate_log(
     model_file: str,
-    log_file: str,
+    log_file: Address,
     destination: Destination,
     reading: ReadingOptions,
     *,
@@ -82,7 +83,7 @@ def simulate_log(
     """Run a model over its input signal; write time (when known), the input column and the result."""
     destination = destination.beside(column, reading.time)
     destination.check()
-    check_order(model_file, log_file)
+    check_order(model_file, log_file.text)
     check_format(reading.format, [log_file, destination.output])
     model = read_model(model_file)
     taken = model.input
@@ -96,7 +97,7 @@ def simulate_log(
         return write_response(run, log, given, destination, reading, listener)
 
 
-def invert_model(model_file: str, output: str) -> ActuatorModel:
+def invert_model(model_file: str, output: Address) -> ActuatorModel:
     """Write the exact inverse of a model."""
     check_document(output, "a model", "json")
     inverse = read_model(model_file).inverse()
@@ -105,7 +106,7 @@ def invert_model(model_file: str, output: str) -> ActuatorModel:
 
 
 def opened(
-    address: str,
+    address: Address,
     want: Mapping[str, ColumnWish],
     reading: ReadingOptions,
     live: bool,
@@ -115,7 +116,7 @@ def opened(
     """Open a log; where it is to be read ahead, the rows after the last one asked for are there, too."""
     if ahead and reading.resample is None:
         reading = dataclasses.replace(reading, rows=(reading.rows[0], None))
-    log = open_file(address, want, reading, live=live)
+    log = open_log(address, want, reading, live=live)
     listener.opened(log.describe())
     if live:
         listener.reading(log.opening_line())
@@ -136,9 +137,6 @@ def write_response(
     if out.header == given.header:
         out = OutColumn(f"model_{result.quantity}", result.unit)
     columns = [*([OutColumn("time", "s")] if log.has_time else []), given, out]
-    attributes: dict[str, str | float] = {"model_sha256": run.model.digest, "command": destination.command}
-    if log.stated_rate is not None:
-        attributes["sample_rate"] = log.stated_rate
     responses = run.responses()
     # Computed before anything is opened: a log that is bad from the start leaves not even a header.
     first = next(responses)
@@ -146,10 +144,9 @@ def write_response(
     with all_or_none():
         try:
             with signal_writer(
-                destination.output,
+                destination.output.or_format(reading.format),
                 columns,
-                format=format_for(destination.output, reading.format),
-                attributes=attributes,
+                attributes=_attributes(run, log, destination.command),
                 flush=destination.live,
                 protect=destination.protect,
             ) as writer:
@@ -174,6 +171,16 @@ def write_response(
     if destination.live:
         remarks.read.clear()  # printed when the stream began
     return remarks
+
+
+def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | float]:
+    """Return what an HDF5 output says of itself."""
+    attributes: dict[str, str | float] = {"model_sha256": run.model.digest, "command": command}
+    if log.stated_rate is not None:
+        attributes["sample_rate"] = log.stated_rate
+    if run.voltage_scale is not None:
+        attributes["voltage_scale"] = f"{run.voltage_scale}, of the voltages in the model's logs"
+    return attributes
 
 
 def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:

@@ -12,16 +12,24 @@ from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.logs.addresses import check_document, check_format, selected_files, without_folder
+from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.logs.addresses import (
+    Address,
+    check_document,
+    check_format,
+    selected_files,
+    without_folder,
+)
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
+from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import open_file, recording_wishes, short_names
+from dbo_cli.runs.roles import bring_to, recording_wishes, short_names
+from dbo_cli.version import program_version_string
 
 
 @dataclass(frozen=True)
@@ -61,21 +69,29 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
     )
 
 
+def bring_to_prior(source: Source, prior: ActuatorModel | None) -> None:
+    """Take a recording in the units of a prior, where there is one (InputError: of unlike units)."""
+    if prior is not None:
+        bring_to(source, "voltage", prior.input, "the prior")
+        bring_to(source, "displacement", prior.output, "the prior")
+
+
 def read_recordings(
-    logs: Sequence[str],
-    validation: Sequence[str],
+    logs: Sequence[Address],
+    validation: Sequence[Address],
     reading: ReadingOptions,
     voltage: str | None = None,
     displacement: str | None = None,
     listener: Listener = SILENT,
+    prior: ActuatorModel | None = None,
 ) -> tuple[list[RecordedLog], list[RecordedLog]]:
     """Read the logs to identify from and those to validate on; ``reading.rows`` are the first ones' alone."""
     names = short_names([*logs, *validation])
     units: dict[str, str | None] = {}
 
-    def read(address: str, options: ReadingOptions) -> RecordedLog:
+    def read(address: Address, options: ReadingOptions) -> RecordedLog:
         wishes = recording_wishes(voltage, displacement)
-        with open_file(address, wishes, options, digest=True) as log:
+        with open_log(address, wishes, options, digest=True) as log:
             listener.opened(log.describe())
             taken = log.columns["displacement"]
             if is_order(taken, wishes["displacement"]):
@@ -83,6 +99,7 @@ def read_recordings(
                     f"{log.name}: column '{taken.name}' is what was wanted, by its name, not what was "
                     "measured: what is identified is how the drive was computed, not the actuator"
                 )
+            bring_to_prior(log, prior)
             for role, unit in units.items():
                 log.convert(role, unit, "the first log is")
             recording = recording_of(log, names.get(address), listener)
@@ -99,6 +116,7 @@ def identify_recordings(
     options: IdentificationOptions,
     validation: Sequence[RecordedLog] = (),
     arguments: Sequence[str] = (),
+    prior: ActuatorModel | None = None,
 ) -> Identified:
     """Identify a model, and keep in it what it was identified from.
 
@@ -110,6 +128,8 @@ def identify_recordings(
         What is fixed beforehand.
     arguments
         How the identification was called; folders differ between machines and are taken off.
+    prior
+        A model whose shape is kept; what it was identified from stays in ``provenance``.
 
     Raises
     ------
@@ -118,12 +138,15 @@ def identify_recordings(
     UsageError
         The options contradict each other or the recordings.
     """
-    found = identify_model([log.recording for log in logs], options, [log.recording for log in validation])
-    provenance = {
+    tests = [log.recording for log in validation]
+    found = identify_model([log.recording for log in logs], options, tests, prior)
+    provenance: dict[str, Any] = {
         "program": program_version_string(),
         "arguments": list(arguments),
         "inputs": [dict(log.record) for log in [*logs, *validation]],
     }
+    if prior is not None:
+        provenance["prior"] = dict(prior.provenance)
     remarks = Remarks(warnings=list(found.warnings))
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
@@ -175,29 +198,37 @@ def _word(value: object) -> str:
 
 
 def identify_logs(
-    logs: Sequence[str],
-    validation: Sequence[str],
-    output: str,
+    logs: Sequence[Address],
+    validation: Sequence[Address],
+    output: Address,
     reading: ReadingOptions,
     options: IdentificationOptions,
     *,
     voltage: str | None = None,
     displacement: str | None = None,
+    prior: str | None = None,
     listener: Listener = SILENT,
 ) -> Identified:
-    """Identify a model from logs and write it; ``reading.rows`` are not those of the validation's logs."""
+    """Identify a model from logs and write it; ``reading.rows`` are not those of the validation's logs.
+
+    ``prior`` is the file of a model whose shape is kept.
+    """
     check_document(output, "a model", "json")
     beside = selected_files(voltage, displacement, reading.time)
-    check_output(output, [*logs, *validation, *beside])
+    known = [] if prior is None else [prior]
+    check_output(output, [*logs, *validation, *beside, *known])
     check_format(reading.format, [*logs, *validation])
-    fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
-    columns = {"voltage": voltage, "displacement": displacement}
+    kept = None if prior is None else read_model(prior)
+    fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener, kept)
+    named = None if prior is None else os.path.basename(prior)
+    columns = {"voltage": voltage, "displacement": displacement, "prior": named}
     chosen = {name: column for name, column in columns.items() if column is not None}
-    arguments = arguments_of(logs, validation, chosen_of(options) | reading.chosen() | chosen)
+    given, more = ([one.text for one in some] for some in (logs, validation))
+    arguments = arguments_of(given, more, chosen_of(options) | reading.chosen() | chosen)
     rows = sum(len(log.recording.voltage) for log in fitted)
     listener.working(f"fitting {rows:,} rows")
     try:
-        found = identify_recordings(fitted, options, checks, arguments)
+        found = identify_recordings(fitted, options, checks, arguments, kept)
     finally:
         listener.finished()
     write_whole(output, model_to_bytes(found.model))

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.logs.addresses import check_format
-from dbo_cli.logs.provenance import program_version_string
+from dbo_cli.logs.addresses import Address, check_format
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.relatives.judging import NAMES, compare
@@ -19,6 +18,7 @@ from dbo_cli.reports.drawing import save
 from dbo_cli.reports.models import ModelTable
 from dbo_cli.runs.identifying import read_recordings
 from dbo_cli.runs.reporting import prepare_folder, report_form
+from dbo_cli.version import program_version_string
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class TableOptions:
 
 @all_or_none()
 def compare_logs(
-    logs: Sequence[str],
-    validation: Sequence[str],
-    output: str,
+    logs: Sequence[Address],
+    validation: Sequence[Address],
+    output: Address,
     reading: ReadingOptions,
     options: TableOptions,
     *,

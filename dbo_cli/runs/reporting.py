@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.hysteresis.model_file import read_model
-from dbo_cli.logs.addresses import check_document, selected_files
+from dbo_cli.errors import DboError, OutputError, UsageError
+from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
-from dbo_cli.logs.signal_log import SignalLog
+from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import check_folder, refuse_picture
 from dbo_cli.reports.report import Report, check_limits
 from dbo_cli.reports.sample_pairs import rows_to_read
-from dbo_cli.runs.roles import open_file, short_names
+from dbo_cli.runs.roles import short_names
 from dbo_cli.runs.tracking import TrackingOptions, TrackingRun, refuse_both, trajectory_wishes
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
@@ -41,16 +41,22 @@ class Written:
     report: Report
     form: str
     remarks: Remarks
+    failure: DboError | None = None
 
     def check(self, limits: Limits) -> None:
-        """Raise LimitError for the first log that misses a limit; the others are counted in it."""
+        """Raise LimitError for the first log that misses a limit; the others are counted in it.
+
+        A ``failure`` of channels that are not in the report is raised before.
+        """
+        if self.failure is not None:
+            raise self.failure
         check_limits(self.report, **dataclasses.asdict(limits))
 
 
 @all_or_none()
 def report_logs(
-    logs: Sequence[str],
-    output: str,
+    logs: Sequence[Address],
+    output: Address,
     reading: ReadingOptions,
     options: TrackingOptions,
     *,
@@ -63,7 +69,7 @@ def report_logs(
         refuse_both()
     chosen = report_form(output, form)
     check_document(output, "a report", chosen)
-    inputs = [*logs, *(name for name in (options.model, options.trajectory) if name is not None)]
+    inputs: list[Given] = [*logs, *(name for name in (options.model, options.trajectory) if name is not None)]
     inputs += selected_files(options.desired, options.measured, options.voltage, reading.time)
     check_output(output, inputs)
     if figures is not None:
@@ -86,7 +92,7 @@ def report_logs(
     return Written(result.report, chosen, result.remarks)
 
 
-def report_form(output: str, form: str | None) -> str:
+def report_form(output: Address, form: str | None) -> str:
     """Return the form of a report: as asked for, by the output's ending, else text.
 
     Raises
@@ -94,9 +100,9 @@ def report_form(output: str, form: str | None) -> str:
     UsageError
         The ending says another form than the one asked for.
     """
-    named = ENDINGS.get(Path(output).suffix.lower())
+    named = ENDINGS.get(Path(output.text).suffix.lower())
     if form is not None and named not in (None, form):
-        raise UsageError(f"{output}: `format` {form} contradicts this name: leave one of them out")
+        raise UsageError(f"{output.text}: `format` {form} contradicts this name: leave one of them out")
     return form or named or "text"
 
 
@@ -109,7 +115,7 @@ def prepare_folder(folder: str) -> None:
 
 def add_file(
     tracking: TrackingRun,
-    address: str,
+    address: Address,
     reading: ReadingOptions,
     options: TrackingOptions,
     name: str | None = None,
@@ -120,7 +126,7 @@ def add_file(
     from_first = with_model or trajectory is not None
     own, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
     with contextlib.ExitStack() as stack:
-        log = stack.enter_context(open_file(address, options.wishes(with_model), own))
+        log = stack.enter_context(open_log(address, options.wishes(with_model), own))
         listener.opened(log.describe())
         wished = None
         if trajectory is not None:
@@ -169,12 +175,12 @@ def rows_to_score(
     return dataclasses.replace(reading, rows=(1, rows_to_read(reading.rows, samples)[1])), reading.rows
 
 
-def open_trajectory(address: str, desired: str | None, reading: ReadingOptions) -> SignalLog:
+def open_trajectory(address: Address, desired: str | None, reading: ReadingOptions) -> SignalLog:
     """Open the file with the desired signal, on its own clock where it has one."""
     own = dataclasses.replace(reading, rows=ALL_ROWS, time=None, sample_rate=None)
-    log = open_file(address, trajectory_wishes(desired), own)
+    log = open_log(address, trajectory_wishes(desired), own)
     if log.has_time or reading.sample_rate is None:
         return log
     log.close()
     timed = dataclasses.replace(own, sample_rate=reading.sample_rate)
-    return open_file(address, trajectory_wishes(desired), timed)
+    return open_log(address, trajectory_wishes(desired), timed)

@@ -6,20 +6,24 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
-from dbo_cli.hysteresis.model_file import read_model, section_values
+from dbo_cli.hysteresis.model_file import section_values
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.logs.addresses import check_document
+from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
 
 
-def show_model(model_file: str, output: str, form: str | None, figures: str | None) -> list[str]:
+def show_model(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
     """Write what is in a model; returns notes (where figures went)."""
+    if is_set(model_file):
+        return _show_set(model_file, output, form, figures)
     model = read_model(model_file)
-    chosen = form or ("json" if output.lower().endswith(".json") else "text")
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "what is shown", chosen)
     if figures is not None:
         from dbo_cli.reports.drawing import check_folder
@@ -35,6 +39,47 @@ def show_model(model_file: str, output: str, form: str | None, figures: str | No
 
     save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
+
+
+def _show_set(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
+    """Write what is in a set of models: a line a channel, or the same as JSON."""
+    if figures is not None:
+        raise UsageError(
+            f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
+        )
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
+    check_document(output, "what is shown", chosen)
+    models = {channel: contents(model) for channel, model in read_set(model_file).items()}
+    if chosen == "json":
+        whole = {"format": "dbo-show-set", "version": 1, "models": models}
+        text = json.dumps(whole, indent=2, ensure_ascii=False)
+    else:
+        text = "\n".join(_set_lines(models))
+    write_whole(output, (text + "\n").encode(), protect=[model_file])
+    return []
+
+
+def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a table of a set: what each channel spans, how good it is, and how many warnings it has."""
+    rows: list[tuple[str, ...]] = [
+        ("channel", "drive", "output", "gears", "fit RMSE", "% of range", "expected", "warnings")
+    ]
+    for channel, one in models.items():
+        fit, unit = one["fit"], one["output"]["unit"] or ""
+        ends = [
+            f"{q['min']:.4g} to {q['max']:.4g} {q['unit'] or ''}".strip()
+            for q in (one["input"], one["output"])
+        ]
+        errors = [
+            ""
+            if fit.get(key) is None
+            else f"{fit[key]:.3g}{'' if key.endswith('percent') else f' {unit}'}".strip()
+            for key in ("rmse", "rmse_percent", "expected_rmse")
+        ]
+        rows.append((channel, *ends, str(one["gears"] or ""), *errors, str(len(one["warnings"]))))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]
 
 
 def contents(model: ActuatorModel) -> dict[str, Any]:

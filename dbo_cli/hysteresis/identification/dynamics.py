@@ -33,7 +33,7 @@ from dbo_cli.hysteresis.identification.dynamics_choice import (
     with_delay,
 )
 from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
-from dbo_cli.hysteresis.identification.evaluation import validation_of
+from dbo_cli.hysteresis.identification.evaluation import validated, validation_of
 from dbo_cli.hysteresis.identification.fast_parts import FastPart, grid_step, split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Recording
@@ -356,13 +356,7 @@ def _assembled(
     # Of lag and memories the slow rows tell what the dynamics say better.
     told = [line for line in base.summary if not line.startswith("lag ")]
     summary = [*told, *said(figures, chosen, trusted_hz, why, unit)]
-    if checks:
-        rows = sum(len(one.values) for one in checks)
-        rmse = float(np.sqrt(sum(float(one.values @ one.values) for one in checks) / rows))
-        figures["validation_rmse"] = rmse
-        figures["validation_percent"] = 100.0 * rmse / output.span
-        figures["validation"] = [
-            {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
-        ]
-        summary += [f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE, offset removed" for one in checks]
+    found, lines = validated(checks, output.span, unit)
+    figures |= found
+    summary += lines
     return Identification(dataclasses.replace(whole, fit=figures), figures, summary, warnings)

@@ -7,7 +7,6 @@ And what is said of them: intervals, the measured response, how far the model is
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +22,7 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
     fitted,
     residuals,
 )
+from dbo_cli.hysteresis.identification.evaluation import beyond_noise, white_noise
 from dbo_cli.hysteresis.identification.recordings import Floats
 
 MOST_RESONANCES = 2
@@ -47,12 +47,6 @@ more. Without such a mode lags came out 2 to 4 % wrong (0.634 ms for 0.612), and
 INSIDE = 1.02  # times the bound at which a fit would like to go on: what it found there is something else
 APART = 0.3  # of the logarithms of two resonances, at least
 NEAR = 0.03  # of the logarithms of a resonance and an antiresonance from which a fit begins
-WHITE = 4.0
-"""Standard deviations up to which what is left over is noise alone, and no more is looked for at first.
-
-That of n samples of white noise, of the ratio of their mean square to the one by their second differences, is
-(2/n)^1/2.
-"""
 SEEN_DELAY = 0.1
 """Periods of the highest swept frequency: an amplifier's lag of a tenth of one is fitted as a lag."""
 SAME_GAIN = 0.3  # of the logarithm: a resonance of 2 % damping has this at half its frequency
@@ -168,23 +162,17 @@ def _earned(signals: Sequence[Signals], more: Candidate, best: Candidate, band: 
         return True
     if not best.resonances:
         return False
-    rows, noise = sum(one.measured.size for one in signals), _white_noise(signals, best)
+    rows, noise = (
+        sum(one.measured.size for one in signals),
+        white_noise(residuals(signals, best.parameters, best.structure)),
+    )
     gained = rows * (best.left_out**2 - more.left_out**2)
     return gained >= max(SURE * noise, MOST_OF_IT * rows * (best.left_out**2 - noise))
 
 
 def _white(signals: Sequence[Signals], best: Candidate) -> bool:
     """Return whether what is left over is noise alone."""
-    left = residuals(signals, best.parameters, best.structure)
-    rows = sum(part.size for part in left)
-    total = sum(float(part @ part) for part in left) / rows
-    return total <= (1.0 + WHITE * math.sqrt(2.0 / rows)) * _white_noise(signals, best)
-
-
-def _white_noise(signals: Sequence[Signals], best: Candidate) -> float:
-    """Return the mean square of what is white in what is left over, by its second differences."""
-    noise = [np.diff(part, 2) for part in residuals(signals, best.parameters, best.structure)]
-    return sum(float(part @ part) for part in noise) / sum(part.size for part in noise) / 6.0
+    return beyond_noise(residuals(signals, best.parameters, best.structure)) == 0.0
 
 
 def _starts(signals: Sequence[Signals], best: Candidate, band: Band) -> list[Floats]:

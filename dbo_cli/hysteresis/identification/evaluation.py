@@ -92,6 +92,50 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
     return Residual(recording.name, left - left.mean(), np.flatnonzero(keep), 0.0)
 
 
+def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
+    """Root of the mean square over all logs, weighted by their rows."""
+    weights = np.array([len(one.values) for one in residuals], dtype=float)
+    return float(np.sqrt(weights @ np.square(values) / weights.sum()))
+
+
+def validated(checks: Sequence[Residual], span: float, unit: str) -> tuple[dict[str, object], list[str]]:
+    """Return what the model file says of logs that took no part in the fit, and lines for the terminal."""
+    if not checks:
+        return {}, []
+    rmse = pooled([one.rmse for one in checks], checks)
+    figures: dict[str, object] = {
+        "validation_rmse": rmse,
+        "validation_percent": 100.0 * rmse / span,
+        "validation": [{"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks],
+    }
+    return figures, [
+        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / span:.2f} % of range), "
+        "offset removed"
+        for one in checks
+    ]
+
+
+WHITE = 4.0
+"""Standard deviations up to which what is left over is noise alone.
+
+That of n samples of white noise, of the ratio of their mean square to the one by their second differences, is
+(2/n)^1/2.
+"""
+
+
+def white_noise(left: Sequence[Floats]) -> float:
+    """Return the mean square of what is white in what is left over, by its second differences."""
+    noise = [np.diff(part, 2) for part in left]
+    return sum(float(part @ part) for part in noise) / sum(part.size for part in noise) / 6.0
+
+
+def beyond_noise(left: Sequence[Floats]) -> float:
+    """Return the mean square of what is left over beyond white noise, 0 where that may be all."""
+    rows = sum(part.size for part in left)
+    total = sum(float(part @ part) for part in left) / rows
+    return max(total - (1.0 + WHITE * float(np.sqrt(2.0 / rows))) * white_noise(left), 0.0)
+
+
 def straight_line(recording: Recording, log: PreparedLog) -> float:
     """RMSE of the best straight line from voltage to displacement, offset and drift fitted beside it."""
     rows = log.used
@@ -183,22 +227,22 @@ def _stepped(displacement: Floats) -> bool:
     return len(steps) == 0 or float(np.median(steps)) < 1.5 * float(steps.min())
 
 
-def rated_warnings(prepared: Prepared, rated: tuple[float, float] | None) -> list[str]:
+def rated_warnings(lowest: float, highest: float, rated: tuple[float, float] | None) -> list[str]:
     """Warn where the logs cover less or more than the drive's rated range (both in the voltage's unit)."""
     if rated is None:
         return []
     low, high = rated
     slack = 0.01 * (high - low)
     warnings = []
-    if prepared.low < low - slack or prepared.high > high + slack:
+    if lowest < low - slack or highest > high + slack:
         warnings.append(
-            f"the logs go from {prepared.low:g} to {prepared.high:g}, beyond the rated range {low:g} to "
+            f"the logs go from {lowest:g} to {highest:g}, beyond the rated range {low:g} to "
             f"{high:g}: check the voltage column, or give compensate `v_min` and `v_max`"
         )
-    covered = 100.0 * (min(prepared.high, high) - max(prepared.low, low)) / (high - low)
+    covered = 100.0 * (min(highest, high) - max(lowest, low)) / (high - low)
     if covered < 95.0:
         warnings.append(
-            f"the logs cover {prepared.low:g} to {prepared.high:g}, {covered:.0f} % of the rated range "
+            f"the logs cover {lowest:g} to {highest:g}, {covered:.0f} % of the rated range "
             f"{low:g} to {high:g}: outside, the model goes straight on; record the whole range before using "
             "it there"
         )
@@ -264,7 +308,7 @@ def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
         told = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
         warnings.append(
             f"the logs' gains differ (over the model's: {told}), and this makes most of the error: different "
-            "actuators, loads or temperatures? identify each by itself"
+            "actuators, loads or temperatures? identify each by itself (`output` 'models/{file}.json' does)"
         )
     if max(trends, key=abs) and along <= GAIN_EXPLAINS * before:
         warnings.append(

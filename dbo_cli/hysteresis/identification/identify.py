@@ -11,6 +11,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification.evaluation import (
     loop_width_percent,
     residual_of,
+    validated,
     validation_of,
 )
 from dbo_cli.hysteresis.identification.fast_parts import split
@@ -20,13 +21,15 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     check_recordings,
 )
-from dbo_cli.hysteresis.identification.static import Identification, identify_static, pooled
+from dbo_cli.hysteresis.identification.static import Identification, identify_static
+from dbo_cli.hysteresis.model import ActuatorModel
 
 
 def identify(
     recordings: Sequence[Recording],
     options: IdentificationOptions | None = None,
     validation: Sequence[Recording] = (),
+    prior: ActuatorModel | None = None,
 ) -> Identification:
     """Identify a forward model from one or more recordings of one actuator.
 
@@ -35,6 +38,7 @@ def identify(
     recordings : logs of drive voltage and displacement, in one unit each
     options : what is fixed; everything else is chosen on data left out
     validation : logs that take no part in the fit and tell how well the model predicts
+    prior : a model whose shape is kept: gain, offset and lag alone are found
 
     Raises
     ------
@@ -45,6 +49,10 @@ def identify(
     """
     options = options or IdentificationOptions()
     check_recordings(recordings)
+    if prior is not None:
+        from dbo_cli.hysteresis.identification.prior import refresh
+
+        return refresh(prior, recordings, options, validation)
     if options.method == "paper":
         return _paper(recordings, options, validation)
     unexplained: list[str] = []
@@ -90,9 +98,7 @@ def _paper(
     }
     unit = f" {model.output.unit}" if model.output.unit else ""
     summary = [f"fit RMSE {residual.rmse:.4g}{unit} ({figures['rmse_percent']:.2f} % of range) on one cycle"]
-    if checks:
-        figures["validation_rmse"] = pooled([one.rmse for one in checks], checks)
-        summary.extend(
-            f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE, offset removed" for one in checks
-        )
+    found, lines = validated(checks, span, unit)
+    figures |= found
+    summary += lines
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, [])

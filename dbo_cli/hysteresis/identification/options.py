@@ -24,6 +24,8 @@ NOT_FOR_PAPER = (
     "dynamics",
 )
 
+NOT_WITH_PRIOR = ("gears", "points", "relaxation", "delay", "slopes", "method", "zero", "dynamics")
+
 MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
 
 
@@ -130,6 +132,15 @@ class IdentificationOptions:
         low, high = self.rated
         if not (_is_number(low) and _is_number(high) and -math.inf < low < high < math.inf):
             raise UsageError(f"`rated` {self.rated!r}: the lower end must be a number below the upper one")
+
+    def check_prior(self) -> None:
+        """Refuse what a prior already has (UsageError)."""
+        usual = {one.name: one.default for one in fields(self)}
+        for name in NOT_WITH_PRIOR:
+            if getattr(self, name) != usual[name]:
+                raise UsageError(
+                    f"`{name}` does not go with `prior`, whose shape is kept: leave one of them out"
+                )
 
     def _check_paper(self) -> None:
         """Refuse what the paper's method would have to ignore."""

@@ -15,9 +15,11 @@ from dbo_cli.hysteresis.identification.evaluation import (
     fit_warnings,
     log_warnings,
     loop_width_percent,
+    pooled,
     rated_warnings,
     residual_of,
     straight_line,
+    validated,
     validation_of,
 )
 from dbo_cli.hysteresis.identification.expectation import Expectation, expect
@@ -92,7 +94,7 @@ def identify_static(
     warnings = [
         *warned,
         *log_warnings(recordings, prepared),
-        *rated_warnings(prepared, options.rated),
+        *rated_warnings(prepared.low, prepared.high, options.rated),
         *fit_warnings(recordings, prepared, choice, residuals),
     ]
     if not clocked:
@@ -124,12 +126,6 @@ def identify_static(
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
     figures["warnings"] = list(warnings)
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
-
-
-def pooled(values: Sequence[float], residuals: Sequence[Residual]) -> float:
-    """Root of the mean square over all logs, weighted by their rows."""
-    weights = np.array([len(one.values) for one in residuals], dtype=float)
-    return float(np.sqrt(weights @ np.square(values) / weights.sum()))
 
 
 def _figures(
@@ -165,10 +161,7 @@ def _figures(
         "straight_line_rmse": line,
         "fastest_drive": fastest_drive(prepared.logs),
     }
-    if checks:
-        value = pooled([one.rmse for one in checks], checks)
-        figures["validation_rmse"] = value
-        figures["validation_percent"] = 100.0 * value / span
+    figures |= validated(checks, span, "")[0]
     figures |= {
         "samples": sum(len(one.values) for one in residuals),
         "gears": model.backlash.n,
@@ -199,10 +192,6 @@ def _figures(
             for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
         ],
     }
-    if checks:
-        figures["validation"] = [
-            {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
-        ]
     return figures
 
 
@@ -255,11 +244,7 @@ def _summary(
         f"out {figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
         f"straight line {figures['straight_line_rmse']:.4g}{unit}"
     ]
-    lines.extend(
-        f"{one.name}: predicts it to {one.rmse:.4g}{unit} RMSE ({100.0 * one.rmse / abs(prepared.scale):.2f} "
-        "% of range), offset removed"
-        for one in checks
-    )
+    lines.extend(validated(checks, abs(prepared.scale), unit)[1])
     if figures["expected_rmse"] is None:
         lines.append(f"what error to expect on new moves cannot be told: {figures['expected_from']}")
     else:

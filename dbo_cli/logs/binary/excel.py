@@ -17,6 +17,7 @@ from dbo_cli.logs.text.cells import is_number
 from dbo_cli.logs.text.text_table import TextTable
 
 _LOOKED_AT = 200  # rows that tell whether a sheet holds a table; instruments' headers are shorter
+# As fastexcel writes dates in its column of texts.
 _DATE = r"^\d{4}-\d\d-\d\d"
 _DAY_ZERO = r"^1899-12-3[01] "  # before a time of day without a date
 

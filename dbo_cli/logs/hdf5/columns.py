@@ -12,6 +12,7 @@ from dbo_cli.logs.column_table import NETCDF_FILL, ColumnSource, Fetch, number_i
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 
+# Names in use: NeXus, CF conventions and netCDF, LabVIEW, h5py recorders; MATLAB's own classes of numbers.
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")
 _NAME_ATTRIBUTES = ("columns", "column_names", "names", "channels", "channel_names", "labels", "fields")
 _UNUSED_FACTORS = ("gain", "factor", "multiplier", "sensitivity", "calibration", "conversion",

@@ -34,11 +34,11 @@ from dbo_cli.logs.output_files import is_running, partial_path, try_lock, writer
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
 
-MARK = "dbo_columns"
+MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
 _COPY_BYTES = 1 << 23  # at a time, so that an interrupt is heard
-CHUNK_ROWS = 1 << 16
+CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
 _PROBE = 2048  # bytes tried before a byte plane is squeezed
 _WORTH = 0.9  # squeezed only where the probe shrinks to less than this
 _STORED_MOST = 65535  # bytes in one stored block (RFC 1951, 3.2.4)

@@ -12,6 +12,7 @@ from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.reading_options import BLANKS
 from dbo_cli.logs.sample_block import is_overflow
 
+# Numbers with either decimal sign; d is Fortran's exponent.
 _POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
 NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})

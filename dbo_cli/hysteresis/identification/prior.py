@@ -1,0 +1,407 @@
+"""A model refreshed from a short log: gain, offset and lag are found again, the shape of the loop is kept.
+
+After a change of temperature, load or mounting the loop of an actuator is mostly scaled and shifted, and its
+electronics are a little later or earlier. Three numbers need seconds of a log where a shape needs minutes:
+displacement = g · prior(v, t − d) + o. Whether the shape has changed, too, shows in what is left over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.errors import FitError, UsageError
+from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned
+from dbo_cli.hysteresis.identification.drift import drift_order
+from dbo_cli.hysteresis.identification.evaluation import (
+    beyond_noise,
+    predict,
+    rated_warnings,
+    validated,
+    validation_of,
+)
+from dbo_cli.hysteresis.identification.options import IdentificationOptions
+from dbo_cli.hysteresis.identification.preparation import STARTS
+from dbo_cli.hysteresis.identification.recordings import (
+    FEWEST_ROWS,
+    Floats,
+    Recording,
+    drive_shape,
+    first_wiped_row,
+    median_cycle_seconds,
+    without_voltage_glitches,
+)
+from dbo_cli.hysteresis.identification.regressors import drift_columns
+from dbo_cli.hysteresis.identification.search import LONGEST_DELAY
+from dbo_cli.hysteresis.identification.static import Identification
+from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
+
+Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+BLOCKS = 5
+STUDENT = 2.776  # standard errors on either side: Student's t of as many blocks, 95 %
+TRIALS = 41  # delays tried within an eighth of a cycle to either side; parabolas refine the best
+CHANGED = 2.0
+"""Times the prior's expected error: a shape that leaves more, noise aside, has changed.
+
+Six invented actuators, logs of 10 s: the same shape with another gain, offset and lag left at most 1.0 times
+that error, noise and all; a loop a tenth wider 0.9 to 7 times, a quarter wider 1.8 to 18, another bend 4 to
+24.
+"""
+KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history, as in ``validation_of``
+KEPT = ("gears", "different_slopes", "points", "drive_bend", "slopes", "smoothness", "loop_width_percent",
+        "relaxation_seconds", "fastest_drive", "dynamics", "trusted_hz", "interpretation")  # fmt: skip
+"""What a prior's file says of its shape."""
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """What moved, with the half widths of 95 % intervals: gain, offset, and the change of the lag in s."""
+
+    gain: float
+    gain_error: float
+    offset: float
+    lag: float
+    lag_error: float
+
+
+@dataclass(frozen=True)
+class _Log:
+    """One log beside what the prior predicts without its delay; ``keep`` are the rows that count.
+
+    ``levels_apart`` is how far the history before the log can shift the prediction's mean.
+    """
+
+    name: str
+    seconds: Floats | None
+    predicted: Floats
+    measured: Floats
+    drift: Floats
+    keep: Booleans
+    levels_apart: float
+
+    def late(self, delay: float) -> Floats:
+        """Return the prediction ``delay`` seconds later, for the rows that count."""
+        if self.seconds is None or delay == 0.0:
+            return self.predicted[self.keep]
+        late: Floats = np.interp(self.seconds - delay, self.seconds, self.predicted)
+        return late[self.keep]
+
+    def shifted_by(self, seconds: float) -> float:
+        """Return how far a delay of ``seconds`` moves the prediction, RMS."""
+        return float(np.sqrt(np.mean((self.late(seconds) - self.late(0.0)) ** 2)))
+
+    def free_of_drift(self, values: Floats) -> Floats:
+        """Return values of the rows that count without offset and drift."""
+        columns = self.drift[self.keep]
+        free: Floats = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+        return free
+
+    def products(self, delay: float) -> Floats:
+        """Return the products of prediction and measurement, both free of drift; shape (BLOCKS, 2, 2)."""
+        table = np.column_stack(
+            [self.free_of_drift(one) for one in (self.late(delay), self.measured[self.keep])]
+        )
+        return np.array([part.T @ part for part in np.array_split(table, BLOCKS)])
+
+
+def refresh(
+    prior: ActuatorModel,
+    recordings: Sequence[Recording],
+    options: IdentificationOptions,
+    validation: Sequence[Recording] = (),
+) -> Identification:
+    """Return the prior with gain, offset and delay of recordings that were checked (see ``identify``).
+
+    Raises
+    ------
+    FitError
+        The prior's shape does not follow the recordings.
+    UsageError
+        Options that fix what the prior has, or a prior that needs a clock where there is none.
+    """
+    options.check_prior()
+    prior.require("forward", "the prior")
+    clocked = all(log.seconds() is not None for log in recordings)
+    if prior.needs_time and not clocked:
+        raise UsageError(
+            "`prior` has a lag, which needs a clock: name the time column (`time`) or give `sample_rate`"
+        )
+    cycle = median_cycle_seconds(recordings) if clocked else None
+    sensor = options.sensor or _sensor_of(prior.fit)
+    sensor.check(cycle)
+    recordings, notes = without_voltage_glitches([sensor.taken_off(log) for log in recordings])
+    mended = [cleaned(log) for log in recordings]
+    notes += [note for one in mended for note in one.notes]
+    bare = _with_delay(prior, 0.0)
+    logs = [_beside(bare, one.recording, one.bad, options.skip_seconds) for one in mended]
+    moved = _moved(logs, prior.delay_seconds, cycle)
+    if moved.gain <= 0.0:
+        raise FitError(
+            f"the displacement runs against the prior's (gain {moved.gain:.3g}): check `voltage` and "
+            "`displacement`"
+        )
+    delay = max(prior.delay_seconds + moved.lag, 0.0)
+    model = _with_delay(_scaled(bare, moved.gain, moved.offset), delay)
+    unit = f" {prior.output.unit}" if prior.output.unit else ""
+    covered = (
+        min(float(log.voltage.min()) for log in recordings),
+        max(float(log.voltage.max()) for log in recordings),
+    )
+    figures = _figures(prior, moved, logs, delay)
+    warnings = _check_shape(prior, logs, moved, unit, options.force)
+    warnings += _warnings(prior, logs, moved, unit)
+    warnings += rated_warnings(*covered, options.rated)
+    summary = notes + _summary(figures, moved, prior, clocked, covered)
+    checks = [validation_of(model, sensor.taken_off(log), options.skip_seconds) for log in validation]
+    found, lines = validated(checks, model.output.span, unit)
+    figures |= found
+    summary += lines
+    if sensor:
+        figures["sensor"] = {"delay": sensor.delay, "lag": sensor.lag}
+    figures["warnings"] = list(warnings)
+    return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+
+
+def _sensor_of(fit: Mapping[str, object]) -> Sensor:
+    """Return the sensor whose lag was taken off the prior's own logs."""
+    kept = fit.get("sensor")
+    return Sensor(float(kept["delay"]), float(kept["lag"])) if isinstance(kept, Mapping) else Sensor()
+
+
+def _beside(prior: ActuatorModel, log: Recording, bad: Booleans, skip_seconds: float) -> _Log:
+    """Return a log beside the prediction from the start that explains it best."""
+    seconds = log.seconds()
+    keep = ~bad
+    if seconds is not None:
+        keep &= seconds >= skip_seconds
+    wiped = first_wiped_row(log.voltage)
+    if wiped <= KNOWN_PAST * len(keep):
+        keep[:wiped] = False
+    if int(keep.sum()) < FEWEST_ROWS:
+        raise FitError(f"{log.name}: {int(keep.sum())} usable rows are too few: record longer, or skip less")
+    clock = np.arange(len(keep), dtype=float) if seconds is None else np.maximum.accumulate(seconds)
+    order = min(drift_order(drive_shape(log.voltage), seconds is not None, False), 1)
+    drift = drift_columns(clock, order)
+    found = []
+    for start in STARTS:
+        predicted = predict(prior, log, start)
+        one = _Log(
+            log.name, None if seconds is None else clock, predicted, log.displacement, drift, keep, 0.0
+        )
+        found.append((_gain_and_error(one.products(0.0).sum(axis=0))[1], one))
+    levels = [float(one.late(0.0).mean()) for _, one in found]
+    best = min(found, key=lambda pair: pair[0])[1]
+    return dataclasses.replace(best, levels_apart=max(levels) - min(levels))
+
+
+def _gain_and_error(products: Floats) -> tuple[float, float]:
+    """Return the gain of least squares and the sum of squares that it leaves."""
+    gain = float(products[0, 1] / products[0, 0])
+    return gain, max(float(products[1, 1] - gain * products[0, 1]), 0.0)
+
+
+def _products(logs: Sequence[_Log], delay: float) -> Floats:
+    """Return the products of all logs, block by block."""
+    together: Floats = np.sum([log.products(delay) for log in logs], axis=0)
+    return together
+
+
+def _interval(parts: Sequence[float]) -> float:
+    """Return the half width of the jackknife's 95 % interval, from fits without one block each."""
+    return STUDENT * float(np.sqrt(BLOCKS - 1.0) * np.std(parts))
+
+
+def _moved(logs: Sequence[_Log], held: float, cycle: float | None) -> _Moved:
+    """Return gain, offset and change of the lag from ``held`` (s); no change without a clock."""
+    lag, lag_error = (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY * cycle)
+    products = _products(logs, max(held + lag, 0.0))
+    total = products.sum(axis=0)
+    gain = _gain_and_error(total)[0]
+    gain_error = _interval([_gain_and_error(total - one)[0] for one in products])
+    first = logs[0]
+    offset = float(np.mean(first.measured[first.keep] - gain * first.late(max(held + lag, 0.0))))
+    return _Moved(gain, gain_error, offset, lag, lag_error)
+
+
+def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, float]:
+    """Return the change of the delay (s) that fits best, 0 where it scatters by as much, and its interval."""
+    trials = np.linspace(-longest, longest, TRIALS)
+    errors = [_gain_and_error(_products(logs, held + at).sum(axis=0))[1] for at in trials]
+    middle = float(trials[np.clip(int(np.argmin(errors)), 1, TRIALS - 2)])
+    step = 2.0 * longest / (TRIALS - 1)
+    parts: list[float] = []
+    for _ in range(3):  # parabolas over the neighbours, over a quarter of that and a sixteenth
+        around = np.array([_products(logs, held + middle + at) for at in (-step, 0.0, step)])
+        parts = [
+            step * _vertex([_gain_and_error(one.sum(axis=0) - one[k])[1] for one in around])
+            for k in range(BLOCKS)
+        ]
+        middle += step * _vertex([_gain_and_error(one.sum(axis=0))[1] for one in around])
+        step /= 4.0
+    error = _interval(parts)
+    return (middle if abs(middle) > error else 0.0), error
+
+
+def _vertex(errors: Sequence[float]) -> float:
+    """Return where the parabola through errors at -1, 0 and 1 is least, at most 1 away."""
+    before, at, after = errors
+    curvature = before - 2.0 * at + after
+    return float(np.clip((before - after) / (2.0 * curvature), -1.0, 1.0)) if curvature > 0.0 else 0.0
+
+
+def _scaled(model: ActuatorModel, gain: float, offset: float) -> ActuatorModel:
+    """Return a model whose displacement is ``gain`` times as large and shifted by ``offset``."""
+    stages = list(model.stages)
+    last = stages.index(model.backlash) + len(model.tail)
+    scale = stages[last]
+    if isinstance(scale, ScaleStage):
+        stages[last] = ScaleStage(gain * scale.gain, gain * scale.offset + offset)
+    else:
+        stages.insert(last + 1, ScaleStage(gain, offset))
+    ends = model.output
+    output = dataclasses.replace(
+        ends, minimum=gain * ends.minimum + offset, maximum=gain * ends.maximum + offset
+    )
+    return dataclasses.replace(model, stages=tuple(stages), output=output)
+
+
+def _with_delay(model: ActuatorModel, seconds: float) -> ActuatorModel:
+    """Return a model with this delay in the place of its own."""
+    stages = tuple(stage for stage in model.stages if not isinstance(stage, DelayStage))
+    return dataclasses.replace(model, stages=stages + ((DelayStage(seconds),) if seconds > 0.0 else ()))
+
+
+def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: float) -> dict[str, object]:
+    """Return what the prior's file says of its fit, brought up to date; what no longer holds is left out."""
+    span = moved.gain * prior.output.span
+    parts = [_left_over(log, moved.gain, delay) for log in logs]
+    rows = np.array([len(part) for part in parts], dtype=float)
+    errors = np.array([float(np.sqrt(np.mean(part**2))) for part in parts])
+    rmse = float(np.sqrt(rows @ errors**2 / rows.sum()))
+    figures = {key: value for key, value in prior.fit.items() if key in KEPT}
+    expected = _expected(prior, moved.gain)
+    if expected is not None:
+        expected = max(expected, rmse)  # no new move is followed better than this log
+        figures["expected_from"] = "the prior's expectation, or what is left on these logs where that is more"
+    figures |= {
+        "method": "prior",
+        "rmse": rmse,
+        "rmse_percent": 100.0 * rmse / span,
+        "expected_rmse": expected,
+        "expected_percent": None if expected is None else 100.0 * expected / span,
+        "samples": int(rows.sum()),
+        "delay_seconds": delay,
+        "delay_interval_seconds": None,
+        "prior": {
+            "gain": moved.gain,
+            "gain_interval": [moved.gain - moved.gain_error, moved.gain + moved.gain_error],
+            "offset": moved.offset,
+            "delay_seconds": delay - prior.delay_seconds,
+            "delay_interval_seconds": [moved.lag - moved.lag_error, moved.lag + moved.lag_error],
+            "rmse": prior.fit.get("rmse"),
+            "expected_rmse": prior.fit.get("expected_rmse"),
+        },
+        "logs": [
+            {"name": log.name, "samples": len(part), "rmse": float(error)}
+            for log, part, error in zip(logs, parts, errors, strict=True)
+        ],
+    }
+    return figures
+
+
+def _expected(prior: ActuatorModel, gain: float) -> float | None:
+    """Return the error that the prior states for new moves, in the refreshed displacement, or None."""
+    stated = prior.fit.get("expected_rmse")
+    return gain * stated if isinstance(stated, float) else None
+
+
+def _left_over(log: _Log, gain: float, delay: float) -> Floats:
+    """Return what gain, offset, lag and drift leave of a log's rows that count."""
+    return log.free_of_drift(log.measured[log.keep] - gain * log.late(delay))
+
+
+def _check_shape(
+    prior: ActuatorModel, logs: Sequence[_Log], moved: _Moved, unit: str, force: bool
+) -> list[str]:
+    """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced.
+
+    A lag below none, which no model has, takes part: it has a warning of its own.
+    """
+    expected = _expected(prior, moved.gain)
+    if expected is None:
+        return [
+            "the prior does not say what error to expect of it, so whether its shape has changed is not known"
+        ]
+    bound = CHANGED * expected
+    worst, why = 0.0, ""
+    for log in logs:
+        left = _left_over(log, moved.gain, prior.delay_seconds + moved.lag)
+        structure = float(np.sqrt(beyond_noise([left])))
+        if structure > max(bound, worst):
+            worst = structure
+            why = (
+                f"{log.name}: the shape has changed: with gain, offset and lag found again the prior leaves "
+                f"{structure:.4g}{unit} beside noise, where {expected:.4g}{unit} is its expected error; "
+                "identify again from a whole log, without `prior`"
+            )
+    if why and not force:
+        raise FitError(f"{why} (`force` keeps the shape)")
+    return [why] if why else []
+
+
+def _warnings(prior: ActuatorModel, logs: Sequence[_Log], moved: _Moved, unit: str) -> list[str]:
+    """Return what to be careful about: an unknown past or a lag below none that matter beside the rest."""
+    warnings = []
+    lag = prior.delay_seconds + moved.lag
+    rmse = float(np.sqrt(np.mean(np.concatenate([_left_over(log, moved.gain, lag) for log in logs]) ** 2)))
+    apart = moved.gain * max(log.levels_apart for log in logs)
+    if apart > rmse:
+        warnings.append(
+            f"what was before the logs can shift the offset by {apart:.3g}{unit}: begin with a sweep over "
+            "the whole range"
+        )
+    if lag < 0.0 and moved.gain * max(log.shifted_by(lag) for log in logs) > rmse:
+        warnings.append(
+            f"the displacement comes {-1e3 * lag:.3g} ms earlier than the prior's without any delay: its "
+            "other lag is too long now; identify again without `prior`"
+        )
+    return warnings
+
+
+def _summary(
+    figures: Mapping[str, Any],
+    moved: _Moved,
+    prior: ActuatorModel,
+    clocked: bool,
+    covered: tuple[float, float],
+) -> list[str]:
+    """Return lines for the person at the terminal."""
+    unit = f" {prior.output.unit}" if prior.output.unit else ""
+    lag = "no clock, so the lag is the prior's"
+    if clocked:
+        change, within = 1e3 * figures["prior"]["delay_seconds"], 1e3 * moved.lag_error
+        lag = (
+            f"lag {change:+.3g} ms (within {within:.2g})"
+            if change
+            else f"lag as it was (within {within:.2g} ms)"
+        )
+    drive = f" {prior.input.unit}" if prior.input.unit else ""
+    ends = prior.input.minimum, prior.input.maximum
+    lines = [
+        f"the prior's shape was kept; moved: gain {moved.gain:.4g} times the prior's (within "
+        f"{moved.gain_error:.2g}), offset {moved.offset:+.4g}{unit}, {lag}",
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range) on "
+        f"{figures['samples']:,} rows from {covered[0]:g} to {covered[1]:g}{drive}; the prior covers "
+        f"{ends[0]:g} to {ends[1]:g}{drive}",
+    ]
+    if figures["expected_rmse"] is not None:
+        lines.append(
+            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+            f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
+        )
+    return lines
