@@ -99,6 +99,9 @@ class Source:
         """Return the samples in blocks, by role."""
         raise NotImplementedError
 
+    def close(self) -> None:
+        """Close the file, where there is one."""
+
 
 def remarks_of(source: Source) -> Remarks:
     """Return what is to be said of a source that was read."""
@@ -169,6 +172,11 @@ def is_file(data: object) -> bool:
     return isinstance(data, str | os.PathLike)
 
 
+def is_log(data: object) -> bool:
+    """Tell whether something is a log, a table or a file's name, and no array."""
+    return is_file(data) or is_table(data)
+
+
 class ArraySource(Source):
     """Arrays as a source: one block.
 
@@ -182,6 +190,8 @@ class ArraySource(Source):
         Samples a second (Hz) where ``time`` is not given.
     columns : mapping, optional
         What is known of each role's column.
+    units : mapping, optional
+        The unit of each role's signal, where that is all that is known.
     name : str
         How messages call the arrays.
     rows : (first, last)
@@ -203,6 +213,7 @@ class ArraySource(Source):
         columns: Mapping[str, ColumnInfo] | None = None,
         name: str = "the arrays",
         rows: Rows = ALL_ROWS,
+        units: Mapping[str, str | None] = {},
     ) -> None:
         if time is not None and sample_rate is not None:
             raise UsageError("`time` and `sample_rate` exclude each other: give the one or the other")
@@ -215,7 +226,10 @@ class ArraySource(Source):
         for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
             if signal.size != count:
                 raise InputError(f"`{role}` has {signal.size} samples where `{first}` has {count}")
-        columns = columns or {role: column_info(role, n + 1) for n, role in enumerate(values)}
+        columns = columns or {
+            role: dataclasses.replace(column_info(role, n), unit=units.get(role))
+            for n, role in enumerate(values, start=1)
+        }
         has_time = self.time is not None or self.sample_rate is not None
         super().__init__(name, columns, has_time, self.sample_rate, self.sample_rate)
 

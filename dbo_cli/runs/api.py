@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import ArraySource, is_file, is_table, table_source
+from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.model import Model, read_model, require_known
 from dbo_cli.runs.roles import recording_wishes, short_names
@@ -156,12 +156,10 @@ def identify(
     require_known(IdentificationOptions, options, "is no parameter of identify")
     asked = IdentificationOptions(**options)
     kept = None if prior is None else _model(prior).actuator
-    if displacement is not None:
-        units = {"voltage": voltage_unit, "displacement": displacement_unit}
-        logs = [_recorded_arrays(log, displacement, time, sample_rate, units, kept)]
-    else:
-        logs = [_recorded(one, time, sample_rate, kept) for one in _listed(log)]
-    checks = [_recorded(one, time, sample_rate, kept) for one in _listed(validate)]
+    units = {"voltage": voltage_unit, "displacement": displacement_unit}
+    given = [(log, displacement)] if displacement is not None else [(one,) for one in _listed(log)]
+    logs = [_recorded(one, time, sample_rate, kept, units) for one in given]
+    checks = [_recorded((one,), time, sample_rate, kept) for one in _listed(validate)]
     named = {"prior": os.path.basename(prior)} if isinstance(prior, str | os.PathLike) else {}
     arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked) | named)
     found = identify_recordings(logs, asked, checks, arguments, kept)
@@ -234,11 +232,47 @@ def report(
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
     options["sample_rate"] = sample_rate
     reading = _reading(time if isinstance(time, str) else None, options.pop("rows", None), options)
-    if logs:
-        _add_logs(tracking, logs, asked, reading, time, name)
-    else:
-        _add_arrays(tracking, (wanted, measured, voltage), asked, reading, time, unit, name)
+    arrays: dict[str, Any] = {}
+    if not logs:
+        arrays = {"desired" if predicting is None else "voltage": wanted, "measured": measured}
+        arrays |= {} if voltage is None or predicting is not None else {"voltage": voltage}
+    _compare(tracking, logs, arrays, asked, reading, time, unit, name)
     return tracking.result()
+
+
+def _compare(
+    tracking: TrackingRun,
+    logs: Sequence[Any],
+    arrays: dict[str, Any],
+    asked: TrackingOptions,
+    reading: ReadingOptions,
+    time: Any,
+    unit: str | None,
+    name: str,
+) -> None:
+    """Compare tables and files, or arrays by role where there are none of these."""
+    from dbo_cli.runs.reporting import add_file, rows_to_score
+
+    if not logs and arrays["measured"] is None:
+        raise InputError(
+            "what was measured is missing: give two arrays, or a table or file with both columns"
+        )
+    with_model, rate = tracking.model is not None, reading.sample_rate
+    own, score = rows_to_score(reading, asked.lag, from_first=with_model)
+    sweep = asked.count_sweep or reading.rows != ALL_ROWS
+    files = {number: parse_address(one) for number, one in enumerate(logs, 1) if is_file(one)}
+    names = short_names(list(files.values()))
+    for number, one in enumerate(logs or [arrays], 1):
+        if number in files:
+            add_file(tracking, files[number], reading, asked, names.get(files[number]))
+            continue
+        if logs:
+            source = table_source(one, asked.wishes(with_model), time, rate, own.rows)
+        else:
+            units = {"desired": unit, "measured": unit}
+            source = ArraySource(one, time, rate, rows=own.rows, units=units)
+        called = name if len(logs) < 2 else f"{name} {number}"
+        tracking.add(source, called, score_rows=score, count_sweep=sweep)
 
 
 def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any) -> TrackingOptions:
@@ -251,63 +285,7 @@ def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any
         if not logs or not all(map(is_file, logs)):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
         asked["trajectory"] = parse_address(asked["trajectory"])
-    asked |= {"lag": _lag(asked.get("lag", 0)), "segment": _segment(asked.get("segment"))}
     return TrackingOptions(**asked | {"voltage": voltage if logs else None})
-
-
-def _add_logs(
-    tracking: TrackingRun,
-    logs: Sequence[Any],
-    options: TrackingOptions,
-    reading: ReadingOptions,
-    time: Any,
-    name: str,
-) -> None:
-    """Compare tables and files."""
-    from dbo_cli.runs.reporting import add_file, rows_to_score
-
-    with_model = tracking.model is not None
-    own, score = rows_to_score(reading, options.lag, from_first=with_model)
-    files = {number: parse_address(one) for number, one in enumerate(logs, 1) if is_file(one)}
-    names = short_names(list(files.values()))
-    for number, one in enumerate(logs, 1):
-        if number in files:
-            add_file(tracking, files[number], reading, options, names.get(files[number]))
-            continue
-        table = table_source(one, options.wishes(with_model), time, reading.sample_rate, own.rows)
-        sweep = options.count_sweep or reading.rows != ALL_ROWS
-        called = name if len(logs) == 1 else f"{name} {number}"
-        tracking.add(table, called, score_rows=score, count_sweep=sweep)
-
-
-def _add_arrays(
-    tracking: TrackingRun,
-    signals: tuple[Any, Any, Any],
-    options: TrackingOptions,
-    reading: ReadingOptions,
-    time: Any,
-    unit: str | None,
-    name: str,
-) -> None:
-    """Compare arrays: what was wanted (with a model: the drive), what was measured, perhaps the drive."""
-    from dbo_cli.runs.reporting import rows_to_score
-
-    wanted, measured, voltage = signals
-    if measured is None:
-        raise InputError(
-            "what was measured is missing: give two arrays, or a table or file with both columns"
-        )
-    values = {"desired" if tracking.model is None else "voltage": wanted, "measured": measured}
-    if voltage is not None and tracking.model is None:
-        values["voltage"] = voltage
-    own, score = rows_to_score(reading, options.lag, from_first=tracking.model is not None)
-    source = ArraySource(values, time, reading.sample_rate, rows=own.rows)
-    source.columns = {
-        role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
-        for role, column in source.columns.items()
-    }
-    sweep = options.count_sweep or reading.rows != ALL_ROWS
-    tracking.add(source, name, score_rows=score, count_sweep=sweep)
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:
@@ -321,14 +299,13 @@ def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> Rea
 
 def _logs(given: Any) -> list[Any]:
     """Return the tables and files that were given, one or a list of them; none of anything else."""
-    if is_file(given) or is_table(given):
+    if is_log(given):
         return [given]
-    several = isinstance(given, list | tuple) and all(is_file(one) or is_table(one) for one in given)
-    return list(given) if several else []
+    return list(given) if isinstance(given, list | tuple) and all(map(is_log, given)) else []
 
 
 def _listed(logs: Any) -> Sequence[Any]:
-    return [logs] if is_file(logs) or is_table(logs) else list(logs)
+    return [logs] if is_log(logs) else list(logs)
 
 
 def _names(logs: Sequence[RecordedLog]) -> list[str]:
@@ -336,39 +313,32 @@ def _names(logs: Sequence[RecordedLog]) -> list[str]:
 
 
 def _recorded(
-    log: Any, time: Any, sample_rate: float | None, prior: ActuatorModel | None = None
+    signals: Sequence[Any],
+    time: Any,
+    sample_rate: float | None,
+    prior: ActuatorModel | None,
+    units: Mapping[str, str | None] = {},
 ) -> RecordedLog:
-    """Return one log, a table or a file, ready to be identified from, in the units of a prior."""
+    """Return a table, a file, or voltage and displacement, ready to be identified from (see ``prior``)."""
     from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, read_recordings, recording_of
 
-    if is_file(log):
+    log = signals[0]
+    if len(signals) > 1:
+        arrays = {"voltage": log, "displacement": signals[1]}
+        source = ArraySource(arrays, time, sample_rate, units=units)
+    elif is_file(log):
         options = ReadingOptions(time=time, sample_rate=sample_rate)
         return read_recordings([parse_address(log)], [], options, prior=prior)[0][0]
-    if not is_table(log):
+    elif is_table(log):
+        source = table_source(log, recording_wishes(None, None), time, sample_rate)
+    else:
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
-    source = table_source(log, recording_wishes(None, None), time, sample_rate)
     bring_to_prior(source, prior)
-    record = log.attrs.get("provenance") or _record(source)
-    remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
+    record, remarks = _record(source), Remarks(list(source.notes))
+    if len(signals) == 1:  # what ``read_log`` left in the table
+        record = log.attrs.get("provenance") or record
+        remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
     return RecordedLog(recording_of(source, record["name"]), record, remarks)
-
-
-def _recorded_arrays(
-    voltage: ArrayLike,
-    displacement: ArrayLike,
-    time: ArrayLike | None,
-    sample_rate: float | None,
-    units: dict[str, str | None],
-    prior: ActuatorModel | None,
-) -> RecordedLog:
-    from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, recording_of
-
-    source = ArraySource({"voltage": voltage, "displacement": displacement}, time, sample_rate)
-    source.columns = {
-        role: dataclasses.replace(column, unit=units[role]) for role, column in source.columns.items()
-    }
-    bring_to_prior(source, prior)
-    return RecordedLog(recording_of(source, "arrays"), _record(source), Remarks(list(source.notes)))
 
 
 def _record(source: ArraySource) -> dict[str, Any]:
@@ -378,17 +348,3 @@ def _record(source: ArraySource) -> dict[str, Any]:
         digest.update(values.astype("<f8").tobytes())
     count = next(iter(source.values.values())).size
     return {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}
-
-
-def _lag(lag: int | str) -> Any:
-    if lag == "auto" or (isinstance(lag, int) and not isinstance(lag, bool)):
-        return lag
-    raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
-
-
-def _segment(segment: float | str | None) -> Any:
-    if segment is None or segment == "cycles":
-        return segment
-    if isinstance(segment, int | float) and 0.0 < segment < float("inf"):
-        return float(segment)
-    raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")

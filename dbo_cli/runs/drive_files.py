@@ -19,8 +19,7 @@ from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.files import Destination, check_order, opened, shown_name, write_response
-from dbo_cli.runs.roles import bring_to, quantity_wish, tracked_of, tracked_wishes
-from dbo_cli.runs.starts import start_of
+from dbo_cli.runs.roles import bring_to, quantity_wish, start_of, tracked_of, tracked_wishes
 
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Tracked

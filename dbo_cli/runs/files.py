@@ -36,8 +36,7 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks, plain
-from dbo_cli.runs.roles import bring_to, quantity_wish
-from dbo_cli.runs.starts import start_of
+from dbo_cli.runs.roles import bring_to, quantity_wish, start_of
 
 
 class Destination(NamedTuple):

@@ -66,10 +66,20 @@ class TrackingOptions:
     match: Match = "auto"
     count_sweep: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse a lag or a segment that is none (UsageError)."""
+        lag, segment = self.lag, self.segment
+        if lag != "auto" and (not isinstance(lag, int) or isinstance(lag, bool)):
+            raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
+        if segment not in (None, "cycles"):
+            if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
+                raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")
+
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
         labels = ("model" if with_model else "desired", "measured")
-        return ReportOptions(self.lag, self.remove_offset, self.segment, labels)
+        segment = float(self.segment) if isinstance(self.segment, int) else self.segment
+        return ReportOptions(self.lag, self.remove_offset, segment, labels)
 
     def wishes(self, with_model: bool) -> dict[str, ColumnWish]:
         """Return the columns to be read of a log, as named or to be guessed."""
