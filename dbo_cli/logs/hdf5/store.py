@@ -50,9 +50,7 @@ _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and close
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
 _COPY_BYTES = 1 << 23  # at a time, so that an interrupt is heard
 CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
-MATRIX_ROWS = (
-    1 << 14
-)  # of one channel in a chunk: 128 kB, so that channels are written and read alone
+MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
 _PROBE = 2048  # bytes tried before a byte plane is squeezed
 _WORTH = 0.9  # squeezed only where the probe shrinks to less than this
 _STORED_MOST = 65535  # bytes in one stored block (RFC 1951, 3.2.4)
