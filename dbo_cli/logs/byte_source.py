@@ -231,7 +231,7 @@ class ByteSource:
         return found if found is not None and stat.S_ISREG(found.st_mode) else None
 
     def _patiently(self, size: int) -> bytes:
-        """Read a full block from a pipe in pieces: Python hears an interrupt only between them."""
+        """Read a full block from a pipe in pieces: an interrupt is served between them."""
         pieces = []
         while size > 0:
             piece = self._stream.read1(min(size, _PIPE_BYTES))  # type: ignore[attr-defined]
@@ -242,7 +242,7 @@ class ByteSource:
         return b"".join(pieces)
 
     def unfinished(self) -> str | None:
-        """Say why a last line without its end must be taken for a cut record; None where it need not be."""
+        """Return why a last line without its end must be taken for a cut record; None where it need not."""
         if self.is_compressed:
             return "in compressed data"
         now = self._now()

@@ -336,7 +336,7 @@ def _scales_by_role(
 
 
 class InputRecord(TypedDict):
-    """What a model says about one of its inputs; ``joined`` are the other files that columns came from."""
+    """What a model keeps of one of its inputs; ``joined`` are the other files that columns came from."""
 
     name: str
     sha256: str

@@ -138,7 +138,7 @@ def signal_writer(
     Raises
     ------
     UsageError
-        The output is an input, HDF5 is to go down a pipe, or the name says another format.
+        The output is an input, HDF5 is to go down a pipe, or the name is that of another format.
     OutputError
         It cannot be written.
     """

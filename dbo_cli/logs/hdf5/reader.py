@@ -131,7 +131,7 @@ def _by_path(
 
 
 def _nearest_clock(node: Any) -> list[Statement]:
-    """Read what is said of the sample rate next to the columns, else further out."""
+    """Read the statements of the sample rate next to the columns, else further out."""
     level = node.parent if is_dataset(node) else node
     while True:
         found = [*statements_of(level), *scalar_statements(level)]
@@ -179,7 +179,7 @@ def columns_in(group: Any) -> list[ColumnSource]:
 def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
     """Find the groups that hold columns, at the shallowest level below ``group`` that has any.
 
-    Where NeXus says which group is meant (``default``, or a single NXdata), that is the only one.
+    Where NeXus names the group that is meant (``default``, or a single NXdata), that is the only one.
     """
     chosen = _default_data(group)
     if chosen is not None:
@@ -399,7 +399,7 @@ def _index(axis: Any) -> list[ColumnSource]:
 
 
 def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
-    """Keep an index that says something: a name, stamps of time, fractions; not pandas' own row numbers."""
+    """Keep an index that means something: a name, stamps of time, fractions; not pandas' own row numbers."""
     stamped = _from_stamps(source, kind)
     if stamped is not None:
         return [replace(stamped, label=source.label or "time")]

@@ -48,7 +48,7 @@ from dbo_cli.logs.whole_output import replacing
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
-_COPY_BYTES = 1 << 23  # at a time, so that an interrupt is heard
+_COPY_BYTES = 1 << 23  # at a time; an interrupt is served in between
 CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
 MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
 _PROBE = 2048  # bytes tried before a byte plane is squeezed
@@ -254,7 +254,7 @@ def _is_being_added_to(path: str) -> bool:
 
 
 def _copy(source: str, copy: str) -> None:
-    """Copy a file in pieces, between which an interrupt is heard."""
+    """Copy a file in pieces, between which an interrupt is served."""
     with open(source, "rb", buffering=0) as old, open(copy, "wb", buffering=0) as new:
         while piece := old.read(_COPY_BYTES):
             view = memoryview(piece)
@@ -274,7 +274,7 @@ class Hdf5Writer:
     columns
         One dataset each, named by its header, with the attributes ``units`` and ``quantity``.
     attributes
-        What the group says about itself (``sample_rate``, ``model_sha256``, ``command``).
+        What the group states of itself (``sample_rate``, ``model_sha256``, ``command``).
     """
 
     def __init__(
@@ -324,7 +324,7 @@ class Hdf5Writer:
         try:
             self._file.close()
         except (OSError, RuntimeError, ValueError):
-            pass  # the error that led here is the one to be told
+            pass  # the error that led here is the one to be shown
 
     def _store(self, chunk: int, last: bool = False) -> None:
         """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""
