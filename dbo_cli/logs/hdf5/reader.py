@@ -285,7 +285,9 @@ def _logged_columns(group: Any) -> list[ColumnSource]:
         if time is not None:
             stamps = columns_of(held[time], f"{own}/{time}")
             unit = stamps[0].unit if stamps else None
-            clocks += [_in_seconds(child, replace(one, unit=unit or _nexus_seconds(child))) for one in stamps]
+            if child.get("EPOCH") is not None:  # Bluesky's writer documents its times in seconds
+                unit = unit or "s"
+            clocks += [_in_seconds(child, replace(one, unit=unit)) for one in stamps]
     if not values or max(source.length for source in values) < 2:
         return []
     return (_one_clock(clocks) if len(clocks) == len(values) else clocks) + values
@@ -295,11 +297,6 @@ def _beside(held: dict[str, Any], length: int) -> bool:
     """Tell whether a group holds other columns beside one signal and its stamps: then it is a table."""
     known = (*_VALUES, *_TIMES, *_BESIDE)
     return any(name not in known and node.shape[0] == length for name, node in held.items())
-
-
-def _nexus_seconds(child: Any) -> str | None:
-    """Bluesky's NeXus writer documents its times in seconds, and its file says who wrote it."""
-    return "s" if child.get("EPOCH") is not None else None
 
 
 def _one_clock(clocks: list[ColumnSource]) -> list[ColumnSource]:
