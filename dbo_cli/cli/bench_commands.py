@@ -67,10 +67,7 @@ def trajectory(given: Given) -> None:
     """Write a move to be followed: raster, spiral, staircase, sine or triangle.
 
     It starts and stops softly, and its turns and steps are rounded to --bandwidth or to what --model can be
-    trusted to; what the model does not reach is refused. Columns are time and displacement, or time, x and y:
-    dbo compensate --displacement x_um takes one of them.
-
-    Example: dbo trajectory raster --rate 10000 --range 2:10 --lines 64 --frequency 5 --model m.json -o s.csv
+    trusted to; what the model does not reach is refused.
     """
     from dbo_cli.drives.shapes import TrajectoryOptions
     from dbo_cli.runs.trajectories import write_trajectory
@@ -84,8 +81,6 @@ def waveform(given: Given) -> None:
 
     What is written is read back and passes the gate that the drive passed. One line says what to set:
     points, rate, amplitude, offset, repetitions, and by how much rounding moves the drive.
-
-    Example: dbo waveform drive.csv --to keysight-arb --gain 20 --v-min 0 --v-max 100 -o drive.arb
     """
     from dbo_cli.runs.waveform_files import WaveformOptions, write_waveform
 
