@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any, NamedTuple
 
-from dbo_cli.drives.compensation import Compensation, DriveFigures
+from dbo_cli.drives.compensation import Compensation
+from dbo_cli.drives.gate import DriveFigures
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
