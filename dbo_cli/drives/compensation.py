@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from dbo_cli.drives.inputs import first_blocks
 from dbo_cli.drives.learning import Lesson
 from dbo_cli.drives.model_run import ModelRun, Response, Tally
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.pieces import ramp, require_rows, rest_samples, sweep, way
+from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
@@ -34,28 +33,6 @@ from dbo_cli.remarks import Remarks
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 SAME_DRIVE = 1e-9  # of the range: a state and what the amplifier is said to stand at agree
-
-
-class Before(NamedTuple):
-    """The rows before a trajectory.
-
-    Attributes
-    ----------
-    voltage, expected : array
-        Played as they are, and the displacement that the model expects of them.
-    wanted : array
-        Displacements that the inverse follows, up to the trajectory's first value.
-    state : ModelState, or None
-        After the voltages; None where the run finds its start itself.
-    """
-
-    voltage: FloatArray
-    expected: FloatArray
-    wanted: FloatArray
-    state: ModelState | None
-
-
-NOTHING = np.zeros(0)
 
 
 @dataclass
