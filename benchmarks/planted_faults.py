@@ -296,7 +296,7 @@ FAULTS: list[Fault] = [
         ("logs_values",),
         ("return None if name == _INDEX and kind.is_integer() else source", "return source",
          "row numbers of pandas are no column"),
-        ('label = "time" if name == _INDEX else name', "label = name", "stamps of pandas are the time"),
+        ('label="time" if name == _INDEX else name', "label=name", "stamps of pandas are the time"),
     ),
     *_faults(
         "logs/column_table.py",

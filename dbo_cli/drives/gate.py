@@ -68,26 +68,25 @@ class DriveGate:
             bad[: _inwards(drive, last, limits)] = False
         step = limits.largest_step(time_step)
         if step is not None:
-            before = self._before(drive)
-            digits = ROUNDING * np.maximum(np.abs(drive), np.abs(before))
-            bad |= ~(np.abs(drive - before) <= step + digits)
+            before = _before(drive, last)
+            change = drive - before
+            np.abs(change, out=change)
+            if not (change <= step).all():  # else the last digits need no look
+                digits = ROUNDING * np.maximum(np.abs(drive), np.abs(before))
+                bad |= ~(change <= step + digits)
         if drive.size:
             self.last = float(drive[-1])
         return bad
 
     def violation(self, drive: Floats, time_step: float | Floats | None = None) -> Violation | None:
         """Return the first row that breaks a limit, or None; see ``broken``."""
-        before = self._before(drive)
+        last = self.last
         bad = self.broken(drive, time_step)
         if not bad.any():
             return None
+        before = _before(drive, last)
         row = int(np.argmax(bad))
         return Violation(row, float(drive[row]), self.reason(float(drive[row]), float(before[row])))
-
-    def _before(self, drive: Floats) -> Floats:
-        """Return the row before each."""
-        first = drive[:1] if self.last is None else np.array([self.last])
-        return np.concatenate([first, drive[:-1]])
 
     def reason(self, drive: float, before: float) -> str:
         """Say why a row behind another one breaks a limit."""
@@ -139,6 +138,11 @@ class DriveGate:
                 f"the drive comes from {last:.6g}, and {limits.max_slew:g} per second does not bring it to "
                 f"{aim}, in one row (`approach` SECONDS ramps there)"
             )
+
+
+def _before(drive: Floats, last: float | None) -> Floats:
+    """Return the row before each, ``last`` before the first one."""
+    return np.concatenate([drive[:1] if last is None else [last], drive[:-1]])
 
 
 def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:

@@ -106,9 +106,7 @@ class _Hashing(io.RawIOBase):
         return True
 
     def readinto(self, buffer: Any) -> int:
-        data = (
-            self._inner.read1(len(buffer)) if hasattr(self._inner, "read1") else self._inner.read(len(buffer))
-        )
+        data: bytes = self._inner.read1(len(buffer))  # type: ignore[attr-defined]
         buffer[: len(data)] = data
         self._digest.update(data)
         return len(data)

@@ -134,6 +134,23 @@ class ColumnSource:
         return values + self.offset if self.offset != 0.0 else values
 
 
+def from_first_row(source: ColumnSource, unit: str) -> ColumnSource:
+    """Turn dates (and durations) that are stored as counts of a unit into seconds from the first row on.
+
+    As numbers since 1970 they would leave no digits for microseconds.
+    """
+    per_second = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}[unit]
+    first: list[int] = []
+
+    def fetch(start: int, stop: int) -> Any:
+        if not first:
+            first.append(int(np.asarray(source.fetch(0, 1))[0]))
+        counts = np.asarray(source.fetch(start, stop))
+        return (counts.astype(np.int64) if counts.dtype.kind in "iu" else counts) - first[0]
+
+    return replace(source, fetch=lambda start, stop: fetch(start, stop) / per_second, unit="s")
+
+
 def array_source(label: str, values: Any, unit: str | None = None) -> ColumnSource:
     """Make a column of an array in memory."""
     return ColumnSource(label, len(values), lambda start, stop: values[start:stop], unit)
@@ -303,12 +320,13 @@ class ColumnTable(Table):
             block = self._block(list(picks), sources, start, min(end, start + options.block_rows))
             good = np.logical_and.reduce([are_measured(array) for array in block.values.values()])
             if not good.all():
-                bad = np.logical_or.reduce([_bad(block.values[role], pick) for role, pick in picks.items()])
-                if bad.any():
-                    message = self._complaint(picks, block, int(np.flatnonzero(bad)[0]))
+                bad = np.array([_bad(block.values[role], pick) for role, pick in picks.items()])
+                rows = np.flatnonzero(bad.any(axis=0))
+                if len(rows):
+                    message = self._complaint(picks, block, int(rows[0]), int(np.argmax(bad[:, rows[0]])))
                     if not options.skip_bad:
                         raise InputError(f"{message} {SKIP_REMEDY}")
-                    dropped, first = dropped + int(bad.sum()), first or message
+                    dropped, first = dropped + len(rows), first or message
                 kept = {role: array[good] for role, array in block.values.items()}
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
             yield block
@@ -332,13 +350,10 @@ class ColumnTable(Table):
             raise InputError(f"{self.place}: the columns are of unequal length: {listed}")
         return lengths[0]
 
-    def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int) -> str:
-        for role, pick in picks.items():
-            array = block.values[role]
-            if _bad(array[index : index + 1], pick)[0]:
-                value = repr(str(float(array[index])))
-                return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
-        raise AssertionError("a row without a bad value was complained about")
+    def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int, column: int) -> str:
+        role, pick = list(picks.items())[column]
+        value = repr(str(float(block.values[role][index])))
+        return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
 
 
 def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:

@@ -36,6 +36,9 @@ _CHANNEL = re.compile(
     r"[ _.#-]?[a-z]?\d{0,3}",
     re.IGNORECASE,
 )
+_READINGS = frozenset(("monitor", "mon", "readback", "actual", "meas", "ist", "istwert", "laser", "read"))
+"""Words that say that a column was measured, on which scale nobody knows."""
+_CARD = re.compile(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
 _REMARKS = frozenset(
     ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
      "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average")
@@ -208,7 +211,8 @@ def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list
 def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
     """Find the columns that a wish may mean: by name, by word, by letter, or by a lesser name and the unit.
 
-    What is found by less than a whole name has to stand alone: beside it, whatever has a unit of the kind
+    What is found by less than a whole name, or by a letter beside other axes' letters, has to stand alone:
+    beside it, whatever has a unit of the kind
     that is looked for may be meant as well, and so may a name that is only misspelled. Where the only column
     of a name is in a unit that cannot be meant, no lesser name is taken in its place.
     """
@@ -217,10 +221,11 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
     found = preferred or guess_columns(fitting, wish.guesses)
     whole = [column for column in found if column.quantity.lower() in wish.guesses]
     sure = bool(found) and all(_is_sure(column, wish) for column in found)
-    if preferred or not wish.channel_kinds or (sure and len(whole) == len(found)):
-        return found
     measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
     letters = [column for column in fitting if column.quantity.lower() in wish.letters]
+    axes = any(len(one.quantity) == 1 for one in found) and any(one in measuring for one in letters)
+    if preferred or not wish.channel_kinds or (sure and len(whole) == len(found) and not axes):
+        return found
     if sure:
         meant = {*found, *_misspelled(fitting, wish), *(set(letters) & set(measuring))}
         return [column for column in fitting if column in meant]
@@ -331,6 +336,7 @@ def choose_columns(
     want: Mapping[str, ColumnWish],
     taken: Sequence[ColumnInfo] = (),
     timed: bool = True,
+    notes: list[str] | None = None,
 ) -> dict[str, ColumnInfo]:
     """Give every wished role its column.
 
@@ -346,6 +352,8 @@ def choose_columns(
         Columns that are not to be guessed (the time column).
     timed
         Whether the samples' time is known; else the remedy names a time column, too.
+    notes
+        Takes what is to be said of columns that were taken for their unit or place alone.
 
     Raises
     ------
@@ -366,6 +374,12 @@ def choose_columns(
         found = matching_columns(free, wish)
         if not found and len(want) == 1 and len(free) == 1 and wish.required:  # the only one left is meant
             found = [one for one in free if may_be(one, wish) and one.quantity.lower() not in wish.foreign]
+        if not found and wish.required and notes is not None and role in ("voltage", "displacement"):
+            found, why = _only_one(free, columns, wish)
+            notes.extend(
+                f"{place}: '{one.name}' is taken for the {role}: {why} (`{wish.option}` names another)"
+                for one in found
+            )
         if len(found) == 1:
             chosen[role] = found[0]
             free = [column for column in free if column.number != found[0].number]
@@ -375,6 +389,28 @@ def choose_columns(
         raise InputError(_not_unique(place, columns, want, missing, [one.number for one in free], timed))
     wished = {role: wish for role, wish in want.items() if role in chosen}
     return {role: replace(chosen[role], may_be_blank=wish.may_be_blank) for role, wish in wished.items()}
+
+
+def _only_one(
+    free: Sequence[ColumnInfo], columns: Sequence[ColumnInfo], wish: ColumnWish
+) -> tuple[list[ColumnInfo], str]:
+    """Find a column that no name gives away: the only one in a unit of the kind, or a card's only channel.
+
+    Not beside a column of the right name whose unit cannot be meant, nor one whose name says something else;
+    a monitor has a scale of its own. Of a data acquisition card, ao drives and ai measures (no trajectory).
+    """
+    if guess_columns(columns, wish.guesses):
+        return [], ""
+    told = wish.foreign | _BESIDES | _READINGS
+    measuring = [one for one in free if may_be(one, wish) and kind_of_unit(one.unit) in wish.channel_kinds]
+    if len(measuring) == 1 and not told & set(_words(measuring[0].quantity)):
+        return measuring, f"no other column is in a unit of {kind_of_unit(measuring[0].unit)}"
+    own = "ao" if "voltage" in wish.channel_kinds else "ai"
+    card = {one.number: _CARD.search(one.quantity.strip()) for one in columns if one.unit is None}
+    found = [one for one in free if (match := card.get(one.number)) is not None and match[1].lower() == own]
+    outputs = [match for match in card.values() if match is not None and match[1].lower() == "ao"]
+    only = len(found) == 1 and len(outputs) == 1 and not measuring and not wish.preferred
+    return (found, f"the only analog {'output' if own == 'ao' else 'input'}") if only else ([], "")
 
 
 def _not_unique(

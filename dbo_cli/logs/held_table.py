@@ -10,12 +10,10 @@ import dataclasses
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
-from dbo_cli.logs.sample_block import ColumnInfo, Places, SampleBlock, Table
+from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table
 from dbo_cli.logs.time_column import FoundTime
 
 
@@ -67,13 +65,10 @@ class HeldTable(Table):
 
     def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Return the rows asked for as one block; none of them is bad."""
-        start, end = self.rows
-        first = _before(self.block.rows, start)
-        last = len(self.block) if end is None else _before(self.block.rows, end + 1)
-        if first >= last:
-            return
         values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
-        yield dataclasses.replace(self.block, values=values).part(first, last)
+        block = dataclasses.replace(self.block, values=values).within(self.rows)
+        if len(block):
+            yield block
 
     @property
     def sha256(self) -> str | None:
@@ -91,10 +86,3 @@ class ReadLog(Address):
     def of(cls, address: Address, table: HeldTable) -> ReadLog:
         """Put a table behind an address."""
         return cls(address.text, address.path, address.group, address.kind, address.format, table)
-
-
-def _before(rows: Places, number: int) -> int:
-    """Count the rows before a row number."""
-    if isinstance(rows, range):
-        return min(max(number - rows.start, 0), len(rows))
-    return int(np.searchsorted(rows, number))

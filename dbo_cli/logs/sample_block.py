@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -80,6 +81,12 @@ class SampleBlock:
             None if self.time is None else self.time[start:stop],
             {role: values[start:stop] for role, values in self.values.items()},
         )
+
+    def within(self, rows: tuple[int, int | None]) -> SampleBlock:
+        """Return the samples whose row numbers lie from the first to the last of ``rows``, both included."""
+        stop = len(self) if rows[1] is None else bisect_right(self.rows, rows[1])
+        start = bisect_left(self.rows, rows[0])
+        return self.part(start, max(start, stop))
 
     def place(self, name: str, index: int) -> str:
         """Return where a sample stands: file and line, or row where there are no lines."""

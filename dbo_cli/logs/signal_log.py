@@ -287,7 +287,7 @@ def open_log(
         if found.clock is None and options.time_unit is not None:
             raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")
         timed = found.clock is not None or options.sample_rate is not None
-        columns = choose_columns(table.place, table.columns, want, found.taken, timed)
+        columns = choose_columns(table.place, table.columns, want, found.taken, timed, table.notes)
         rate, start = options.sample_rate, 0.0
         if rate is None and found.clock is None:
             rate, start = table.even_clock(columns.values())

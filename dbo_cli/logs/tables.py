@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
+from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -322,7 +323,7 @@ def _in_step(
     while all(pending):
         blocks = [block for block in pending if block is not None]
         upto = min(int(block.rows[-1]) for block in blocks)
-        cuts = [int(np.searchsorted(np.asarray(block.rows), upto, side="right")) for block in blocks]
+        cuts = [bisect_right(block.rows, upto) for block in blocks]
         yield _merged([block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)])
         last = [int(block.rows[-1]) for block in blocks]
         rests = [block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)]

@@ -25,6 +25,7 @@ from dbo_cli.logs.column_table import (
     ColumnTable,
     Request,
     brief,
+    from_first_row,
     number_in,
     with_unit,
     without_scalars,
@@ -196,18 +197,17 @@ def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
 
 def _inner_groups(group: Any) -> list[Any]:
     """List the groups in a group; links that lead nowhere and programs' own book-keeping are left out."""
-    names = [
-        name for name in group if not name.startswith(("#", "_i_"))
-    ]  # MATLAB's references, PyTables' indices
-    return [node for node in (group.get(name) for name in names) if is_group(node)]
+    return [node for _, node in _members(group) if is_group(node)]
+
+
+def _members(group: Any) -> Iterator[tuple[str, Any]]:
+    """Give what is in a group by name; not MATLAB's references and PyTables' indices."""
+    return ((name, group.get(name)) for name in group if not name.startswith(("#", "_i_")))
 
 
 def _plain_columns(group: Any) -> list[ColumnSource]:
     sources: list[ColumnSource] = []
-    for name in group:
-        if name.startswith(("#", "_i_")):
-            continue
-        node = group.get(name)
+    for name, node in _members(group):
         if is_dataset(node) and not (node.size == 1 and is_clock_name(clean_text(name))):
             sources += columns_of(node, clean_text(name))
     sources = [
@@ -416,13 +416,7 @@ def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
     found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
     if found is None or not source.length:
         return None
-    per_second = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}[found[1] or "ns"]
-    first = np.asarray(source.fetch(0, 1), dtype=np.int64)[0]
-
-    def fetch(start: int, stop: int) -> Any:
-        return (np.asarray(source.fetch(start, stop), dtype=np.int64) - first) / per_second
-
-    return replace(source, fetch=fetch, unit="s")
+    return from_first_row(source, found[1] or "ns")
 
 
 class _NoCode(pickle.Unpickler):

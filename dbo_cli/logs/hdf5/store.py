@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import struct
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -360,7 +361,5 @@ def _squeezed(plane: bytes) -> bytes:
 
 def _stored(plane: bytes) -> bytes:
     pieces = [plane[start : start + _STORED_MOST] for start in range(0, len(plane), _STORED_MOST)]
-    lengths = [
-        (len(piece).to_bytes(2, "little"), (len(piece) ^ 0xFFFF).to_bytes(2, "little")) for piece in pieces
-    ]
-    return b"".join(b"\0" + one + other + piece for (one, other), piece in zip(lengths, pieces, strict=True))
+    # a byte that says "stored", the length and its complement, both little-endian
+    return b"".join(struct.pack("<BHH", 0, len(one), len(one) ^ 0xFFFF) + one for one in pieces)

@@ -23,12 +23,7 @@ from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, SKIP_REMEDY, Rows
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
-from dbo_cli.logs.text.cells import (
-    complain,
-    is_text,
-    split_cells,
-    to_number,
-)
+from dbo_cli.logs.text.cells import complain, is_text, split_cells, to_number
 from dbo_cli.logs.text.dialect import Dialect, is_comment
 from dbo_cli.logs.text.segments import RepeatedHeader
 
@@ -76,7 +71,7 @@ class BlockParser:
                 self.next_line += len(block)  # a compressed megabyte may unpack to a billion empty lines
             elif block:
                 parsed = self._parse_regularly(block, small)
-                yield self._in_range(self._parse_slowly(block) if parsed is None else parsed)
+                yield (self._parse_slowly(block) if parsed is None else parsed).within(self.rows)
 
     def _parse_regularly(self, block: bytes, small: bool) -> SampleBlock | None:
         """Take a block at once where every line of it is a good row or empty; else None."""
@@ -215,15 +210,6 @@ class BlockParser:
         """The columns of numbers or time stamps (from 0) that are not read."""
         stamps = {at for at, written in enumerate(self.dialect.writings) if written != "numbers"}
         return sorted((self.dialect.numeric | stamps) - {pick.number - 1 for pick in self.picks.values()})
-
-    def _in_range(self, block: SampleBlock) -> SampleBlock:
-        first, last = self.rows
-        if self.rows == ALL_ROWS or not len(block):
-            return block
-        rows = np.asarray(block.rows)
-        start = int(np.searchsorted(rows, first))
-        stop = len(rows) if last is None else int(np.searchsorted(rows, last, side="right"))
-        return block.part(start, max(start, stop))
 
 
 def _wrong_width(cells: list[str], width: int) -> str:
