@@ -13,13 +13,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Extent
 from dbo_cli.drives.history import write_history
 from dbo_cli.drives.inputs import first_blocks
-from dbo_cli.drives.learning import Lesson
 from dbo_cli.drives.model_run import ModelRun, Response, Tally
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
@@ -29,6 +29,9 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.remarks import Remarks
+
+if TYPE_CHECKING:
+    from dbo_cli.drives.learning import Lesson
 
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
