@@ -151,7 +151,11 @@ class ByteSource:
         self._begun: os.stat_result | None = None  # how a regular file was when it was opened
         self._largest = 0  # bytes that it has had since
         self._live = live
-        self._hash = _new_digest() if digest and address.is_stream else None
+        self._hash: Any = None
+        if digest and address.is_stream:
+            import hashlib
+
+            self._hash = hashlib.sha256()
         self._owned: list[IO[bytes]] = []
         try:
             self._stream = self._open(address)
@@ -170,8 +174,10 @@ class ByteSource:
     def read(self, size: int) -> bytes:
         """Read up to ``size`` bytes (what has arrived, when live); empty at the end."""
         while data := self._arrived(size):
-            if self._decode is not None:
-                data = self._decoded(data)
+            try:
+                data = data if self._decode is None else self._decode(data)
+            except UnicodeError as problem:
+                raise InputError(f"{self.name}: the text does not fit its encoding: {problem}") from None
             if self._at_start and data:
                 data = data.removeprefix(codecs.BOM_UTF8)
                 self._classic_mac = b"\n" not in data and b"\r" in data[:-1]
@@ -181,12 +187,6 @@ class ByteSource:
             if data:
                 return data
         return b""
-
-    def _decoded(self, data: bytes) -> bytes:
-        try:
-            return cast(bytes, self._decode(data))
-        except UnicodeError as problem:
-            raise InputError(f"{self.name}: the text does not fit its encoding: {problem}") from None
 
     def _arrived(self, size: int) -> bytes:
         """Read bytes as they are stored."""
@@ -231,7 +231,7 @@ class ByteSource:
         return found if found is not None and stat.S_ISREG(found.st_mode) else None
 
     def _patiently(self, size: int) -> bytes:
-        """Read a full block from a pipe in pieces: Python hears an interrupt only between them."""
+        """Read a full block from a pipe in pieces: an interrupt is served between them."""
         pieces = []
         while size > 0:
             piece = self._stream.read1(min(size, _PIPE_BYTES))  # type: ignore[attr-defined]
@@ -242,7 +242,7 @@ class ByteSource:
         return b"".join(pieces)
 
     def unfinished(self) -> str | None:
-        """Say why a last line without its end must be taken for a cut record; None where it need not be."""
+        """Return why a last line without its end must be taken for a cut record; None where it need not."""
         if self.is_compressed:
             return "in compressed data"
         now = self._now()
@@ -306,12 +306,6 @@ class ByteSource:
         return lambda data: decoder.decode(data).encode("utf-8")
 
 
-def _new_digest() -> Any:
-    import hashlib
-
-    return hashlib.sha256()
-
-
 def _open_file(address: Address) -> IO[bytes]:
     try:
         if os.path.isdir(address.path):
@@ -344,7 +338,10 @@ class LineBlocks:
 
         ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
         """
-        while not (self._ended or self._has_lines(HEAD_BYTES)):
+        while not self._ended:
+            read = len(self._pending)
+            if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
+                break
             self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
             self._leave_out_empty_lines()
             if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
@@ -359,10 +356,6 @@ class LineBlocks:
         while len(self._pending) < wanted and not self._ended:
             self._fill(wanted - len(self._pending))
         return self._pending
-
-    def _has_lines(self, size: int) -> bool:
-        enough = len(self._pending) >= size
-        return enough and (self._pending.count(b"\n") > 1 or len(self._pending) > LONGEST_LINE)
 
     def _leave_out_empty_lines(self) -> None:
         """Forget empty lines above the first text, a million of them or a billion in compressed data."""

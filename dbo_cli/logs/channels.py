@@ -15,11 +15,10 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import column_label, list_columns
-from dbo_cli.logs.held_table import HeldTable, ReadLog
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.signal_log import file_sha256
-from dbo_cli.logs.tables import open_table
+from dbo_cli.logs.tables import HeldTable, ReadLog, open_table
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.time_column import find_time_column
 

@@ -63,7 +63,7 @@ class Request:
     def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
         """Turn whatever a library raises at damaged bytes into one line (InputError).
 
-        ``kind`` is what the file should be, as messages say it (``Parquet``).
+        ``kind`` is what the file should be, as messages call it (``Parquet``).
         """
         try:
             yield
@@ -182,7 +182,7 @@ def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSourc
 
 
 def statements_in(values: Mapping[str, Any]) -> list[Statement]:
-    """Read what named values say of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
+    """Read what named values state of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
     return [
         statement
         for name, value in values.items()

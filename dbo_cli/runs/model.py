@@ -221,6 +221,21 @@ class Model:
         run = ModelRun(self.actuator, source, start_of(state, self.actuator), outside, last)
         return _finished(run, return_state, details)
 
+    @overload
+    def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                   rows: str | None = ..., tracked: Any = ..., return_state: Literal[False] = ...,
+                   details: Literal[False] = ..., **options: Any,
+                   ) -> Floats: ...  # fmt: skip
+    @overload
+    def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                   rows: str | None = ..., tracked: Any = ..., return_state: Literal[True],
+                   details: Literal[False] = ..., **options: Any,
+                   ) -> tuple[Floats, ModelState]: ...  # fmt: skip
+    @overload
+    def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                   rows: str | None = ..., tracked: Any = ..., return_state: bool = ...,
+                   details: Literal[True], **options: Any,
+                   ) -> Result: ...  # fmt: skip
     def compensate(
         self,
         wanted: Any,

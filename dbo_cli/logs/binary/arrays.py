@@ -286,7 +286,7 @@ def _shape(value: Any) -> str:
 
 
 def open_netcdf(request: Request) -> ColumnTable:
-    """Open a classic netCDF file: its one-dimensional variables, scaled as the conventions say.
+    """Open a classic netCDF file: its one-dimensional variables, scaled by the conventions.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_table import Request
 from dbo_cli.logs.libraries import host, import_extra, keep_interrupts
-from dbo_cli.logs.text.cells import is_number
+from dbo_cli.logs.text.lines import is_number
 from dbo_cli.logs.text.text_table import TextTable
 
 _LOOKED_AT = 200  # rows that tell whether a sheet holds a table; instruments' headers are shorter

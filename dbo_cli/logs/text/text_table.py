@@ -16,8 +16,8 @@ from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock, Table, dropped_note
 from dbo_cli.logs.text.block_parser import PLAIN_BYTES, BlockParser
-from dbo_cli.logs.text.cells import is_number, split_cells, to_number
 from dbo_cli.logs.text.dialect import COMMENTS, Dialect, detect, is_comment
+from dbo_cli.logs.text.lines import is_number, split_cells, to_number
 
 if TYPE_CHECKING:
     from dbo_cli.logs.text.instruments import InstrumentHeader
