@@ -39,6 +39,9 @@ MOVE_MODEL = Option(
 )
 UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
 DRIVES = Option("DRIVE", "The drive; several where the file has channels.", address, REQUIRED, repeated=True)
+DRIVE_COLUMNS = options.DRIVE_COLUMN._replace(
+    meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
+)
 WAVEFORM = (  # the fields of ``WaveformOptions``
     Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", choice(GENERATOR_FILES), REQUIRED),
     Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", number, "1"),
@@ -81,7 +84,7 @@ def waveform(given: Given) -> None:
     """
     from dbo_cli.runs.waveform_files import WaveformOptions, write_waveform
 
-    asked = WaveformOptions(**given.of(WAVEFORM), voltage=given.voltage)
+    asked = WaveformOptions(**given.of(WAVEFORM), voltage=tuple(given.voltage or ()))
     given.reporter.remarks(write_waveform(given.drive, given.output, given.reading, asked))
 
 
@@ -90,5 +93,5 @@ COMMANDS["trajectory"] = Command(
 )
 COMMANDS["waveform"] = Command(
     waveform,
-    (DRIVES, *options.READING_OF_LOGS, *options.REPORTING, *WAVEFORM, options.DRIVE_COLUMN, options.OUTPUT),
+    (DRIVES, *options.READING_OF_LOGS, *options.REPORTING, *WAVEFORM, DRIVE_COLUMNS, options.OUTPUT),
 )
