@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from dbo_cli.remarks import DboWarning
     from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
     from dbo_cli.runs.model import Model
+    from dbo_cli.runs.model_set import ModelSet
     from dbo_cli.runs.trajectories import trajectory
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "LimitError",
     "Model",
     "ModelError",
+    "ModelSet",
     "OutputError",
     "UsageError",
     "__version__",
@@ -46,7 +48,12 @@ __all__ = [
     "trajectory",
 ]
 
-_ROOMS = {"Model": "runs.model", "DboWarning": "remarks", "trajectory": "runs.trajectories"}
+_ROOMS = {
+    "Model": "runs.model",
+    "ModelSet": "runs.model_set",
+    "DboWarning": "remarks",
+    "trajectory": "runs.trajectories",
+}
 
 
 def __getattr__(name: str) -> Any:
