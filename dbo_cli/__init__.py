@@ -10,8 +10,6 @@ from dbo_cli.version import __version__
 
 TYPE_CHECKING = False  # as in typing, which is not imported for it
 if TYPE_CHECKING:
-    from typing import Any
-
     from dbo_cli.errors import (
         DboError,
         FitError,
@@ -56,14 +54,16 @@ _ROOMS = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    """Load a public name when it is asked for."""
-    if name not in __all__:
-        raise AttributeError(f"module 'dbo_cli' has no attribute {name!r}")
-    from importlib import import_module
+if not TYPE_CHECKING:  # else a type checker would believe in any name
 
-    room = _ROOMS.get(name) or ("errors" if name.endswith("Error") else "runs.api")
-    return getattr(import_module(f"dbo_cli.{room}"), name)
+    def __getattr__(name: str) -> object:
+        """Load a public name when it is asked for."""
+        if name not in __all__:
+            raise AttributeError(f"module 'dbo_cli' has no attribute {name!r}")
+        from importlib import import_module
+
+        room = _ROOMS.get(name) or ("errors" if name.endswith("Error") else "runs.api")
+        return getattr(import_module(f"dbo_cli.{room}"), name)
 
 
 def __dir__() -> list[str]:

@@ -122,7 +122,9 @@ def test_the_picture_of_the_imports_has_no_arrow_up_and_is_up_to_date() -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [["--version"], ["--help"], *([name, "--help"] for name in COMMANDS)], ids=" ".join
+    "words",
+    [["--version"], ["--help"], ["help", "show"], *([name, "--help"] for name in COMMANDS)],
+    ids=" ".join,
 )
 def test_asking_for_help_loads_nothing_heavy(words: list[str]) -> None:
     script = (

@@ -124,6 +124,39 @@ def test_picoscope_and_long_wave_tables(bench: Any) -> None:
     ]  # fmt: skip
 
 
+def test_channels_come_from_files_or_from_columns_of_one(bench: Any) -> None:
+    write("xy.csv", TIME, DRIVE, 0.5 * DRIVE, header="time_s,voltage_x_V,voltage_y_V")
+    columns = ["--voltage", "voltage_x_V", "--voltage", "voltage_y_V"]
+    said = ok(bench("waveform", "xy.csv", *columns, "--to", "npy", "-o", "xy.npy"))
+    assert np.array_equal(np.load("xy.npy"), [DRIVE, 0.5 * DRIVE])
+    assert [line[:28] for line in said.splitlines()] == [
+        "dbo: xy.csv, voltage_x_V: 20",
+        "dbo: xy.csv, voltage_y_V: 20",
+    ]
+    ok(
+        bench(
+            "waveform",
+            "xy.csv",
+            "drive.csv",
+            "--voltage",
+            "voltage_y_V",
+            "--voltage",
+            2,
+            "--to",
+            "npy",
+            "-o",
+            "xy.npy",
+        )
+    )
+    assert np.array_equal(np.load("xy.npy"), [0.5 * DRIVE, DRIVE])
+    done = bench("waveform", "xy.csv", "drive.csv", "xy.csv", *columns, "--to", "npy", "-o", "no.npy")
+    assert (done.code, done.err) == (
+        2, "dbo: error: --voltage: 2 columns of 3 files (one for each, or one for all)\n"
+    )  # fmt: skip
+    done = bench("waveform", "xy.csv", "--to", "npy", "-o", "no.npy")
+    assert "which column is the voltage, 'voltage_x_V' or 'voltage_y_V'?" in done.err
+
+
 # --- what is said, and what is held ---
 
 

@@ -39,6 +39,9 @@ MOVE_MODEL = Option(
 )
 UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
 DRIVES = Option("DRIVE", "The drive; several where the file has channels.", address, REQUIRED, repeated=True)
+DRIVE_COLUMNS = options.DRIVE_COLUMN._replace(
+    meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
+)
 WAVEFORM = (  # the fields of ``WaveformOptions``
     Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", choice(GENERATOR_FILES), REQUIRED),
     Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", number, "1"),
@@ -64,10 +67,7 @@ def trajectory(given: Given) -> None:
     """Write a move to be followed: raster, spiral, staircase, sine or triangle.
 
     It starts and stops softly, and its turns and steps are rounded to --bandwidth or to what --model can be
-    trusted to; what the model does not reach is refused. Columns are time and displacement, or time, x and y:
-    dbo compensate --displacement x_um takes one of them.
-
-    Example: dbo trajectory raster --rate 10000 --range 2:10 --lines 64 --frequency 5 --model m.json -o s.csv
+    trusted to; what the model does not reach is refused.
     """
     from dbo_cli.drives.shapes import TrajectoryOptions
     from dbo_cli.runs.trajectories import write_trajectory
@@ -81,12 +81,10 @@ def waveform(given: Given) -> None:
 
     What is written is read back and passes the gate that the drive passed. One line says what to set:
     points, rate, amplitude, offset, repetitions, and by how much rounding moves the drive.
-
-    Example: dbo waveform drive.csv --to keysight-arb --gain 20 --v-min 0 --v-max 100 -o drive.arb
     """
     from dbo_cli.runs.waveform_files import WaveformOptions, write_waveform
 
-    asked = WaveformOptions(**given.of(WAVEFORM), voltage=given.voltage)
+    asked = WaveformOptions(**given.of(WAVEFORM), voltage=tuple(given.voltage or ()))
     given.reporter.remarks(write_waveform(given.drive, given.output, given.reading, asked))
 
 
@@ -95,5 +93,5 @@ COMMANDS["trajectory"] = Command(
 )
 COMMANDS["waveform"] = Command(
     waveform,
-    (DRIVES, *options.READING_OF_LOGS, *options.REPORTING, *WAVEFORM, options.DRIVE_COLUMN, options.OUTPUT),
+    (DRIVES, *options.READING_OF_LOGS, *options.REPORTING, *WAVEFORM, DRIVE_COLUMNS, options.OUTPUT),
 )

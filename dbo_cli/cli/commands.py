@@ -91,8 +91,6 @@ def identify(given: Given) -> None:
     What is left at auto is chosen on cycles left out of the fit. Several logs of one actuator are fitted
     together, each with its own sensor offset and drift. What was found, and what to be careful about, is said
     on standard error and kept in the model.
-
-    Example: dbo identify recorded.csv -o model.json
     """
     reading = given.reading
     refuse_terminal(given.output)
@@ -113,10 +111,7 @@ def identify(given: Given) -> None:
 
 @_command(options.MODEL, *options.REPORTING, options.SHOW_FORMAT, options.MODEL_FIGURES, options.OUTPUT)
 def show(given: Given) -> None:
-    """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings.
-
-    Example: dbo show model.json
-    """
+    """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings."""
     from dbo_cli.runs.showing import show_model
 
     given.reporter.notes(show_model(given.model, given.output, given.format, given.figures))
@@ -129,8 +124,6 @@ def invert(given: Given) -> None:
     Every gear and segment exchanges its widths, the cascade runs backwards, a delay becomes a look ahead.
     The inverse of a forward model turns a desired displacement into the drive (dbo simulate runs it;
     dbo compensate does the same from the forward model and keeps the drive within its limits).
-
-    Example: dbo invert model.json -o inverse.json
     """
     refuse_terminal(given.output)
     from dbo_cli.runs.files import invert_model
@@ -158,9 +151,7 @@ def simulate(given: Given) -> None:
 
     A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
     log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
-    model.json - --flush). Written are time (when known), the input column and the result.
-
-    Example: dbo simulate model.json drive.csv -o predicted.csv
+    model.json - --flush).
     """
     from dbo_cli.runs.files import simulate_log
     from dbo_cli.runs.many import signals
@@ -201,16 +192,13 @@ def compensate(given: Given) -> None:
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
     a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
-    clipped, counted and said; no row ever breaks a limit. Written are time (when known), the desired
-    displacement and the drive.
-
-    Example: dbo compensate model.json trajectory.csv --max-slew 2000 --from 0 --approach auto -o drive.csv
+    clipped, counted and said; no row ever breaks a limit.
     """
     reading = given.reading
     from dbo_cli.drives.options import DriveOptions
 
     asked = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
-    from dbo_cli.runs.drive_files import compensate_trajectory
+    from dbo_cli.runs.files import compensate_trajectory
     from dbo_cli.runs.many import signals
 
     tracked = given.tracked or ()
@@ -245,8 +233,6 @@ def check(given: Given) -> None:
     Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times and rows without a
     number: what breaks a limit is named with its row, and the exit code is 3. With --against, the first file
     is a recording of what was played, and the question is whether it was that drive: rows, lag, gain, offset.
-
-    Example: dbo check played.csv --against drive.csv --v-min 0 --v-max 100 --max-slew 2000
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 
@@ -274,8 +260,6 @@ def report(given: Given) -> None:
     it is run from the first row on, and --rows says which rows count. With --trajectory the desired signal
     comes from a file of its own.
     Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
-
-    Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
     from dbo_cli.runs.many import reported
     from dbo_cli.runs.reporting import Limits
@@ -308,11 +292,9 @@ def excite(given: Given) -> None:
     about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
     --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
     more, and longer below 60 Hz).
-
-    Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
     from dbo_cli.hysteresis.excitation import excitation_of
-    from dbo_cli.runs.drive_files import write_excitation
+    from dbo_cli.runs.files import write_excitation
 
     asked = excitation_of(**given.of(options.EXCITATION))
     rows = write_excitation(given.output, asked, given.format)
@@ -326,10 +308,7 @@ def export(given: Given) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
     C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
-    q31 (32-bit fixed point) come with a derived bound on their error. The folder holds NAME.h, NAME.c,
-    NAME_test.c, the kernel, build files and README.md; it appears whole or not at all.
-
-    Example: dbo export model.json -o firmware --sample-rate 10000
+    q31 (32-bit fixed point) come with a derived bound on their error.
     """
     from dbo_cli.export import export_model
     from dbo_cli.hysteresis.model_set import read_model
@@ -359,8 +338,6 @@ def compare(given: Given) -> None:
     The relatives are a straight line and the Prandtl-Ishlinskii operators that the paper names. All get the
     same rows, start, drift and search for a delay; one that cannot be fitted has a row that says why. Times
     differ from run to run: with --no-timings the same logs give the same bytes.
-
-    Example: dbo compare recorded.csv --validate other.csv --figures figures
     """
     from dbo_cli.runs.model_table import TableOptions, compare_logs
 

@@ -37,7 +37,7 @@ _NOT_WRITTEN = {
         ".zst", ".lz4", ".7z",
     )
 }  # fmt: skip
-# What a model, a state or a report is written as; every other ending that is known says something else.
+# What a model, a state or a report is written as; every other known ending is that of something else.
 _DOCUMENTS = {"json": (".json",), "csv": (".csv",), "html": (".html", ".htm"), "text": ()}
 # What ``format`` may be, and the kind of file that it is.
 FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hdf5", "hdf5": "hdf5"}
@@ -85,7 +85,7 @@ class Address:
         return replace(self, kind=FORMATS[named], format=named)
 
     def refuse_other(self, named: str, shown: str | None = None) -> None:
-        """Refuse a format that contradicts the name (UsageError); a name that tells none does not."""
+        """Refuse a format that contradicts the name (UsageError); a name without a known ending does not."""
         own, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(named, "::")
         if own is not None and (own != FORMATS[named] or _plain(self.path).endswith(unlike)):
             raise UsageError(
@@ -134,7 +134,7 @@ def parse_address(given: Given, format: str | None = None) -> Address:
 
 
 def parse_output(given: Given, format: str | None = None) -> Address:
-    """Take the name of a signal to be written apart; it is written as what its name says.
+    """Take the name of a signal to be written apart; its ending chooses the format.
 
     Raises
     ------
@@ -153,12 +153,12 @@ def parse_output(given: Given, format: str | None = None) -> Address:
 
 
 def check_document(address: Given, what: str, form: str) -> None:
-    """Refuse a name that says another format than that of a model, a state or a report.
+    """Refuse a name that is of another format than that of a model, a state or a report.
 
     Parameters
     ----------
     address
-        Where it goes; a stream and a name that says nothing are good.
+        Where it goes; a stream and a name without a known ending are good.
     what
         How messages call it: ``a model``.
     form
@@ -191,7 +191,7 @@ def check_format(named: str | None, addresses: Sequence[Address]) -> None:
     Raises
     ------
     UsageError
-        Every name tells its own format, and one of them another than ``named``.
+        Every name has a format of its own, and one of them another than ``named``.
     """
     if named is not None and all(one.kind is not None for one in addresses):
         for one in addresses:

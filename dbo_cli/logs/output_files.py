@@ -231,7 +231,7 @@ def partial_path(target: str) -> str:
 def open_partial(path: str, buffering: int = -1) -> IO[bytes]:
     """Open a temporary file for writing and lock it for as long as it is open.
 
-    The lock tells the clean-up of a process that cannot see this one (another container, another machine
+    The lock shows the clean-up of a process that cannot see this one (another container, another machine
     on the same network drive) that its writer lives. HDF5 locks its files by itself.
     """
     file = open(path, "wb", buffering)

@@ -40,7 +40,7 @@ _OVERFLOW_FROM, _OVERFLOW_TO = 9.899e37, 9.911e37
 
 
 def is_overflow(value: float) -> bool:
-    """Return whether a number is an instrument's way to say that it has none."""
+    """Return whether a number is what an instrument sends in place of a value."""
     return _OVERFLOW_FROM < abs(value) < _OVERFLOW_TO
 
 

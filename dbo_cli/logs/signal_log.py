@@ -16,14 +16,14 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, without_folder
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
-from dbo_cli.logs.held_table import HeldTable
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.sources import Source
-from dbo_cli.logs.tables import join_files, open_table
+from dbo_cli.logs.tables import HeldTable, join_files, open_table
 from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
 
@@ -278,7 +278,7 @@ def open_log(
         target = address.or_format(options.format)
     else:
         target = parse_address(address, options.format)
-    table = open_table(target, options, live, digest, named)
+    table = open_table(Request(target, options, named, live, digest))
     others: list[str] = []
     try:
         if any("::" in one for one in selectors):
@@ -337,7 +337,7 @@ def _scales_by_role(
 
 
 class InputRecord(TypedDict):
-    """What a model says about one of its inputs; ``joined`` are the other files that columns came from."""
+    """What a model keeps of one of its inputs; ``joined`` are the other files that columns came from."""
 
     name: str
     sha256: str

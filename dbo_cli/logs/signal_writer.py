@@ -9,12 +9,11 @@ from typing import IO, TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
-from dbo_cli.logs.output_files import descriptor_of, is_replaceable
+from dbo_cli.logs.output_files import is_replaceable
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened, replacing
+from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -139,7 +138,7 @@ def signal_writer(
     Raises
     ------
     UsageError
-        The output is an input, HDF5 is to go down a pipe, or the name says another format.
+        The output is an input, HDF5 is to go down a pipe, or the name is that of another format.
     OutputError
         It cannot be written.
     """
@@ -169,16 +168,10 @@ def signal_writer(
 def _hdf5(
     target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
 ) -> Iterator[SignalWriter]:
-    from dbo_cli.logs.hdf5.store import Hdf5Writer, StoreOutput, group_path
+    from dbo_cli.logs.hdf5.store import Hdf5Writer, store_output
 
-    if target.is_stream or descriptor_of(target.path) is not None:
-        raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
-    store = StoreOutput(target.path, group_path(target.group))
-    store.check()
-    if not is_replaceable(target.path):
-        raise OutputError(f"{target.path}: this is no regular file: name a file")
-    with replacing(target.path, store.publishing) as path:
-        writer = Hdf5Writer(path, store.group, columns, attributes)
+    with store_output(target) as (path, group):
+        writer = Hdf5Writer(path, group, columns, attributes)
         try:
             yield writer
             writer.finish()

@@ -89,6 +89,8 @@ class Source:
 
     def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return samples by role in the units that they are to be handed out in."""
+        if not self._factors:
+            return dict(values)
         return {role: self._factors.get(role, ONE).apply(array) for role, array in values.items()}
 
     def reading_line(self) -> str | None:
@@ -104,7 +106,7 @@ class Source:
 
 
 def remarks_of(source: Source) -> Remarks:
-    """Return what is to be said of a source that was read."""
+    """Return notes, warnings and reading line of a source that was read."""
     line = source.reading_line()
     return Remarks(list(source.notes), list(source.warnings), [] if line is None else [line])
 
@@ -298,7 +300,7 @@ def table_source(
     Raises
     ------
     InputError
-        A column is not there, not to be told, or holds no finite numbers.
+        A column is absent, several may be meant, or it holds no finite numbers.
     """
     units: Mapping[str, str | None] = table.attrs.get("units", {})
     infos = [column_info(str(name), k, units.get(name)) for k, name in enumerate(table.columns, start=1)]

@@ -358,17 +358,17 @@ def _telling(path: str) -> Iterator[None]:
         raise
     except OSError as problem:
         raise OutputError(f"{path}: {reason_of(problem)}") from None
-    except RuntimeError as problem:  # HDF5 tells a full disk in this way when it closes a file
+    except RuntimeError as problem:  # what HDF5 raises at a full disk when it closes a file
         if _HDF5_ERRNO.search(str(problem)) is None:
             raise
         raise OutputError(f"{path}: {reason_of(OSError(str(problem)))}") from None
 
 
 def reason_of(problem: OSError) -> str:
-    """Say why writing failed; the HDF5 library tells the number of the error only inside its text."""
-    number, told = problem.errno, _HDF5_ERRNO.search(str(problem))
-    if number is None and told:
-        number = int(told[1])
+    """Return why writing failed; HDF5 gives the number of the error only inside its text."""
+    number, inside = problem.errno, _HDF5_ERRNO.search(str(problem))
+    if number is None and inside:
+        number = int(inside[1])
     if number in (errno.ENOSPC, errno.EDQUOT):
         return "the disk is full: nothing was written"
     return f"cannot be written: {os.strerror(number) if number else str(problem).splitlines()[0]}"

@@ -21,7 +21,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
-from dbo_cli.runs.model import Model, require_known
+from dbo_cli.runs.model import Model, record_of
 from dbo_cli.runs.model import read_model as read_single_model
 from dbo_cli.runs.roles import recording_wishes, short_names
 
@@ -165,8 +165,7 @@ def identify(
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings
 
-    require_known(IdentificationOptions, options, "is no parameter of identify")
-    asked = IdentificationOptions(**options)
+    asked = record_of(IdentificationOptions, options, "is no parameter of identify")
     by_name = voltage is not None or isinstance(displacement, str)
     columns = (voltage, displacement) if by_name else (None, None)
     if any(map(is_pattern, columns)):
@@ -176,12 +175,12 @@ def identify(
         return identify_set(*words, record=_recorded)
     kept = None if prior is None else _model(prior).actuator
     units = {"voltage": voltage_unit, "displacement": displacement_unit}
-    arrays = displacement is not None and columns == (None, None)
+    arrays = displacement is not None and not by_name
     given = [(log, displacement)] if arrays else [(one,) for one in _listed(log)]
     logs = [_recorded(one, time, sample_rate, kept, units, columns) for one in given]
     checks = [_recorded((one,), time, sample_rate, kept, columns=columns) for one in _listed(validate)]
-    named = {"prior": os.path.basename(prior)} if isinstance(prior, str | os.PathLike) else {}
-    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked) | named)
+    chosen = chosen_of(asked) | ({"prior": os.path.basename(str(prior))} if is_file(prior) else {})
+    arguments = arguments_of(_names(logs), _names(checks), chosen)
     found = identify_recordings(logs, asked, checks, arguments, kept)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
@@ -333,8 +332,8 @@ def _model(model: Model | str | os.PathLike[str]) -> Model:
 
 
 def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    require_known(ReadingOptions, options, "says nothing about reading a log")
-    return ReadingOptions(time=time, rows=ALL_ROWS if rows is None else parse_rows(rows), **options)
+    given = options | {"time": time, "rows": ALL_ROWS if rows is None else parse_rows(rows)}
+    return record_of(ReadingOptions, given, "says nothing about reading a log")
 
 
 def _logs(given: Any) -> list[Any]:

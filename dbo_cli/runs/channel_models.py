@@ -14,8 +14,8 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model, set_to_bytes
 from dbo_cli.logs.addresses import Address, Given, check_document
-from dbo_cli.logs.held_table import ReadLog
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.tables import ReadLog
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.channels import (

@@ -206,7 +206,7 @@ class ChannelTable:
 
     def _write_column(self, channel: str, signal: KeptSignal, arrays: Sequence[Any]) -> None:
         if self._matrices is None:
-            from dbo_cli.logs.hdf5.matrices import matrix_writer
+            from dbo_cli.logs.hdf5.store import matrix_writer
 
             stem = PLACE.split(self.pattern)[0].removesuffix("[")
             quantities = signal.columns[len(signal.columns) - len(arrays) :]

@@ -75,7 +75,7 @@ class WaveformOptions:
     v_max: float | None = None
     max_slew: float | None = None
     tolerance: float | None = None
-    voltage: str | None = None
+    voltage: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
@@ -118,13 +118,14 @@ def write_waveform(
     """
     check_name("-" if output.is_stream else output.path, options.to)
     check_output(output, drives)
-    form, names = FORMATS[options.to], [one.name for one in drives]
-    if len(drives) > 1 and not form.channels:
-        raise UsageError(f"a {options.to} file holds one drive, not {len(drives)} (one file each)")
-    remarks, found = Remarks(), []
-    for address in drives:
-        found.append(_read(address, reading, options, remarks))
-    values, steps = zip(*found, strict=True)
+    signals = _signals(drives, options.voltage)
+    if len(signals) > 1 and not FORMATS[options.to].channels:
+        raise UsageError(f"a {options.to} file holds one drive, not {len(signals)} (one file each)")
+    names = [one.name if len(drives) == len(signals) else f"{one.name}, {column}" for one, column in signals]
+    remarks, found = Remarks(), [_read(*one, reading, options) for one in signals]
+    for _, _, said in found:
+        remarks.add(said)
+    values, steps, _ = zip(*found, strict=True)
     for name, one, step in zip(names, values, steps, strict=True):
         if one.size != values[0].size or abs(step / steps[0] - 1.0) > SAME_RATE:
             raise InputError(f"{name}: has other rows or another rate than {names[0]}: play them apart")
@@ -142,16 +143,29 @@ def write_waveform(
     return remarks
 
 
+def _signals(drives: Sequence[Address], columns: Sequence[str]) -> list[tuple[Address, str | None]]:
+    """Return which column of which file each channel is: a column a file, or several of one file."""
+    if len(columns) < 2:
+        return [(one, *(columns or (None,))) for one in drives]
+    if len(drives) == 1:
+        return [(drives[0], column) for column in columns]
+    if len(drives) != len(columns):
+        raise UsageError(
+            f"`voltage`: {len(columns)} columns of {len(drives)} files (one for each, or one for all)"
+        )
+    return list(zip(drives, columns, strict=True))
+
+
 def _read(
-    address: Address, reading: ReadingOptions, options: WaveformOptions, remarks: Remarks
-) -> tuple[Floats, float]:
-    """Return a drive in volts, read whole and within its limits, and its even step (s)."""
+    address: Address, column: str | None, reading: ReadingOptions, options: WaveformOptions
+) -> tuple[Floats, float, Remarks]:
+    """Return a drive in volts, read whole and within its limits, its even step (s), and remarks."""
     name = address.name
-    with open_log(address, {"voltage": wish("voltage", options.voltage, option="voltage")}, reading) as log:
+    with open_log(address, {"voltage": wish("voltage", column, option="voltage")}, reading) as log:
         log.require_time(PLAYS)
         log.convert("voltage", "V", "a generator's file")
         block = joined(list(log.blocks()))
-        remarks.add(remarks_of(log))
+        said = remarks_of(log)
         assert block.time is not None
         rows = block.rows
         drive, stated = block.values["voltage"], log.stated_rate
@@ -162,7 +176,7 @@ def _read(
     )
     if checked.problems:
         raise LimitError(f"{name}: {checked.problems[0]}")
-    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS)
+    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS), said
 
 
 def _encoded(played: Points, names: Sequence[str], options: WaveformOptions) -> tuple[bytes, list[str]]:
@@ -190,7 +204,8 @@ def _encoded(played: Points, names: Sequence[str], options: WaveformOptions) -> 
     data = written(options.to, Signals(content, rate, ends))
     slew = None if limits.max_slew is None else limits.max_slew / abs(options.gain) + coarse * rate
     for one in back:
-        DriveGate(DriveLimits(*within, slew)).admit(one, 1.0 / rate)
+        gate = DriveGate(DriveLimits(*within, slew))
+        gate.admit(np.append(one, one[0]) if options.loop else one, 1.0 / rate)
     rounding = float(np.abs(back - volts).max())
     codes = options.codes or form.codes or ((-1, 1) if form.normal else None)
     mean = "" if codes is None else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"

@@ -19,12 +19,11 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.byte_source import Request, brief
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
     ColumnTable,
-    Request,
-    brief,
     from_first_row,
     number_in,
     with_unit,
@@ -131,7 +130,7 @@ def _by_path(
 
 
 def _nearest_clock(node: Any) -> list[Statement]:
-    """Read what is said of the sample rate next to the columns, else further out."""
+    """Read the statements of the sample rate next to the columns, else further out."""
     level = node.parent if is_dataset(node) else node
     while True:
         found = [*statements_of(level), *scalar_statements(level)]
@@ -179,7 +178,7 @@ def columns_in(group: Any) -> list[ColumnSource]:
 def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
     """Find the groups that hold columns, at the shallowest level below ``group`` that has any.
 
-    Where NeXus says which group is meant (``default``, or a single NXdata), that is the only one.
+    Where NeXus names the group that is meant (``default``, or a single NXdata), that is the only one.
     """
     chosen = _default_data(group)
     if chosen is not None:
@@ -285,7 +284,9 @@ def _logged_columns(group: Any) -> list[ColumnSource]:
         if time is not None:
             stamps = columns_of(held[time], f"{own}/{time}")
             unit = stamps[0].unit if stamps else None
-            clocks += [_in_seconds(child, replace(one, unit=unit or _nexus_seconds(child))) for one in stamps]
+            if child.get("EPOCH") is not None:  # Bluesky's writer documents its times in seconds
+                unit = unit or "s"
+            clocks += [_in_seconds(child, replace(one, unit=unit)) for one in stamps]
     if not values or max(source.length for source in values) < 2:
         return []
     return (_one_clock(clocks) if len(clocks) == len(values) else clocks) + values
@@ -295,11 +296,6 @@ def _beside(held: dict[str, Any], length: int) -> bool:
     """Tell whether a group holds other columns beside one signal and its stamps: then it is a table."""
     known = (*_VALUES, *_TIMES, *_BESIDE)
     return any(name not in known and node.shape[0] == length for name, node in held.items())
-
-
-def _nexus_seconds(child: Any) -> str | None:
-    """Bluesky's NeXus writer documents its times in seconds, and its file says who wrote it."""
-    return "s" if child.get("EPOCH") is not None else None
 
 
 def _one_clock(clocks: list[ColumnSource]) -> list[ColumnSource]:
@@ -402,7 +398,7 @@ def _index(axis: Any) -> list[ColumnSource]:
 
 
 def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
-    """Keep an index that says something: a name, stamps of time, fractions; not pandas' own row numbers."""
+    """Keep an index that means something: a name, stamps of time, fractions; not pandas' own row numbers."""
     stamped = _from_stamps(source, kind)
     if stamped is not None:
         return [replace(stamped, label=source.label or "time")]

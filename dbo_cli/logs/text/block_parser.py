@@ -23,9 +23,8 @@ from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, SKIP_REMEDY, Rows
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
-from dbo_cli.logs.text.cells import complain, is_text, split_cells, to_number
 from dbo_cli.logs.text.dialect import Dialect, is_comment
-from dbo_cli.logs.text.segments import RepeatedHeader
+from dbo_cli.logs.text.lines import RepeatedHeader, complain, is_text, split_cells, to_number
 
 _DIGIT = re.compile(r"\d")
 _AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB

@@ -16,9 +16,8 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
-from dbo_cli.logs.text.cells import is_number, split_cells
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect
-from dbo_cli.logs.text.segments import END_OF_HEADER, find_header_block
+from dbo_cli.logs.text.lines import END_OF_HEADER, find_header_block, is_number, split_cells
 
 _LOOKED_AT = 400  # lines; no instrument's header is half as long
 _NEAR = 100  # lines; makers that write a few settings begin their table above
