@@ -161,7 +161,7 @@ def test_what_is_refused() -> None:
         SET.controller()
     inverse = dbo.ModelSet({"a": SET["x0"], "b": SET["x0"].inverse()})
     with pytest.raises(
-        ModelError, match="channel b: the model is an inverse model where a forward one is needed"
+        ModelError, match="channel b: the model: is an inverse model where a forward one is needed"
     ):
         inverse.controller(RATE)
     with pytest.raises(LimitError, match="channel x0: the drive comes from 200"):
