@@ -107,6 +107,11 @@ def identify(given: Given) -> None:
     more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR])
     words = (given.log, given.validate or [], given.output, reading, asked)
     _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
+    if not given.output.is_stream and "{" not in given.output.text:
+        model = shlex.quote(given.output.text)
+        given.reporter.note(
+            f"dbo show {model} says more; dbo compensate {model} TRAJECTORY -o drive.csv uses it"
+        )
 
 
 @_command(options.MODEL, *options.REPORTING, options.SHOW_FORMAT, options.MODEL_FIGURES, options.OUTPUT)

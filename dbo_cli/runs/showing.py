@@ -165,16 +165,44 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     lines = []
     if "rmse" in fit:
         percent = f" ({fit['rmse_percent']:.2f} % of range)" if "rmse_percent" in fit else ""
-        lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from")
-    if "expected_rmse" in fit and fit["expected_rmse"] is not None:
-        lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range")
+        left_out = fit.get("cross_validated_rmse")
+        more = "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
+        line = fit.get("straight_line_rmse")
+        more += "" if line is None else f"; a straight line leaves {line:.4g}{suffix}"
+        lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from{more}")
+    why = fit.get("expected_from")
+    if fit.get("expected_rmse") is not None:
+        rests = f", from {why}" if why else ""
+        lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
+    elif why:
+        lines.append(f"expect: cannot be told: {why}")
     lines += [
         f"validated: RMSE {one['rmse']:.4g}{suffix} on {one['name']}, which took no part in the fit"
         for one in content["validation"]
     ]
     if "loop_width_percent" in fit:
-        lines.append(f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes")
-    return lines
+        slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
+        bend = f", drive bent by {100.0 * fit['drive_bend']:.0f} %" if fit.get("drive_bend") else ""
+        lines.append(
+            f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes{slopes}{bend}"
+        )
+    return lines + _lateness(fit)
+
+
+def _lateness(fit: Mapping[str, Any]) -> list[str]:
+    """Return how late the displacement is, how well that is known, and whose lag it is."""
+    if not fit.get("lag_seconds"):
+        return []
+    line = f"lag: {1e3 * fit['lag_seconds']:.3g} ms at the logs' own frequency"
+    low, high = fit.get("delay_interval_seconds") or (0.0, 0.0)
+    if high > low:
+        line += f"; a delay from {1e3 * low:.3g} to {1e3 * high:.3g} ms explains the logs as well"
+    if "sensor" not in fit and fit["lag_seconds"] > 0.0:
+        line += (
+            "; whether the actuator or its sensor is late a log cannot tell: all of it is compensated "
+            "(identify --sensor-delay, --sensor-lag takes the sensor's part off)"
+        )
+    return [line]
 
 
 def _asymmetry(content: Mapping[str, Any]) -> str:

@@ -17,6 +17,8 @@ from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
 
 BLOCK_ROWS = 65536
+WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
+"""What becomes of a lag: a log cannot tell whether the actuator or its sensor is late."""
 
 
 @dataclass(frozen=True)
