@@ -149,6 +149,7 @@ def invert(given: Given) -> None:
     options.INPUT,
     options.FLUSH,
     options.SUMMARY,
+    options.HEADER,
     options.OUTPUT,
 )
 def simulate(given: Given) -> None:
@@ -190,6 +191,7 @@ def simulate(given: Given) -> None:
     options.DISPLACEMENT,
     options.FLUSH,
     options.SUMMARY,
+    options.HEADER,
     options.OUTPUT,
 )
 def compensate(given: Given) -> None:
@@ -378,8 +380,8 @@ def _destination(given: Given, inputs: list[Any]) -> Any:
     """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
     from dbo_cli.runs.files import Destination
 
-    command = shlex.join(["dbo", *given.typed])
-    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary)
+    command, commented = shlex.join(["dbo", *given.typed]), given.header == "comment"
+    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary, commented)
 
 
 def _summary_lines(summary: ExportSummary) -> list[str]:
