@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.drives.learning import ORDER, Tracked, lesson
+from dbo_cli.drives.learning import ORDER, RepeatedMove, Tracked
+from dbo_cli.drives.options import DriveOptions
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
@@ -75,6 +76,7 @@ def learned(
     **more: Any,
 ) -> tuple[list[float], float, float]:
     """Return the error of each pass (% of the move), its part below half the cut-off, and the noise there."""
+    options = DriveOptions(state="empty", **more)
     wanted, random = burst(), np.random.default_rng(seed)
     time, span = np.arange(ROWS) / RATE, float(np.ptp(wanted))
     drive, errors, parts, floors = model.compensate(wanted, **WIDE), [], [], []
@@ -85,15 +87,8 @@ def learned(
         errors.append(100.0 * float(np.std(away)) / span)  # the mean is not learned
         hiss = random.normal(0.0, noise * span, ROWS)
         measured = reached + hiss + zero + drift * span * k
-        asked = lesson(
-            model.actuator,
-            wanted,
-            time,
-            1.0 / RATE,
-            [Tracked("pass", drive, measured)],
-            start="empty",
-            **more,
-        )
+        played = [Tracked("pass", drive, measured)]
+        asked = RepeatedMove(model.actuator, wanted, time, 1.0 / RATE, options).lesson(played)
         low = ZeroPhaseLowPass(0.5 * asked.cutoff, 1.0 / RATE, ORDER)
         parts.append(100.0 * float(np.std(low.whole(reached - wanted)[MIDDLE])) / span)
         floors.append(100.0 * float(np.std(low.whole(hiss)[MIDDLE])) / span)

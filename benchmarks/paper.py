@@ -23,7 +23,6 @@ from dbo_cli.errors import DboError, InputError
 from dbo_cli.hysteresis.identification import Identification, IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
@@ -36,6 +35,7 @@ from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read
 from dbo_cli.reports.thinned_curves import FigureData
+from dbo_cli.version import program_version_string
 
 RATE = 200.0
 CYCLE = (3152, 3351)

@@ -10,8 +10,6 @@ from dbo_cli.version import __version__
 
 TYPE_CHECKING = False  # as in typing, which is not imported for it
 if TYPE_CHECKING:
-    from typing import Any
-
     from dbo_cli.errors import (
         DboError,
         FitError,
@@ -24,6 +22,8 @@ if TYPE_CHECKING:
     from dbo_cli.remarks import DboWarning
     from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
     from dbo_cli.runs.model import Model
+    from dbo_cli.runs.model_set import ModelSet
+    from dbo_cli.runs.trajectories import trajectory
 
 __all__ = [
     "DboError",
@@ -33,6 +33,7 @@ __all__ = [
     "LimitError",
     "Model",
     "ModelError",
+    "ModelSet",
     "OutputError",
     "UsageError",
     "__version__",
@@ -42,19 +43,27 @@ __all__ = [
     "read_model",
     "report",
     "simulate",
+    "trajectory",
 ]
 
-_ROOMS = {"Model": "runs.model", "DboWarning": "remarks"}
+_ROOMS = {
+    "Model": "runs.model",
+    "ModelSet": "runs.model_set",
+    "DboWarning": "remarks",
+    "trajectory": "runs.trajectories",
+}
 
 
-def __getattr__(name: str) -> Any:
-    """Load a public name when it is asked for."""
-    if name not in __all__:
-        raise AttributeError(f"module 'dbo_cli' has no attribute {name!r}")
-    from importlib import import_module
+if not TYPE_CHECKING:  # else a type checker would believe in any name
 
-    room = _ROOMS.get(name) or ("errors" if name.endswith("Error") else "runs.api")
-    return getattr(import_module(f"dbo_cli.{room}"), name)
+    def __getattr__(name: str) -> object:
+        """Load a public name when it is asked for."""
+        if name not in __all__:
+            raise AttributeError(f"module 'dbo_cli' has no attribute {name!r}")
+        from importlib import import_module
+
+        room = _ROOMS.get(name) or ("errors" if name.endswith("Error") else "runs.api")
+        return getattr(import_module(f"dbo_cli.{room}"), name)
 
 
 def __dir__() -> list[str]:

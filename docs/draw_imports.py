@@ -33,6 +33,7 @@ PLACES: dict[str, tuple[int, float, float, str]] = {
     "logs": (1, 5.2, 10.0, "formats, columns, units, clocks, outputs"),
     "identification": (2, 0.0, 3.1, "a model from logs"),
     "export": (2, 3.45, 6.55, "a model as C"),
+    "waveforms": (2, 6.9, 10.0, "generators' files"),
     "relatives": (3, 0.0, 3.1, "what to compare with"),
     "drives": (4, 0.0, 6.5, "what leaves for an amplifier: pieces, one state, one gate"),
     "reports": (4, 6.9, 10.0, "figures of merit, pages"),

@@ -161,3 +161,49 @@ def test_the_rows_of_a_drive_without_a_desired_value(bench: Any, name: str) -> N
     Path("both.csv").write_text("\n".join(["time_s,desired_um,measured_um", *lines]) + "\n")
     done = bench("report", "both.csv")
     assert done.err.startswith("dbo: error: both.csv:502: column 'desired_um' is not finite: 'nan'")
+
+
+def test_a_recording_between_the_rows_at_another_speed_or_before_the_amplifier(bench: Any) -> None:
+    def checked(time: Any, values: Any, *words: Any) -> Any:
+        write("played.csv", "time_s,monitor_V", time, values)
+        done = bench("check", "played.csv", "--against", "drive.csv", *words, "--format", "json")
+        return done.code, json.loads(done.out)["played"], done.err
+
+    def exact(seconds: Any) -> Any:
+        return 50.0 + 40.0 * np.sin(2.0 * np.pi * 5.0 * seconds)
+
+    code, found, _ = checked(TIME, exact(TIME - 0.0004))
+    assert code == 0 and found["lag_rows"] in (0, 1) and found["rows"] >= 399
+    assert found["lag_seconds"] == pytest.approx(0.0004, abs=1e-6)
+    assert found["gain"] == pytest.approx(1.0, abs=1e-6) and found["largest_difference"] < 1e-3
+    noise = np.random.default_rng(2).normal(0.0, 0.01, 400)
+    code, found, _ = checked(TIME, DRIVE / 20.0 + noise / 20.0, "--gain", 20)
+    assert code == 0 and found["gain"] == pytest.approx(1.0, abs=1e-3) and found["amplifier_gain"] == 20.0
+    code, found, problem = checked(TIME, 0.051 * DRIVE + 0.1, "--gain", 20)
+    assert code == 3 and found["gain"] == pytest.approx(1.02)
+    assert problem.startswith(
+        "dbo: error: played.csv: what was played differs by up to 3.8, more than 0.08 (gain 1.02 "
+    )
+    assert problem.endswith("e-14; before the amplifier an amplitude of 102 % and an offset of 0.1)\n")
+    code, found, problem = checked(TIME / 2.0, DRIVE)
+    assert code == 3 and found["speed"] == pytest.approx(2.0, rel=0.01)
+    assert "the drive was played 2 times as fast as it was to be" in problem
+    code, found, problem = checked(TIME[:200], DRIVE[::2])
+    assert code == 3 and "the drive was played 2 times as fast as it was to be" in problem
+    code, found, problem = checked(TIME[:200], DRIVE[:200])
+    assert found["speed"] == 1.0 and "200 of 400 rows were not played" in problem
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--gain 20", "--gain is that behind a recording (--against FILE is the drive it is of)"),
+        (
+            "--against drive.csv --gain 0",
+            "--gain 0: an amplifier of no gain moves nothing (give its volts out per",
+        ),
+    ],
+)
+def test_gains_that_mean_nothing(bench: Any, words: str, message: str) -> None:
+    done = bench("check", "drive.csv", *words.split())
+    assert (done.code, done.err.startswith(f"dbo: error: {message}")) == (2, True), done.err

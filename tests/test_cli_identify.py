@@ -99,8 +99,22 @@ def test_what_was_found_is_said(dbo: Any, small_log: Path) -> None:
     done = dbo("identify", "log.csv", *QUICK, "-o", "model.json")
     assert (done.code, done.out) == (0, "")
     assert all(line.startswith("dbo: ") for line in done.err.splitlines())
-    assert "dbo: fit RMSE " in done.err
-    assert "32 gears" in done.err
+    found = [line.removeprefix("dbo: ") for line in done.err.splitlines() if "warning: " not in line]
+    begins = ["log.csv: rows 1 to 58 left out", "expected on new moves inside the range: "]
+    begins += ["loop ", "lag ", "dbo show model.json says more; "]
+    assert [line[: len(one)] for line, one in zip(found, begins, strict=True)] == begins
+    assert max(map(len, found)) < 160
+    assert "; fit RMSE " in done.err and " V; 32 gears, " in done.err
+    assert (
+        found[-1]
+        == "dbo show model.json says more; dbo compensate model.json TRAJECTORY -o drive.csv uses it"
+    )
+    shown = " ".join(dbo("show", "model.json").out.split())
+    assert " on cycles left out; a straight line leaves " in shown
+    assert "expect: RMSE " in shown and " on new moves inside the range, from " in shown
+    assert (
+        " which the model undoes; growing slopes" in shown or " which the model undoes; free slopes" in shown
+    )
 
 
 def test_a_model_goes_to_standard_output(dbo: Any, small_log: Path) -> None:

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -17,8 +18,9 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app
+from dbo_cli.cli.manual import PAGES
 from dbo_cli.cli.messages import Progress, Reporter
-from dbo_cli.cli.typer_adapter import COMMANDS
+from dbo_cli.cli.typer_adapter import COMMANDS, root_command
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.logs.addresses import parse_address
@@ -26,7 +28,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.runs.identifying import identify_logs
 
 ROOT = Path(__file__).resolve().parent.parent
-LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare"
+LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory, waveform"
 
 
 def test_version(dbo: Any) -> None:
@@ -180,6 +182,9 @@ PROMISED = {
     "compare": "--models --validate --skip --format --figures --save-models --no-timings --voltage --displacement",
     "export": "--name --direction --arithmetic --sample-rate --gears --v-min --v-max --max-slew --lookup "
     "--arduino --fmu --shared --overwrite",
+    "trajectory": "--rate --range --slow-range --frequency --lines --pixels --overscan --one-way --turns --cycles --steps "
+    "--dwell --rest --loop --bandwidth --model --unit",
+    "waveform": "--to --gain --points --rate --codes --volts --loop --v-min --v-max --max-slew --tolerance --voltage",
 }
 
 
@@ -310,5 +315,23 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_help_has_an_example(dbo: Any, command: str) -> None:
-    assert f"Example: dbo {command} " in " ".join(dbo(command, "--help").out.split())
+def test_every_help_says_what_is_written_and_has_two_examples_that_parse(dbo: Any, command: str) -> None:
+    page = help_of(dbo, command)
+    assert len(PAGES[command].examples) == 2
+    for part in (
+        "\nWrites:\n  ",
+        "\nExamples:\n  ",
+        "\nExit codes:\n  0  ",
+        *(line for _, line in PAGES[command].examples),
+    ):
+        assert part in page
+    for _, line in PAGES[command].examples:
+        words = next(one for one in map(shlex.split, line.split(" | ")) if one[:2] == ["dbo", command])
+        root = root_command().make_context("dbo", [], resilient_parsing=True)
+        root_command().get_command(root, command).make_context(command, words[2:], parent=root)
+
+
+def test_help_is_a_word_too(dbo: Any) -> None:
+    assert dbo("help") == dbo("--help")
+    assert dbo("help", "check") == dbo("check", "--help")
+    assert dbo("help", "chek") == (2, "", f"dbo: error: no such command: 'chek': check?; there are: {LIST}\n")

@@ -9,9 +9,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from conftest import SMALL_MODEL, folder_content
+
+from dbo_cli import read_model
 
 DRIVE = "time_s,voltage_V\n0,0\n0.1,5\n0.2,10\n0.3,3\n"
 RESPONSE = "time_s,voltage_V,displacement_um\n0.0,0.0,1.0\n0.1,5.0,4.2\n0.2,10.0,9.0\n0.3,3.0,4.0\n"
@@ -50,6 +53,26 @@ def test_simulate_to_a_file_says_nothing_and_leaves_nothing_else(dbo: Any, model
     assert dbo("simulate", "model.json", "drive.csv", "-o", "out.csv") == (0, "", "")
     assert Path("out.csv").read_text() == RESPONSE
     assert folder_content(Path()) == {"model.json", "drive.csv", "out.csv"}
+
+
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_a_comment_says_where_a_text_comes_from_and_is_read_over(
+    dbo: Any, model_file: Path, command: str
+) -> None:
+    write("drive.csv", DRIVE if command == "simulate" else DRIVE.replace("voltage_V", "displacement_um"))
+    plain = dbo(command, "model.json", "drive.csv", "-q").out
+    assert dbo(command, "model.json", "drive.csv", "--header", "comment", "-q", "-o", "out.csv").code == 0
+    comment, _, rest = Path("out.csv").read_text().partition("\n")
+    assert rest == plain
+    assert comment == (
+        f"# dbo 0.2.0; model_sha256: {read_model('model.json').actuator.digest}; "
+        f"command: dbo {command} model.json drive.csv --header comment -q -o out.csv"
+    )
+    column = ("--input", "2") if command == "simulate" else ("--displacement", "2")
+    again = dbo(command, "model.json", "out.csv", *column, "-q").out.splitlines()
+    assert [line.split(",")[-1] for line in again[1:]] == [
+        line.split(",")[-1] for line in rest.splitlines()[1:]
+    ]
 
 
 def test_simulate_from_standard_input(dbo: Any, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -427,3 +450,49 @@ def test_the_first_line_says_what_was_read(whole_dbo: Any, model_file: Path) -> 
     assert done.out.splitlines()[0] == "time_s,CH1_V,displacement_um"
     assert done.out.splitlines()[2] == "0.1,5.0,4.2"
     assert whole_dbo("simulate", "model.json", "drive.csv", "-q").err == ""
+
+
+@pytest.mark.parametrize(
+    ("more", "rows"),
+    [([], 16384), (["--sweep-to", "200"], 65536), (["--duration", "8", "--frequency", "2"], 4096)],
+)
+def test_excite_fits_a_generator(dbo: Any, more: list[str], rows: int) -> None:
+    done = dbo("excite", "--v-max", 100, "--points", rows, *more, "-o", "e.csv")
+    assert done.code == 0, done.err
+    drive = np.loadtxt("e.csv", delimiter=",", skiprows=1)
+    assert drive.shape == (rows, 2) and drive[-1, 1] == 0.0 and drive[:, 1].max() == 100.0
+    assert dbo("waveform", "e.csv", "--to", "rigol-raf", "--gain", 20, "-o", "e.raf").code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--points 16384 --sample-rate 100", "--points and --sample-rate exclude each other: the rate follows from the "
+         "points"),
+        ("--points 200", "--points 200: 13.33 rows a second, at least 20 are needed (--points 300)"),
+        ("--points 16384 --sweep-to 200", "--points 16,384: 885.6 rows a second, at least 2000 are needed (--points "
+         "37,001)"),
+    ],
+)  # fmt: skip
+def test_excite_refuses_points_that_are_too_few(dbo: Any, words: str, message: str) -> None:
+    done = dbo("excite", "--v-max", "100", *words.split())
+    assert (done.code, done.out, done.err) == (2, "", f"dbo: error: {message}\n")
+
+
+def test_whose_volts_a_drive_is_in_is_said_where_the_logs_were_scaled(dbo: Any, tmp_path: Path) -> None:
+    content = SMALL_MODEL | {
+        "version": 2,
+        "provenance": {
+            "inputs": [{"name": "a.csv", "read": {"columns": {"voltage": {"scale": "times 20"}}}}]
+        },
+    }
+    (tmp_path / "scaled.json").write_text(json.dumps(content))
+    write = "time_s,displacement_um\n" + "".join(f"{k / 100},{2 + k / 50}\n" for k in range(100))
+    (tmp_path / "wish.csv").write_text(write)
+    done = dbo("compensate", "scaled.json", "wish.csv", "-o", "drive.h5")
+    assert (
+        "dbo: wish.csv: the drive is in the voltages of the model's logs times 20 (--gain of waveform takes it back to "
+        "the converter's)\n"
+    ) in done.err
+    with h5py.File("drive.h5") as file:
+        assert file.attrs["voltage_scale"] == "times 20, of the voltages in the model's logs"

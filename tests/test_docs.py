@@ -83,9 +83,23 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in known, f"{page.name}: {target}"
 
 
-def test_the_version_stands_in_two_places_alike() -> None:
+def test_the_version_stands_everywhere_alike() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == __version__
+    for name in ("CITATION.cff", "packaging/recipe.yaml"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert re.findall(r"^ *version: (\d.*)$", text, re.MULTILINE) == [__version__], name
+
+
+def test_the_conda_recipe_asks_for_what_the_package_needs() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needs = {"python" + project["requires-python"], *project["dependencies"]}
+    recipe = (ROOT / "packaging" / "recipe.yaml").read_text(encoding="utf-8")
+    run = recipe.partition("\n  run:\n")[2].partition("\n\n")[0]
+    asked = {
+        line.strip("- ").replace(" ", "").replace("matplotlib-base", "matplotlib") for line in run.split("\n")
+    }
+    assert asked == needs
 
 
 def test_files_that_the_architecture_names_are_there() -> None:

@@ -195,3 +195,15 @@ def test_a_drive_held_back_runs_on_in_blocks_with_the_bits_of_single_samples(
     whole, end, clipped = compensated(model, wanted, limits, "empty", [])
     assert whole.tobytes() == alone.tobytes() and end == state and clipped == count > 300
     assert len(tried) < 0.2 * clipped
+
+
+@pytest.mark.parametrize("v_max", [60.0, np.inf])
+def test_a_repeated_time_moves_no_drive_that_comes_from_outside_the_limits(v_max: float) -> None:
+    """In no time a lag passes nothing on: the drive comes in to its limit, and stays at it."""
+    model = actuator(3)
+    rest = model.simulate([8.0], model.start(8.0, "empty"), time_step=STEP)
+    wanted = np.full(6, float(rest.y[-1]))
+    limits = DriveLimits(55.0, v_max)
+    steps = np.array([0.0, 0.0, STEP, 0.0, STEP, STEP])
+    drive = model.compensate(wanted, rest.state, limits=limits, time_step=steps).y
+    assert drive.tolist() == [55.0] * 6

@@ -449,7 +449,7 @@ def test_the_expected_error_is_what_comes_on_new_moves() -> None:
 def test_what_cannot_be_expected_is_said_and_not_invented() -> None:
     once = identify([record(actuator(), np.repeat(nested(3)[:150], 2))])
     assert (once.fit["expected_rmse"], once.fit["expected_percent"]) == (None, None)
-    assert once.summary[1] == (
+    assert once.summary[0] == (
         "what error to expect on new moves cannot be told: the logs go up and down less than twice, so "
         "nothing could be left out: record more"
     )
@@ -463,7 +463,9 @@ def test_the_sensors_part_of_the_lag_is_not_the_models() -> None:
     taken = identify([late])
     told = identify([late], IdentificationOptions(sensor_delay=4.0 * PERIOD))
     assert taken.fit["lag_seconds"] == pytest.approx(4.0 * PERIOD, rel=0.1)
-    assert any("whether the actuator or its sensor is late" in line for line in taken.summary)
+    assert taken.summary[-1].endswith(
+        " ms, compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
+    )
     assert abs(told.fit["lag_seconds"]) < 0.1 * PERIOD  # type: ignore[arg-type]
     assert told.fit["sensor"] == {"delay": 4.0 * PERIOD, "lag": 0.0}
     assert any("sensor's delay of 40 ms" in line for line in told.summary)
@@ -539,7 +541,8 @@ def test_logs_of_different_actuators_are_told_by_their_gains() -> None:
     one = lagging(15, (1.0, 0.7, 0.4))
     other = replace(one, name="other", displacement=0.9 * one.displacement)
     (warning,) = [line for line in identify([one, other]).warnings if line.startswith("the logs' gains")]
-    assert warning.endswith("different actuators, loads or temperatures? identify each by itself")
+    asked = "different actuators, loads or temperatures? identify each by itself"
+    assert warning.endswith(f"{asked} (`output` 'models/{{file}}.json' does)")
 
 
 def test_a_gain_that_warms_up_is_said() -> None:

@@ -20,10 +20,10 @@ from dbo_cli.logs.columns import (
     matching_columns,
     split_header,
 )
-from dbo_cli.logs.provenance import input_record, program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.signal_log import input_record, open_log
 from dbo_cli.logs.units import normalise_unit
+from dbo_cli.version import program_version_string
 
 
 @pytest.mark.parametrize(
@@ -128,6 +128,15 @@ def test_provenance(tmp_path: Path) -> None:
         input_record(str(tmp_path / "none.csv"), 1)
 
 
+def test_the_digest_is_that_of_the_whole_file_though_few_rows_of_it_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("voltage\n" + "1.234567\n" * 50_000)  # longer than what is read ahead
+    with open_log(str(path), {"voltage": ColumnWish("1")}, ReadingOptions(rows=(1, 5)), digest=True) as log:
+        log.read()
+        record = log.record()
+    assert record == {"name": "log.csv", "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "rows": 5}
+
+
 def calls_to_match(columns: int) -> int:
     """How many functions are called to find the displacement among columns called x."""
     given = [
@@ -193,3 +202,70 @@ def test_an_address_is_taken_apart_once(
     assert parse_address(address, format) is address
     assert address.is_stream == (text == "-")
     assert parse_address(address, "h5").kind == "hdf5"
+
+
+def taken(header: str, role: str = "displacement", **more: object) -> tuple[dict[str, str], list[str]]:
+    """Return what the columns of a header are taken for, and what is said of it."""
+    columns = [column_info(name, number) for number, name in enumerate(header.split(","), start=1)]
+    want = {"voltage": wish("voltage", option="voltage"), "displacement": wish(role, option="displacement")}
+    if role == "trajectory":
+        del want["voltage"]
+    notes: list[str] = []
+    chosen = choose_columns("log", columns, want, [columns[0]], notes=notes)
+    return {name: column.name for name, column in chosen.items()}, notes
+
+
+@pytest.mark.parametrize(
+    "axes", ["x_um,y_um", "X (um),Y (um)", "X [mrad],Y [mrad]", "x_nm,y_nm,z_nm", "x,y", "z_um,y_um"]
+)
+def test_axes_are_asked_about_in_logs_and_trajectories(axes: str) -> None:
+    names = " or ".join(f"'{name}'" for name in axes.split(","))
+    for header, role in ((f"time_s,{axes}", "trajectory"), (f"time_s,voltage_V,{axes}", "displacement")):
+        with pytest.raises(InputError) as raised:
+            taken(header, role)
+        assert str(raised.value) == (
+            f"log: which column is the displacement, {names}? (choose with `displacement` NAME or NUMBER)"
+        )
+
+
+def test_one_axis_and_a_whole_name_beside_axes_need_no_question() -> None:
+    assert taken("time_s,y_um", "trajectory") == ({"displacement": "y_um"}, [])
+    assert taken("time_s,voltage_V,x_um")[0]["displacement"] == "x_um"
+    assert taken("time_s,voltage_V,x_um,displacement_um")[0]["displacement"] == "displacement_um"
+
+
+def test_the_only_column_of_a_unit_or_of_a_card_is_taken_with_a_note() -> None:
+    found, notes = taken("time_s,HV [V],Tip angle (mrad)")
+    assert found == {"voltage": "HV [V]", "displacement": "Tip angle (mrad)"}
+    assert notes == [
+        "log: 'HV [V]' is taken for the voltage: no other column is in a unit of voltage (`voltage` names "
+        "another)",
+        "log: 'Tip angle (mrad)' is taken for the displacement: no other column is in a unit of angle "
+        "(`displacement` names another)",
+    ]
+    found, notes = taken("time_s,Dev1/ao0,Dev1/ai0")
+    assert found == {"voltage": "Dev1/ao0", "displacement": "Dev1/ai0"}
+    assert (
+        notes[0]
+        == "log: 'Dev1/ao0' is taken for the voltage: the only analog output (`voltage` names another)"
+    )
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time_s,HV [V],Bias [V],position_um",  # two in volts
+        "time_s,HV monitor [V],position_um",  # a scale of its own
+        "time_s,Readback [V],position_um",
+        "time_s,Photodiode [V],position_um",
+        "time_s,drive (mA),HV [V],position_um",  # the drive is there, in a unit that cannot be meant
+        "time_s,ao0,ao1,ai0",
+        "time_s,ai0,ai1",
+        "time_s,voltage_V,Temperature drift (mrad)",
+        "time_s,voltage_V,Setpoint angle (mrad)",
+        "time_s,voltage_V,Tip (mrad),Tilt (mrad)",
+    ],
+)
+def test_what_may_be_something_else_is_not_taken(header: str) -> None:
+    with pytest.raises(InputError, match="no column is recognised as the"):
+        taken(header)

@@ -341,7 +341,7 @@ def test_replacing_joins_a_set(tmp_path: Path) -> None:
         ("x.csv", "h5", "`format` h5 contradicts this name: leave one of them out"),
         ("x.lvm", None, "LabVIEW's own files are not written: call it .txt"),
         ("x.json", None, ".json files are not written"),
-        ("x.npy.gz", None, ".npy files are not written"),
+        ("x.npy.gz", None, ".npy is a generator's file, which dbo waveform writes: call this one .csv"),
         ("x.h5", "csv", "`format` csv contradicts this name: leave one of them out"),
         ("x.tsv", "csv", "`format` csv contradicts this name"),
         ("x.csv.gz", "tsv", "`format` tsv contradicts this name"),

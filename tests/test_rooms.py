@@ -14,11 +14,12 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
 ORDER = [
-    "version", "errors", "remarks", "hysteresis", "logs", "relatives", "drives", "reports", "export", "runs",
-    "cli",
+    "version", "errors", "remarks", "hysteresis", "logs", "relatives", "drives", "reports", "export",
+    "waveforms", "runs", "cli",
 ]  # fmt: skip
 SIBLINGS = [
-    {"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export"}, {"relatives", "export"}
+    {"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export", "waveforms"},
+    {"relatives", "export"},
 ]  # fmt: skip
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}
@@ -28,7 +29,8 @@ draw_imports = importlib.util.module_from_spec(spec)
 sys.modules["draw_imports"] = draw_imports
 spec.loader.exec_module(draw_imports)
 COMMANDS = [
-    "identify", "show", "invert", "simulate", "compensate", "check", "report", "excite", "export", "compare"
+    "identify", "show", "invert", "simulate", "compensate", "check", "report", "excite", "export", "compare",
+    "trajectory", "waveform",
 ]  # fmt: skip
 
 
@@ -120,7 +122,9 @@ def test_the_picture_of_the_imports_has_no_arrow_up_and_is_up_to_date() -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [["--version"], ["--help"], *([name, "--help"] for name in COMMANDS)], ids=" ".join
+    "words",
+    [["--version"], ["--help"], ["help", "show"], *([name, "--help"] for name in COMMANDS)],
+    ids=" ".join,
 )
 def test_asking_for_help_loads_nothing_heavy(words: list[str]) -> None:
     script = (

@@ -18,6 +18,7 @@ from dbo_cli.errors import UsageError
 if TYPE_CHECKING:
     from dbo_cli.export import ExportSummary
     from dbo_cli.logs.reading_options import ReadingOptions
+    from dbo_cli.runs.jobs import Outcome, Work
 
 
 class Given(SimpleNamespace):
@@ -79,6 +80,7 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
+    *options.WORK,
     options.VOLTAGE,
     options.DISPLACEMENT,
     options.OUTPUT,
@@ -89,40 +91,32 @@ def identify(given: Given) -> None:
     What is left at auto is chosen on cycles left out of the fit. Several logs of one actuator are fitted
     together, each with its own sensor offset and drift. What was found, and what to be careful about, is said
     on standard error and kept in the model.
-
-    Example: dbo identify recorded.csv -o model.json
     """
     reading = given.reading
     refuse_terminal(given.output)
     if (given.v_min is None) != (given.v_max is None):
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import identify_logs
+    from dbo_cli.runs.many import identified
 
     asked = IdentificationOptions(
         **given.of([*options.IDENTIFICATION, options.ZERO, options.METHOD, options.FORCE]),
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    found = identify_logs(
-        given.log,
-        given.validate or [],
-        given.output,
-        reading,
-        asked,
-        **given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR]),
-        listener=Progress(given.reporter, "read"),
-    )
-    given.reporter.notes([*found.remarks.read, *found.remarks.notes, *found.summary])
-    given.reporter.warnings(found.remarks.warnings)
+    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR])
+    words = (given.log, given.validate or [], given.output, reading, asked)
+    _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
+    if not given.output.is_stream and "{" not in given.output.text:
+        model = shlex.quote(given.output.text)
+        given.reporter.note(
+            f"dbo show {model} says more; dbo compensate {model} TRAJECTORY -o drive.csv uses it"
+        )
 
 
 @_command(options.MODEL, *options.REPORTING, options.SHOW_FORMAT, options.MODEL_FIGURES, options.OUTPUT)
 def show(given: Given) -> None:
-    """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings.
-
-    Example: dbo show model.json
-    """
+    """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings."""
     from dbo_cli.runs.showing import show_model
 
     given.reporter.notes(show_model(given.model, given.output, given.format, given.figures))
@@ -135,8 +129,6 @@ def invert(given: Given) -> None:
     Every gear and segment exchanges its widths, the cascade runs backwards, a delay becomes a look ahead.
     The inverse of a forward model turns a desired displacement into the drive (dbo simulate runs it;
     dbo compensate does the same from the forward model and keeps the drive within its limits).
-
-    Example: dbo invert model.json -o inverse.json
     """
     refuse_terminal(given.output)
     from dbo_cli.runs.files import invert_model
@@ -147,15 +139,17 @@ def invert(given: Given) -> None:
 
 @_command(
     options.MODEL,
-    options.LOG,
+    options.INPUTS,
     *options.READING,
     *options.REPORTING,
     options.OUTSIDE,
+    *options.WORK,
     options.STATE,
     options.SAVE_STATE,
     options.INPUT,
     options.FLUSH,
     options.SUMMARY,
+    options.HEADER,
     options.OUTPUT,
 )
 def simulate(given: Given) -> None:
@@ -163,29 +157,31 @@ def simulate(given: Given) -> None:
 
     A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
     log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
-    model.json - --flush). Written are time (when known), the input column and the result.
-
-    Example: dbo simulate model.json drive.csv -o predicted.csv
+    model.json - --flush).
     """
     from dbo_cli.runs.files import simulate_log
+    from dbo_cli.runs.many import signals
 
-    remarks = simulate_log(
+    outcome = signals(
+        simulate_log,
         given.model,
         given.log,
-        _destination(given, [given.model, given.log, given.state]),
+        _destination(given, [given.model, *given.log, given.state]),
         given.reading,
-        column=given.input,
+        {"input": given.input},
         **given.of([options.OUTSIDE, options.STATE]),
+        work=_work(given),
         listener=Progress(given.reporter, "written"),
     )
-    given.reporter.remarks(remarks)
+    _finish(given, outcome)
 
 
 @_command(
     options.MODEL,
-    options.TRAJECTORY,
+    options.TRAJECTORIES,
     *options.READING,
     *options.DRIVING,
+    *options.WORK,
     *options.REPORTING,
     options.TRACKED,
     options.TRACKED_VOLTAGE,
@@ -195,6 +191,7 @@ def simulate(given: Given) -> None:
     options.DISPLACEMENT,
     options.FLUSH,
     options.SUMMARY,
+    options.HEADER,
     options.OUTPUT,
 )
 def compensate(given: Given) -> None:
@@ -202,30 +199,30 @@ def compensate(given: Given) -> None:
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
     a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
-    clipped, counted and said; no row ever breaks a limit. Written are time (when known), the desired
-    displacement and the drive.
-
-    Example: dbo compensate model.json trajectory.csv --max-slew 2000 --from 0 --approach auto -o drive.csv
+    clipped, counted and said; no row ever breaks a limit.
     """
     reading = given.reading
     from dbo_cli.drives.options import DriveOptions
 
     asked = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
-    from dbo_cli.runs.drive_files import compensate_trajectory
+    from dbo_cli.runs.files import compensate_trajectory
+    from dbo_cli.runs.many import signals
 
     tracked = given.tracked or ()
-    remarks = compensate_trajectory(
+    outcome = signals(
+        compensate_trajectory,
         given.model,
         given.trajectory,
-        _destination(given, [given.model, given.trajectory, given.state, *tracked]),
+        _destination(given, [given.model, *given.trajectory, given.state, *tracked]),
         reading,
-        asked,
-        column=given.displacement,
+        {"displacement": given.displacement},
+        options=asked,
         tracked=tracked,
         **given.of([options.STATE, options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
+        work=_work(given),
         listener=Progress(given.reporter, "written"),
     )
-    given.reporter.remarks(remarks)
+    _finish(given, outcome)
 
 
 @_command(
@@ -243,8 +240,6 @@ def check(given: Given) -> None:
     Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times and rows without a
     number: what breaks a limit is named with its row, and the exit code is 3. With --against, the first file
     is a recording of what was played, and the question is whether it was that drive: rows, lag, gain, offset.
-
-    Example: dbo check played.csv --against drive.csv --v-min 0 --v-max 100 --max-slew 2000
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 
@@ -258,6 +253,7 @@ def check(given: Given) -> None:
     *options.REPORTING,
     *options.TRACKING,
     *options.LIMITS,
+    *options.WORK,
     options.FIGURES,
     options.REPORT_FORMAT,
     *options.REPORT_COLUMNS,
@@ -271,20 +267,20 @@ def report(given: Given) -> None:
     it is run from the first row on, and --rows says which rows count. With --trajectory the desired signal
     comes from a file of its own.
     Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
-
-    Example: dbo report uncompensated.csv compensated.csv --figures figures -o report.html
     """
-    from dbo_cli.runs.reporting import Limits, report_logs
+    from dbo_cli.runs.many import reported
+    from dbo_cli.runs.reporting import Limits
     from dbo_cli.runs.tracking import TrackingOptions
 
     asked = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
-    written = report_logs(
+    written = reported(
         given.log,
         given.output,
         given.reading,
         asked,
         form=given.format,
         figures=given.figures,
+        work=_work(given),
         listener=Progress(given.reporter, "compared"),
     )
     given.reporter.remarks(written.remarks)
@@ -303,15 +299,14 @@ def excite(given: Given) -> None:
     about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
     --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
     more, and longer below 60 Hz).
-
-    Example: dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
     """
-    from dbo_cli.hysteresis.excitation import Excitation
-    from dbo_cli.runs.drive_files import write_excitation
+    from dbo_cli.hysteresis.excitation import excitation_of
+    from dbo_cli.runs.files import write_excitation
 
-    rows = write_excitation(given.output, Excitation(**given.of(options.EXCITATION)), given.format)
+    asked = excitation_of(**given.of(options.EXCITATION))
+    rows = write_excitation(given.output, asked, given.format)
     given.reporter.detail(
-        f"{rows:,} rows, {rows / given.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
+        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
     )
 
 
@@ -320,13 +315,10 @@ def export(given: Given) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
     C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
-    q31 (32-bit fixed point) come with a derived bound on their error. The folder holds NAME.h, NAME.c,
-    NAME_test.c, the kernel, build files and README.md; it appears whole or not at all.
-
-    Example: dbo export model.json -o firmware --sample-rate 10000
+    q31 (32-bit fixed point) come with a derived bound on their error.
     """
     from dbo_cli.export import export_model
-    from dbo_cli.hysteresis.model_file import read_model
+    from dbo_cli.hysteresis.model_set import read_model
 
     summary = export_model(read_model(given.model), given.output, **given.of(options.EXPORTING))
     given.reporter.notes(_summary_lines(summary))
@@ -353,8 +345,6 @@ def compare(given: Given) -> None:
     The relatives are a straight line and the Prandtl-Ishlinskii operators that the paper names. All get the
     same rows, start, drift and search for a delay; one that cannot be fitted has a row that says why. Times
     differ from run to run: with --no-timings the same logs give the same bytes.
-
-    Example: dbo compare recorded.csv --validate other.csv --figures figures
     """
     from dbo_cli.runs.model_table import TableOptions, compare_logs
 
@@ -373,12 +363,25 @@ def compare(given: Given) -> None:
     given.reporter.remarks(remarks)
 
 
+def _work(given: Given) -> Work:
+    """Return how many runs are to be worked through."""
+    from dbo_cli.runs.jobs import Work
+
+    return Work(given.jobs, given.keep_going)
+
+
+def _finish(given: Given, outcome: Outcome) -> None:
+    """Print what is to be said of many runs, and end with their error, if there is one."""
+    given.reporter.remarks(outcome.remarks)
+    outcome.check()
+
+
 def _destination(given: Given, inputs: list[Any]) -> Any:
     """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
     from dbo_cli.runs.files import Destination
 
-    command = shlex.join(["dbo", *given.typed])
-    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary)
+    command, commented = shlex.join(["dbo", *given.typed]), given.header == "comment"
+    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary, commented)
 
 
 def _summary_lines(summary: ExportSummary) -> list[str]:

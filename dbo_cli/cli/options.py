@@ -97,8 +97,14 @@ def _choice(spelled: str, meaning: str, default: str | None = None) -> Option:
 
 # --- arguments ---
 LOGS = _argument("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True)
-LOG = _argument("LOG", "The input signal; FILE::/group in HDF5; - is stdin.")
-TRAJECTORY = _argument("TRAJECTORY", "The desired displacement; FILE::/group in HDF5; - is stdin.")
+INPUTS = _argument(
+    "LOG", "The input signal; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.", repeated=True
+)
+TRAJECTORIES = _argument(
+    "TRAJECTORY",
+    "The desired displacement; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.",
+    repeated=True,
+)
 MODEL = _argument("MODEL", "The model file; - is stdin.", parse=None)
 DRIVE = _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")
 
@@ -106,6 +112,9 @@ DRIVE = _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is 
 OUTPUT = _common("-o, --output FILE", "Where the result goes; - is stdout.", "-", address)
 FOLDER = _common("-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED)
 FLUSH = _common("--flush", "Write each row as soon as it is there (live streams).")
+HEADER = _choice(
+    "--header plain|comment", "comment: text begins with a # line: program, model, command.", "plain"
+)._replace(heading=MESSAGES)
 SUMMARY = _common("--summary FILE", "Also write what was done as JSON (dbo-summary).", parse=address)
 OUTPUT_FORMAT = Option(
     "--format csv|tsv|hdf5", "Form of the output where no file name tells.", choice(FORMATS), None, MESSAGES
@@ -307,12 +316,19 @@ CHECKING = (  # the fields of ``CheckOptions``
     MAX_SLEW,
     FROM,
     Option("--loop", "The drive is looped: from its last row to its first, too."),
-    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset.", address),
+    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset, speed.", address),
+    Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", number, "1"),
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed [default: a thousandth of the range].",
         positive,
     ),
+)
+
+# --- channels and many files: the fields of ``Work`` ---
+WORK = (
+    Option("-j, --jobs N", "Processes, for channels or many files; changes no result.", whole(1), "1"),
+    Option("--keep-going", "Where a channel or file fails, write the others; exit 1."),
 )
 
 # --- report, show ---
@@ -354,19 +370,16 @@ SAVE_MODELS = Option(
 )
 
 # --- excite: the parameters of ``write_excitation`` ---
-EXCITATION = (
+EXCITATION = (  # of ``excitation_of``
     Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", number, REQUIRED),
     Option("--v-min VOLT", "Lowest drive voltage.", number, "0"),
-    Option("--sample-rate HZ", "Rows per second.", positive, "1000"),
+    Option("--sample-rate HZ", "Rows per second [default: 1000].", positive),
+    Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", whole(2)),
     Option("--duration SECONDS", "Length of the drive.", positive, "15"),
     Option("--frequency HZ", "Full cycles per second.", positive, "1"),
     MAX_SLEW,
     Option("--seed N", "Another number, another drive.", whole(0), "1"),
-    Option(
-        "--sweep-to HZ",
-        "Append a small sweep up to this frequency, for the dynamics of the actuator.",
-        positive,
-    ),
+    Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics.", positive),
     Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", positive),
 )
 

@@ -21,7 +21,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli.cli import options
-from dbo_cli.cli.commands import COMMANDS, Given
+from dbo_cli.cli.bench_commands import COMMANDS
+from dbo_cli.cli.commands import Given
+from dbo_cli.cli.manual import PAGES, exit_codes
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
 from dbo_cli.version import __version__
@@ -50,21 +52,37 @@ class ParsedValues:
 
 
 class TableCommand(ParsedValues, TyperCommand):
-    """A command whose help lists its options under headings, in plain text."""
+    """A command whose help says what it writes, gives examples, and lists its options under headings."""
+
+    def format_help_text(self, ctx: Any, formatter: Any) -> None:
+        """Write the description, what the command writes, and the examples."""
+        super().format_help_text(ctx, formatter)
+        page = PAGES[self.name or ""]
+        with formatter.section("Writes"):
+            formatter.write_text(page.writes)
+        with formatter.section("Examples"):
+            for purpose, line in page.examples:
+                formatter.write(f"  {purpose}\n    {line}\n")
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments first, then each heading's options as declared, columns before the rest."""
+        """Write the options, then the exit codes."""
+        for heading, rows in [*self.sections(ctx), ("Exit codes", exit_codes(self.name or ""))]:
+            with formatter.section(heading):
+                formatter.write_dl(rows, col_max=28)
+
+    def sections(self, ctx: Any) -> list[tuple[str, list[tuple[str, str]]]]:
+        """Return each heading with its options and what they mean; columns come before the rest."""
         sections: dict[str, list[Any]] = {heading: [] for heading in HEADINGS}
         for parameter in self.get_params(ctx):
             is_argument = parameter.param_type_name == "argument"
             named = getattr(parameter, "rich_help_panel", None)  # the library's own --help has none
             heading = "Arguments" if is_argument else named or options.OPTIONS
             sections[heading].append(parameter)
-        for heading, parameters in sections.items():
-            if parameters:
-                parameters.sort(key=lambda parameter: parameter.metavar != options.COLUMN)
-                with formatter.section(heading):
-                    formatter.write_dl([_explained(parameter, ctx) for parameter in parameters], col_max=28)
+        for parameters in sections.values():
+            parameters.sort(key=lambda parameter: parameter.metavar != options.COLUMN)
+        return [
+            (heading, [_explained(one, ctx) for one in some]) for heading, some in sections.items() if some
+        ]
 
 
 class Commands(ParsedValues, TyperGroup):
@@ -120,6 +138,8 @@ def run(words: Sequence[str]) -> int:
     """Parse a command line and run the command it names; its exceptions come through."""
     if COMPLETING in os.environ:
         return completions()
+    if words and words[0] == "help":
+        words = [*words[1:], "--help"]
     TYPED.set(tuple(words))
     command = root_command()
     try:
@@ -157,6 +177,7 @@ def _root(
     A log of drive voltage and displacement becomes a model (identify), the model and a trajectory become
     the drive that follows it (compensate), and the error is reported (report). Every command reads and
     writes - as standard input and output; data alone goes there, everything else to standard error.
+    dbo help COMMAND, or dbo COMMAND --help, has the options of a command, what it writes, and examples.
     """
     if version:
         typer.echo(f"dbo {__version__}")

@@ -88,6 +88,17 @@ def times(option: str, text: str) -> tuple[float, ...]:
     return tuple(sorted(values))
 
 
+def span(option: str, text: str) -> tuple[float, float]:
+    """Return two numbers, ``LOW:HIGH``, the lower one first."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise UsageError(f"`{option}` {shown(text)}: give LOW:HIGH")
+    ends = number(option, low), number(option, high)
+    if not ends[0] < ends[1]:
+        raise UsageError(f"`{option}` {shown(text)}: {low} is not below {high}")
+    return ends
+
+
 def address(option: str, text: str) -> Address:
     """Return a file, a group of an HDF5 file or a standard stream, taken apart once and for all."""
     from dbo_cli.logs.addresses import parse_address

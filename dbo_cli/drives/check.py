@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.compensation import DriveFigures
-from dbo_cli.drives.gate import DriveGate, Floats
+from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.delay import interpolated
 from dbo_cli.hysteresis.model_state import DriveLimits
@@ -18,6 +17,10 @@ from dbo_cli.logs.clock import GAP_STEPS, median_step
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
 ANOTHER = 0.5  # correlation below which a recording is of another drive
 SAME_RATE = 1e-3  # two clocks may differ by this fraction
+OTHER_SPEED = 0.1  # of what is left at the right speed: less at another one, and it was played at that
+FEWEST_FOR_PARTS = (
+    16  # rows from which on a fraction of a row is looked for: three numbers are fitted to them
+)
 
 
 @dataclass
@@ -68,22 +71,9 @@ def check_drive(
     InputError
         A slew limit is to be checked and no time is known.
     """
-    steps: Floats | None = None
     checked = CheckedDrive(DriveFigures())
-    if time is not None and time.size > 1:
-        steps = np.diff(time)
-        forward = steps[steps > 0.0]
-        usual = median_step(forward) if forward.size else 0.0
-        steps = np.concatenate([[usual], steps])
-        for what, odd in (
-            ("time goes backwards", steps < 0.0),
-            ("the time stamp repeats", steps == 0.0),
-            ("a gap in time", steps > GAP_STEPS * usual),
-        ):
-            if odd.any():
-                checked.problems.append(_problem(place, odd, what))
-        steps = np.maximum(steps, 0.0)
-    elif limits.max_slew is not None:
+    steps = None if time is None or time.size < 2 else _check_clock(checked, time, place)
+    if steps is None and limits.max_slew is not None:
         raise InputError("there is no time, and `max_slew` depends on it (`time` COLUMN or `sample_rate` HZ)")
     checked.figures.see(drive, steps)
     gate = DriveGate(limits, from_)
@@ -107,10 +97,51 @@ def check_drive(
     return checked
 
 
+def _check_clock(checked: CheckedDrive, time: Floats, place: Callable[[int], str]) -> Floats:
+    """Note what is odd about time stamps; return the seconds before each row, none of them below 0."""
+    steps = np.diff(time)
+    forward = steps[steps > 0.0]
+    usual = median_step(forward) if forward.size else 0.0
+    steps = np.concatenate([[usual], steps])
+    for what, odd in (
+        ("time goes backwards", steps < 0.0),
+        ("the time stamp repeats", steps == 0.0),
+        ("a gap in time", steps > GAP_STEPS * usual),
+    ):
+        if odd.any():
+            checked.problems.append(_problem(place, odd, what))
+    return np.maximum(steps, 0.0)
+
+
 def _problem(place: Callable[[int], str], odd: Any, reason: str) -> str:
     count = int(np.count_nonzero(odd))
     more = f" ({count:,} rows in all)" if count > 1 else ""
     return f"{place(int(np.argmax(odd)))}: {reason}{more}"
+
+
+class Likeness(NamedTuple):
+    """How a recording is like a drive.
+
+    Attributes
+    ----------
+    lag, part
+        By how many rows it is later, whole ones and the fraction of a row beside them.
+    rows
+        How many rows of the two belong together.
+    gain, offset, alike
+        Recording = gain drive + offset; the correlation of the two, without its sign.
+    largest, left
+        The largest difference, and what is left of it after gain and offset.
+    """
+
+    lag: int
+    part: float
+    rows: int
+    gain: float
+    offset: float
+    alike: float
+    largest: float
+    left: float
 
 
 def check_played(
@@ -119,6 +150,7 @@ def check_played(
     played: Floats,
     steps: tuple[float | None, float | None],
     tolerance: float | None = None,
+    gain: float = 1.0,
 ) -> None:
     """Compare a recording of the drive with what was to be played; problems and figures go to ``checked``.
 
@@ -130,42 +162,100 @@ def check_played(
         Seconds a row of the two, where they are known: at another rate the drive is interpolated.
     tolerance
         Largest difference allowed; a thousandth of the drive's range where not given.
+    gain
+        Of an amplifier behind the place of the recording: it is compared times that.
     """
-    span = float(np.ptp(drive))
-    most = TOLERANCE * span if tolerance is None else tolerance
+    most = TOLERANCE * float(np.ptp(drive)) if tolerance is None else tolerance
     own, other = steps
-    resampled = own is not None and other is not None and abs(other / own - 1.0) > SAME_RATE
-    if resampled and own is not None and other is not None:
-        count = int((drive.size - 1) * own / other + 1e-9) + 1
-        drive = interpolated(own * np.arange(float(drive.size)), drive, other * np.arange(float(count)))[0]
+    count, ratio = drive.size, None
+    if own is not None and other is not None and abs(other / own - 1.0) > SAME_RATE:
+        ratio = other / own
+        count = int((drive.size - 1) / ratio + 1e-9) + 1
+    found, speed = _found(drive, played * gain, most, count, ratio)
+    late = found.lag + found.part
+    checked.played = {
+        "rows": found.rows, "lag_rows": found.lag, "lag_seconds": None if other is None else late * other,
+        "resampled": count != drive.size, "gain": found.gain, "offset": found.offset,
+        "largest_difference": found.largest, "difference_after_gain_and_offset": found.left,
+        "tolerance": most, "speed": speed, "amplifier_gain": gain,
+    }  # fmt: skip
+    if found.alike < ANOTHER:
+        checked.problems.append("what was played is another drive: the two have nothing in common")
+        return
+    if speed != 1.0:
+        checked.problems.append(
+            f"the drive was played {speed:.3g} times as fast as it was to be (the generator's rate or "
+            "frequency, or the recording's clock)"
+        )
+    elif found.rows < count:
+        checked.problems.append(f"{count - found.rows:,} of {count:,} rows were not played")
+    if found.largest > most:
+        cause = "neither a gain nor an offset explains it"
+        if found.left <= 0.5 * found.largest:
+            cause = f"gain {found.gain:.6g} and offset {found.offset:.6g} explain all but {found.left:.3g}"
+        if found.left <= 0.5 * found.largest and gain != 1.0:
+            cause += (
+                f"; before the amplifier an amplitude of {100.0 * abs(found.gain):.4g} % and an offset of "
+                f"{found.offset / gain:.4g}"
+            )
+        checked.problems.append(
+            f"what was played differs by up to {found.largest:.6g}, more than {most:.3g} ({cause})"
+        )
+
+
+def _found(
+    drive: Floats, played: Floats, most: float, count: int, ratio: float | None
+) -> tuple[Likeness, float]:
+    """Return how a recording is like a drive in ``count`` rows, and how many times as fast it was played."""
+    found, speed = _likeness(_stretched(drive, count, ratio), played, most), 1.0
+    if found.alike < ANOTHER or found.left > most:  # at another speed: row for row, or from end to end?
+        for rows in sorted({drive.size, played.size} - {count}):
+            again = _likeness(_stretched(drive, rows), played, most)
+            if again.left < OTHER_SPEED * found.left and again.alike > found.alike:
+                found, speed = again, count / rows
+    return found, speed
+
+
+def _stretched(drive: Floats, count: int, step: float | None = None) -> Floats:
+    """Return a drive in so many rows, ``step`` of its own rows apart (over all of it, where not given)."""
+    if count == drive.size:
+        return drive
+    each = (drive.size - 1) / max(count - 1, 1) if step is None else step
+    return interpolated(np.arange(float(drive.size)), drive, each * np.arange(float(count)))[0]
+
+
+def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
+    """Return how a recording is like a drive, later by fractions of a row where whole rows do not do."""
     lag = _lag(drive, played)
     begin, end = max(0, -lag), min(drive.size, played.size - lag)
-    a, b = drive[begin:end], played[begin + lag : end + lag]
+    found = _fitted(drive[begin:end], played[begin + lag : end + lag], lag, 0.0)
+    if found.left <= most or end - begin < FEWEST_FOR_PARTS or found.alike < ANOTHER:
+        return found
+    from scipy.interpolate import CubicSpline
+
+    curve, rows, part = (
+        CubicSpline(np.arange(float(drive.size)), drive),
+        np.arange(begin + 1.0, end - 1.0),
+        0.0,
+    )
+    b = played[begin + 1 + lag : end - 1 + lag]
+    for _ in range(2):
+        a = curve(rows - part)
+        columns = np.column_stack([a - a.mean(), np.ones(a.size), curve(rows - part, 1)])
+        gain, _, slope = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
+        part = min(max(part - slope / gain, -1.0), 1.0) if gain else 0.0
+    again = _fitted(curve(rows - part), b, lag, part)
+    return again._replace(rows=found.rows) if again.left < found.left else found
+
+
+def _fitted(a: Floats, b: Floats, lag: int, part: float) -> Likeness:
+    """Return how rows that belong together are alike."""
     columns = np.column_stack([a - a.mean(), np.ones(a.size)])
     gain, middle = np.linalg.lstsq(columns, b, rcond=None)[0].tolist()
     offset = middle - gain * float(a.mean())
-    alike = 1.0 if span == 0.0 else abs(float(np.corrcoef(a, b)[0, 1])) if np.ptp(b) > 0.0 else 0.0
-    largest = float(np.abs(b - a).max())
-    left = float(np.abs(b - gain * a - offset).max())
-    checked.played = {
-        "rows": int(a.size), "lag_rows": lag, "lag_seconds": None if other is None else lag * other,
-        "resampled": resampled, "gain": gain, "offset": offset, "largest_difference": largest,
-        "difference_after_gain_and_offset": left, "tolerance": most,
-    }  # fmt: skip
-    if alike < ANOTHER:
-        checked.problems.append("what was played is another drive: the two have nothing in common")
-        return
-    if a.size < drive.size:
-        checked.problems.append(f"{drive.size - a.size:,} of {drive.size:,} rows were not played")
-    if largest > most:
-        cause = (
-            f"gain {gain:.6g} and offset {offset:.6g} explain all but {left:.3g}"
-            if left <= 0.5 * largest
-            else "neither a gain nor an offset explains it"
-        )
-        checked.problems.append(
-            f"what was played differs by up to {largest:.6g}, more than {most:.3g} ({cause})"
-        )
+    alike = 1.0 if np.ptp(a) == 0.0 else abs(float(np.corrcoef(a, b)[0, 1])) if np.ptp(b) > 0.0 else 0.0
+    largest, left = float(np.abs(b - a).max()), float(np.abs(b - gain * a - offset).max())
+    return Likeness(lag, part, a.size, gain, offset, alike, largest, left)
 
 
 def _lag(drive: Floats, played: Floats) -> int:

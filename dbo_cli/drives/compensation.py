@@ -8,111 +8,35 @@ gate.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dbo_cli.drives.gate import DriveGate
-from dbo_cli.drives.history import PassRecord, write_history
-from dbo_cli.drives.model_run import ModelRun, Response, Tally, unit_of
+from dbo_cli.drives.gate import DriveFigures, DriveGate, Extent
+from dbo_cli.drives.history import write_history
+from dbo_cli.drives.inputs import first_blocks
+from dbo_cli.drives.model_run import ModelRun, Response, Tally
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.pieces import ramp, require_rows, rest_samples, sweep, way
+from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Quantity, Simulated
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.remarks import Remarks
 
-RATE_SAMPLES = 101
-"""The pieces before a move take their rate from so many first samples, however the trajectory is cut."""
+if TYPE_CHECKING:
+    from dbo_cli.drives.learning import Lesson
+
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 SAME_DRIVE = 1e-9  # of the range: a state and what the amplifier is said to stand at agree
-
-
-@dataclass
-class Extent:
-    """The least and the greatest of all values seen."""
-
-    low: float = math.inf
-    high: float = -math.inf
-
-    def add(self, values: FloatArray) -> None:
-        """See some values more."""
-        self.low = min(self.low, float(values.min(initial=math.inf)))
-        self.high = max(self.high, float(values.max(initial=-math.inf)))
-
-
-@dataclass
-class DriveFigures(Extent):
-    """What a drive asks of an amplifier, row by row.
-
-    Attributes
-    ----------
-    first, last : float, or None
-        The first row and the last one seen.
-    rows : int
-        How many rows were seen.
-    largest_step : float
-        Between two rows, that to the first one aside.
-    travel, work, seconds, fastest : float
-        Sums of |dv| and of |v dv|, the time they took (s), and the greatest |dv|/dt.
-    """
-
-    first: float | None = None
-    last: float | None = None
-    rows: int = 0
-    largest_step: float = 0.0
-    travel: float = 0.0
-    work: float = 0.0
-    seconds: float = 0.0
-    fastest: float = 0.0
-
-    def see(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
-        """See consecutive rows."""
-        if not drive.size:
-            return
-        self.add(drive)
-        change = np.abs(np.diff(drive, prepend=drive[0] if self.last is None else self.last))
-        if steps is not None:
-            time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
-            moved = change[int(self.last is None) :]
-            self.seconds += float(time.sum())
-            rates = moved[time > 0.0] / time[time > 0.0]
-            self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
-        self.largest_step = max(self.largest_step, float(change.max()))
-        self.travel += float(change.sum())
-        self.work += float(np.dot(np.abs(drive), change))
-        self.first = float(drive[0]) if self.first is None else self.first
-        self.last, self.rows = float(drive[-1]), self.rows + drive.size
-
-
-class Before(NamedTuple):
-    """The rows before a trajectory.
-
-    Attributes
-    ----------
-    voltage, expected : array
-        Played as they are, and the displacement that the model expects of them.
-    wanted : array
-        Displacements that the inverse follows, up to the trajectory's first value.
-    state : ModelState, or None
-        After the voltages; None where the run finds its start itself.
-    """
-
-    voltage: FloatArray
-    expected: FloatArray
-    wanted: FloatArray
-    state: ModelState | None
-
-
-NOTHING = np.zeros(0)
 
 
 @dataclass
@@ -123,10 +47,9 @@ class Compensation(ModelRun):
     ----------
     options : DriveOptions
         What is asked of the drive.
-    desired : array, optional
-        The trajectory, where the source holds what is asked of the model instead (see ``learning``).
-    passes : list of PassRecord
-        The passes so far, the one that was learned from last; to be kept where a history is asked for.
+    lesson : Lesson, optional
+        What recordings of the last pass have taught; the source then holds what is asked of the model instead
+        of the trajectory.
     remarks_before : Remarks
         What was said before the run.
     gate : DriveGate
@@ -134,8 +57,7 @@ class Compensation(ModelRun):
     """
 
     options: DriveOptions = field(default_factory=DriveOptions)
-    desired: FloatArray | None = None
-    passes: list[PassRecord] = field(default_factory=list)
+    lesson: Lesson | None = None
     remarks_before: Remarks = field(default_factory=Remarks)
     clipped: Tally = field(default_factory=Tally)
     missed: float = 0.0
@@ -148,31 +70,21 @@ class Compensation(ModelRun):
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
 
+    compensates = True
+    remedies = "`condition` sweeps it there, "
+
     def __post_init__(self) -> None:
         """Take the options apart."""
-        self.model.require("forward")
         options = self.options
         self.limits, self.start = options.limits(self.model), options.state
-        self.why_time = self.why_time or options.why_time
-        self.bandwidth = None if self.desired is not None else options.bandwidth
+        self.why_time, self.bandwidth = options.why_time, options.bandwidth
+        if self.lesson is not None:
+            self.why_time, self.bandwidth = "`tracked` depends on it", None
+            self.remarks_before.add(self.lesson.remarks)
         super().__post_init__()
+        self._run = functools.partial(self.model.compensate, limits=self.limits)
         self.came_from = self._comes_from()
         self.gate = DriveGate(self.limits, self.came_from)
-
-    @property
-    def inverting(self) -> bool:
-        """A displacement goes in, a drive comes out."""
-        return True
-
-    @property
-    def taken(self) -> Quantity:
-        """The displacement."""
-        return self.model.output
-
-    @property
-    def given(self) -> Quantity:
-        """The drive."""
-        return self.model.input
 
     def responses(self) -> Iterator[Response]:
         """Return the drive, with the pieces before and after it that were asked for.
@@ -186,37 +98,46 @@ class Compensation(ModelRun):
         GateError
             A row breaks a limit: this program's fault.
         """
-        blocks: Iterator[SampleBlock] = self.source.blocks()
-        options, step = self.options, 0.0
-        if options.begins_before or options.from_ is not None or options.return_ is not None:
-            held, stamps = _peeked(blocks)
-            step = self._usual_step(stamps) if self.steps.needed else 0.0
+        blocks, role, step = self.source.blocks(), self.taken.quantity, 0.0
+        if self.options.has_pieces:
+            held, stamps = first_blocks(blocks)
             blocks = chain(held, blocks)
+            if self.steps.needed:
+                step = self._usual_step(stamps)
             if held:
-                before = self._before(float(held[0].values[self.taken.quantity][0]), step)
+                before = self._before(float(held[0].values[role][0]), step)
                 played, count = before.voltage.size, before.voltage.size + before.wanted.size
-                times = step * np.arange(-count, 0.0) + (stamps[0] if stamps.size else 0.0)
-                if played:
-                    yield self._response(times[:played], before.expected, before.voltage, step)
-                if before.state is not None:
-                    self.state = before.state
-                if before.state is not None and stamps.size:
-                    last = float(times[played - 1]) if played else float(stamps[0]) - step * (count + 1)
-                    self.state = dataclasses.replace(before.state, time=last)
-                    self.steps.follow(last)
-                blocks = chain(_led(before.wanted, times[played:], held[0], self.taken.quantity), blocks)
-        last_time = None
+                # From one step before the first row on.
+                times = step * np.arange(-count - 1, 0.0) + (stamps[0] if stamps.size else 0.0)
+                yield from self._played(before, times[: played + 1], step)
+                if count > played:
+                    rows, wanted = range(1 + played - count, 1), {role: before.wanted}
+                    blocks = chain([SampleBlock(rows, None, times[played + 1 :], wanted)], blocks)
         for block, x in self.inputs.blocks(blocks, self.state):
-            response = Response(block.time, block.values[self.taken.quantity], self.feed(block, x))
-            last_time = None if block.time is None else float(block.time[-1])
-            yield response if block.rows[0] < 1 else self._with_desired(response)
+            drive, given = self.feed(block, x).y, block.values[role]
+            if block.rows[0] >= 1:
+                if self.lesson is not None:
+                    end = self.rows - self.rows_before
+                    given = self.lesson.desired[end - drive.size : end]
+                self.move.add(given)
+            yield Response(block.time, given, drive)
         if self.rows and self.unreachable >= self.rows - self.rows_before > 0:
             raise InputError(
                 f"{self.source.name}: every row is outside what the model reaches ({self._range()}): check "
                 "unit, column and zero of the trajectory"
             )
-        if self.options.return_ is not None and last_time is not None:
-            yield self._return(last_time, step)
+        if self.options.return_ is not None and self.state is not None and self.state.time is not None:
+            yield self._return(self.state, self.state.time, step)
+
+    def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
+        """Play the voltages before a move, and go on from the state that they leave."""
+        if before.voltage.size:
+            yield self._response(times[1:], before.expected, before.voltage, step)
+        if before.state is not None:
+            self.state = before.state
+            if self.source.has_time:
+                self.state = dataclasses.replace(before.state, time=float(times[-1]))
+                self.steps.follow(float(times[-1]))
 
     # --- the rows before and after the trajectory ---
 
@@ -293,16 +214,15 @@ class Compensation(ModelRun):
         ahead = 0 if self.model.dynamics is None else self.model.dynamics.inverter(step).ahead
         return ahead + math.ceil(self.model.delay_seconds / step - SLACK)
 
-    def _return(self, last_time: float, step: float) -> Response:
+    def _return(self, state: ModelState, last_time: float, step: float) -> Response:
         """Return the ramp after the move; nothing is desired there."""
-        assert self.state is not None and self.gate.last is not None and self.options.return_ is not None
+        assert self.gate.last is not None
         rest = 0.0 if self.came_from is None else self.came_from
         target = min(max(rest, self.limits.v_min), self.limits.v_max)
         voltage = ramp("return_", self.gate.last, target, step, self.options.return_, self.limits)
         time = last_time + step * np.arange(1.0, voltage.size + 1.0)
         if voltage.size:
-            begun = dataclasses.replace(self.state, undoing=None)
-            done = self.model.simulate(voltage, begun, time_step=step)
+            done = self.model.simulate(voltage, dataclasses.replace(state, undoing=None), time_step=step)
             self.state = dataclasses.replace(done.state, time=float(time[-1]))
         return self._response(time, np.full(voltage.size, math.nan), voltage, step)
 
@@ -319,30 +239,24 @@ class Compensation(ModelRun):
         self._note_assumed(begun, first)
         return begun
 
-    def _run(self, x: FloatArray, state: ModelState, steps: float | FloatArray | None) -> Simulated:
-        return self.model.compensate(x, state, limits=self.limits, time_step=steps)
-
-    def _watch(
-        self, done: Simulated, block: SampleBlock, x: FloatArray, steps: float | FloatArray | None
-    ) -> None:
-        """Count what the limits held back, and let the rows pass the gate."""
+    def feed(self, block: SampleBlock, x: FloatArray) -> Simulated:
+        """Run one block; count what the limits held back, and let the rows pass the gate."""
+        done, steps = super().feed(block, x), self.time_step
         if not self.drive.rows:
             self.gate.require_start(None if steps is None else float(np.ravel(steps)[0]))
-        if block.rows[0] < 1:
+        if block.rows[0] < 1:  # what cannot be reached before a move is none of it
             self.rows_before += len(x)
         else:
             reach, slack = self.model.output, REACH_SLACK * self.model.output.span
             wanted = x if self.model.dynamics is None else block.values[self.taken.quantity]
             outside = (wanted < reach.minimum - slack) | (wanted > reach.maximum + slack)
             self.unreachable += int(np.count_nonzero(outside))
-        if done.clipped_count and block.rows[0] >= 1:  # what cannot be reached before a move is none of it
-            self.clipped.add(done.clipped_count, done.first_clipped, block)
+            self._clip(done, block)
         self.missed = self.missed or done.first_missed
-        if self.options.on_limit == "error" and self.clipped.count:
-            raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
         self.gate.admit(done.y, steps)
         self.drive.see(done.y, steps)
         self._keep(done.y, steps)
+        return done
 
     def _keep(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
         """Keep the first rows, on which the error to expect is looked at in the end."""
@@ -351,22 +265,19 @@ class Compensation(ModelRun):
             every = None if steps is None else np.broadcast_to(steps, drive.shape)[: MOST_ROWS - kept]
             self.kept.append((drive[: MOST_ROWS - kept], every))
 
-    def _with_desired(self, response: Response) -> Response:
-        if self.desired is not None:
-            end = self.rows - self.rows_before
-            response = response._replace(given=self.desired[end - len(response.result) : end])
-        self.move.add(response.given)
-        return response
+    def _clip(self, done: Simulated, block: SampleBlock | None) -> None:
+        """Count what the limits held back, or refuse it (LimitError); rows before a loop are in no block."""
+        if done.clipped_count:
+            self.clipped.add(done.clipped_count, done.first_clipped, block)
+        if self.options.on_limit == "error" and self.clipped.count:
+            raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
 
     def keep_history(self) -> None:
         """Write the history, where one is asked for."""
-        if self.options.history is not None:
-            write_history(self.options.history, self.passes)
+        if self.options.history is not None and self.lesson is not None:
+            write_history(self.options.history, self.lesson.passes)
 
     # --- what is said ---
-
-    def _remedies(self) -> str:
-        return "`condition` sweeps it there, "
 
     def _add_limits(self, remarks: Remarks) -> None:
         drive, limits = self.model.input, self.limits
@@ -376,13 +287,13 @@ class Compensation(ModelRun):
             super()._add_limits(remarks)
         if self.missed:
             remarks.warn(
-                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{unit_of(self.taken)} off the "
+                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.taken.suffix} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
         if limits.v_min < drive.minimum or limits.v_max > drive.maximum:
             remarks.warn(
                 f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}"
-                f"{unit_of(drive)}, where the model was identified; it extrapolates there"
+                f"{drive.suffix}, where the model was identified; it extrapolates there"
             )
 
     def remarks(self) -> Remarks:
@@ -390,15 +301,31 @@ class Compensation(ModelRun):
         remarks = Remarks()
         remarks.add(self.remarks_before)
         remarks.add(super().remarks())
-        texts = (self._first_row(), self.expected_error(), self._settling_time(), self._load())
+        texts = (
+            self._first_row(),
+            self._whose_volts(),
+            self.expected_error(),
+            self._settling_time(),
+            self._load(),
+        )
         remarks.note(text for text in texts if text)
         if warning := self._no_better():
             remarks.warn(warning)
         return remarks
 
+    def _whose_volts(self) -> str:
+        """Say that the drive is in other voltages than the model's logs, where they were scaled."""
+        scale = self.voltage_scale
+        if scale is None:
+            return ""
+        return (
+            f"{self.source.name}: the drive is in the voltages of the model's logs {scale} (`gain` of "
+            "waveform takes it back to the converter's)"
+        )
+
     def _first_row(self) -> str:
         """Say how the drive begins, where it may step."""
-        unit, first = unit_of(self.given), self.drive.first
+        unit, first = self.given.suffix, self.drive.first
         if first is None:
             return ""
         if self.came_from is None:
@@ -415,7 +342,7 @@ class Compensation(ModelRun):
 
     def _settling_time(self) -> str:
         """Say how long a step over the whole move has to be held, where that is asked for."""
-        distance, drive, unit = self.options.settle, self.drive, unit_of(self.model.output)
+        distance, drive, unit = self.options.settle, self.drive, self.model.output.suffix
         if distance is None or not drive.rows:
             return ""
         seconds = settling_seconds(self.model, drive.low, drive.high, distance)
@@ -423,7 +350,7 @@ class Compensation(ModelRun):
         below = isinstance(rmse, float) and distance < rmse
         hint = f" (below the model's expected error of {rmse:.3g}{unit})" if below else ""
         return (
-            f"{self.source.name}: after a step from {drive.low:.6g} to {drive.high:.6g}{unit_of(self.given)} "
+            f"{self.source.name}: after a step from {drive.low:.6g} to {drive.high:.6g}{self.given.suffix} "
             f"that is held, creep and ringing stay within {distance:.6g}{unit} after {seconds:.3g} s{hint}"
         )
 
@@ -441,7 +368,7 @@ class Compensation(ModelRun):
     def expected_error(self) -> str:
         """Say what error to expect of the move, unless a pass was learned or the model does not know."""
         name, covered = self.source.name, self.model.input
-        if self.desired is not None or not self.rows:
+        if self.lesson is not None or not self.rows:
             return ""
         if self.model.fit.get("expected_rmse", "") is None:
             return f"{name}: what error to expect cannot be told: {self.model.fit.get('expected_from')}"
@@ -451,19 +378,19 @@ class Compensation(ModelRun):
                 return ""
             return (
                 f"{name}: what error to expect cannot be told: the drive goes from {self.drive.low:.6g} to "
-                f"{self.drive.high:.6g}{unit_of(covered)}, beyond what the model was identified on"
+                f"{self.drive.high:.6g}{covered.suffix}, beyond what the model was identified on"
             )
         part = "" if percent is None else f" ({percent:.2g} % of the move)"
         held = ", clipped samples aside" if self.clipped.count else ""
         held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
-        return f"{name}: expected error of the move {rmse:.3g}{unit_of(self.model.output)} RMS{part}{held}"
+        return f"{name}: expected error of the move {rmse:.3g}{self.model.output.suffix} RMS{part}{held}"
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
         """Return the error to expect of the move, in its unit and in % of it; None where it is not known."""
         rmse, covered = self.model.fit.get("expected_rmse"), self.model.input
         slack = SLACK * covered.span
         beyond = self.drive.low < covered.minimum - slack or self.drive.high > covered.maximum + slack
-        if self.desired is not None or not isinstance(rmse, float) or beyond:
+        if self.lesson is not None or not isinstance(rmse, float) or beyond:
             return None, None
         found = self._move_error()
         rmse = rmse if found is None else found.rmse
@@ -484,7 +411,7 @@ class Compensation(ModelRun):
         found = None if self.expected_rmse()[0] is None else self._move_error()
         if found is None or found.rmse < found.straight_line:
             return ""
-        unit = unit_of(self.model.output)
+        unit = self.model.output.suffix
         return (
             f"{self.source.name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than "
             f"that of a straight line, {found.straight_line:.3g}{unit}: the logs do not tell what it asks"
@@ -493,25 +420,7 @@ class Compensation(ModelRun):
     def _clipping(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""
         drive, limits = self.model.input, self.limits
-        said = f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{unit_of(drive)}"
+        said = f"{drive.quantity} {limits.v_min:.6g} to {limits.v_max:.6g}{drive.suffix}"
         if limits.max_slew is not None:
-            said += f", {limits.max_slew:.6g}{unit_of(drive)}/s"
+            said += f", {limits.max_slew:.6g}{drive.suffix}/s"
         return f"{self._counted(self.clipped)} beyond what the limits of the drive allow ({said})"
-
-
-def _peeked(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], FloatArray]:
-    """Return the first blocks, enough to tell the rate from, and their first stamps (s)."""
-    held: list[SampleBlock] = []
-    while sum(len(block) for block in held) < RATE_SAMPLES:
-        more = next(blocks, None)
-        if more is None:
-            break
-        held.append(more)
-    times = [block.time for block in held if block.time is not None]
-    return held, np.concatenate(times)[:RATE_SAMPLES] if times else np.zeros(0)
-
-
-def _led(wanted: FloatArray, time: FloatArray, first: SampleBlock, role: str) -> Iterator[SampleBlock]:
-    """Return the block of displacements before a trajectory, where there are any; its rows end before 1."""
-    if wanted.size:
-        yield SampleBlock(range(1 - wanted.size, 1), None, time, {role: wanted})

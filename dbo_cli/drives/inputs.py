@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from dbo_cli.logs.sources import Source
 from dbo_cli.remarks import Remarks
 
 CLOCK_SAMPLES = 101
-"""An even clock's step is that of so many first samples, however the signal is cut."""
+"""A clock's step is that of so many first samples, however the signal is cut."""
 
 PAUSE_STEPS = 1.5  # after a state's last sample, beyond which the first one finds the dynamics at rest
 STARTS_MOVING = 1e-3
@@ -38,47 +38,44 @@ EVEN_FOR_BANDWIDTH = "`bandwidth` needs an even clock"
 Taken = tuple[SampleBlock, FloatArray]
 
 
-class Transforms(NamedTuple):
-    """What is done to a signal before a model takes it.
+@dataclass
+class Inputs:
+    """The blocks of a source, transformed.
 
     Attributes
     ----------
-    role : str
-        The signal's role in the blocks.
-    seconds : float
-        A delay to be read ahead by.
+    source : Source
+        Where the signal comes from.
+    taken : Quantity
+        What the model takes of it; its name is the signal's role in the blocks.
+    delay : float
+        Seconds to be read ahead by.
     dynamics : DynamicsStage, or None
         Dynamics to be undone.
     bandwidth : float, or None
         Cut-off of a low-pass in Hz.
     last_row : int, or None
         The last row that is answered; rows after it are only read ahead.
-    """
-
-    role: str
-    seconds: float = 0.0
-    dynamics: DynamicsStage | None = None
-    bandwidth: float | None = None
-    last_row: int | None = None
-
-
-class Inputs:
-    """The blocks of a source, transformed.
-
-    Attributes
-    ----------
+    start : ModelState, or None
+        Before the first sample, where that is known.
     memory : InverseMemory, or None
         Of the dynamics' inverse, after the block yielded last.
     """
 
-    def __init__(self, source: Source, what: Transforms, start: ModelState | None, range_: Quantity) -> None:
-        self.source, self.what, self.range = source, what, range_
-        self.memory: InverseMemory | None = None
-        self._start = start
-        self._read = 0
-        self._squares = self._largest = 0.0
-        self._smoothed = self._corners = 0
-        self._starts_off = 0.0
+    source: Source
+    taken: Quantity
+    delay: float = 0.0
+    dynamics: DynamicsStage | None = None
+    bandwidth: float | None = None
+    last_row: int | None = None
+    start: ModelState | None = None
+    memory: InverseMemory | None = None
+    _read: int = 0
+    _smoothed: int = 0
+    _squares: float = 0.0
+    _largest: float = 0.0
+    _corners: int = 0
+    _starts_off: float = 0.0
 
     def blocks(self, given: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
         """Return each block with what goes into the model, ``begun`` being the state before the first.
@@ -91,26 +88,25 @@ class Inputs:
         UsageError
             The low-pass cannot be had at this rate.
         """
-        what, last, blocks = self.what, self.what.last_row, given
-        self._start = begun or self._start
-        if what == Transforms(what.role):
+        role, last, dynamics = self.taken.quantity, self.last_row, self.dynamics
+        self.start, step = begun or self.start, 0.0
+        blocks = given if last is None else _split(given, last)
+        if last is None and dynamics is None and self.bandwidth is None and self.delay == 0.0:
             for block in blocks:
-                yield block, block.values[what.role]
+                yield block, block.values[role]
             return
-        blocks = _split(blocks, last)
-        step = 0.0
-        if what.dynamics is not None or what.bandwidth is not None:
-            why = EVEN_FOR_BANDWIDTH if what.dynamics is None else EVEN_FOR_DYNAMICS
-            undoing = None if self._start is None else self._start.undoing
+        if dynamics is not None or self.bandwidth is not None:
+            why = EVEN_FOR_BANDWIDTH if dynamics is None else EVEN_FOR_DYNAMICS
+            undoing = None if self.start is None else self.start.undoing
             step, blocks = even_clock(self.source, blocks, why, undoing.time_step if undoing else None)
-        taken: Iterable[Taken] = ((block, block.values[what.role]) for block in blocks)
-        if what.bandwidth is not None:
-            taken = self._rounded(taken, ZeroPhaseLowPass(what.bandwidth, step))
-        if what.seconds > 0.0:
+        taken: Iterable[Taken] = ((block, block.values[role]) for block in blocks)
+        if self.bandwidth is not None:
+            taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step))
+        if self.delay > 0.0:
             timed = ((block, block.time, x) for block, x in taken if block.time is not None)
-            taken = read_ahead(timed, what.seconds)
-        if what.dynamics is not None:
-            taken = self._undone(taken, what.dynamics.inverter(step))
+            taken = read_ahead(timed, self.delay)
+        if dynamics is not None:
+            taken = self._undone(taken, dynamics.inverter(step))
         for block, x in taken:
             if last is not None and block.rows[0] > last:
                 return
@@ -118,32 +114,31 @@ class Inputs:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the transformed signal so far."""
-        told = Remarks()
-        unit, name = f" {self.range.unit}" if self.range.unit else "", self.source.name
+        found, unit, name = Remarks(), self.taken.suffix, self.source.name
         if self._smoothed:
             rms = math.sqrt(self._squares / self._smoothed)
-            told.notes.append(
-                f"{name}: `bandwidth` {self.what.bandwidth:g} takes off {rms:.3g}{unit} (RMS), "
+            found.notes.append(
+                f"{name}: `bandwidth` {self.bandwidth:g} takes off {rms:.3g}{unit} (RMS), "
                 f"{self._largest:.3g}{unit} at most"
             )
-        if abs(self._starts_off) > STARTS_MOVING * self.range.span:
-            told.warn(
+        if abs(self._starts_off) > STARTS_MOVING * self.taken.span:
+            found.warn(
                 f"{name}: begins on the move, which an actuator at rest cannot: it rings at first, by about "
                 f"{abs(self._starts_off):.3g}{unit} (let it begin and end at rest; `lead` auto writes "
                 "the drive that it needs before; `periodic` for a loop)"
             )
-        if self._corners and self.what.dynamics is not None:
-            lowest = min((one.frequency for one in self.what.dynamics.resonances), default=None)
+        if self._corners and self.dynamics is not None:
+            lowest = min((one.frequency for one in self.dynamics.resonances), default=None)
             propose = f" {lowest / PROPOSED_PART:.3g}" if lowest is not None else " HZ"
-            told.notes.append(
+            found.notes.append(
                 f"{name}: in {self._corners:,} samples the corners and the speed of the trajectory, not its "
                 f"place, ask for a drive beyond the range (`bandwidth`{propose} rounds it)"
             )
-        return told
+        return found
 
     def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass) -> Iterator[Taken]:
         for block, x in low_pass.blocks(taken):
-            self.note_rounding(block.values[self.what.role], x)
+            self.note_rounding(block.values[self.taken.quantity], x)
             yield block, x
 
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
@@ -155,12 +150,10 @@ class Inputs:
 
     def _undone(self, taken: Iterable[Taken], inverter: DynamicsInverter) -> Iterator[Taken]:
         """Undo the dynamics; from a state's memory where the signal goes on from it, else from a rest."""
-        low, high = self.range.minimum, self.range.maximum
-        memory: InverseMemory | None = None
+        low, high = self.taken.minimum, self.taken.maximum
         rest = iter(taken)
         first = next(rest, None)
-        if first is not None:
-            memory = self._memory_at(first[0], inverter)
+        memory = None if first is None else self._memory_at(first[0], inverter)
         begun = memory is not None
         whole = self._counted(chain([first] if first else [], rest))
         for (block, x), u, after in undone(whole, inverter, memory):
@@ -183,7 +176,7 @@ class Inputs:
             yield (block, x), x
 
     def _memory_at(self, block: SampleBlock, inverter: DynamicsInverter) -> InverseMemory | None:
-        start = self._start
+        start = self.start
         if start is None:
             return None
         if start.time is not None and block.time is not None:
@@ -209,14 +202,7 @@ def even_clock(
     if source.even_rate is not None:
         return 1.0 / source.even_rate, iter(blocks)
     rest = iter(blocks)
-    held: list[SampleBlock] = []
-    while sum(len(block) for block in held) < CLOCK_SAMPLES:
-        more = next(rest, None)
-        if more is None:
-            break
-        held.append(more)
-    times = [block.time for block in held if block.time is not None]
-    stamps = np.concatenate(times)[:CLOCK_SAMPLES] if times else np.zeros(0)
+    held, stamps = first_blocks(rest)
     steps = np.diff(stamps)
     if known is not None and (not steps.size or abs(float(np.mean(steps)) - known) <= JITTER * known):
         step = known
@@ -226,6 +212,18 @@ def even_clock(
         step = require_even(source.name, stamps, why)
     slack = JITTER * step + 2.0 * float(np.abs(steps - step).max(initial=0.0))
     return step, _even_blocks(source.name, chain(held, rest), step, slack, why)
+
+
+def first_blocks(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], FloatArray]:
+    """Take the first blocks, enough to tell the rate from; return them and their first stamps (s)."""
+    held: list[SampleBlock] = []
+    while sum(map(len, held)) < CLOCK_SAMPLES:
+        more = next(blocks, None)
+        if more is None:
+            break
+        held.append(more)
+    times = [block.time for block in held if block.time is not None]
+    return held, np.concatenate(times)[:CLOCK_SAMPLES] if times else np.zeros(0)
 
 
 def _even_blocks(
@@ -246,10 +244,10 @@ def _even_blocks(
         yield block
 
 
-def _split(blocks: Iterable[SampleBlock], last_row: int | None) -> Iterator[SampleBlock]:
+def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock]:
     """Cut the block that goes on beyond the last row to be answered."""
     for block in blocks:
-        if last_row is None or not len(block) or block.rows[-1] <= last_row or block.rows[0] > last_row:
+        if not len(block) or block.rows[-1] <= last_row or block.rows[0] > last_row:
             yield block
             continue
         count = int(np.searchsorted(np.asarray(block.rows), last_row, side="right"))

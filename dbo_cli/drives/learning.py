@@ -18,14 +18,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.history import PassRecord
+from dbo_cli.drives.history import PassRecord, read_history
 from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.pieces import soft_rise
 from dbo_cli.errors import InputError
-from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.linear_sections import Resonance
 from dbo_cli.hysteresis.loops import settled_output
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.sample_block import FloatArray
@@ -82,121 +81,13 @@ class Tracked:
 
 
 class Lesson(NamedTuple):
-    """What to ask for next, the cut-off of the low-pass (Hz), remarks, and the history with this pass."""
+    """The trajectory and what to ask for next, the low-pass (Hz), remarks, and the history with this pass."""
 
+    desired: FloatArray
     request: FloatArray
     cutoff: float
     remarks: Remarks
     passes: list[PassRecord]
-
-
-def lesson(
-    model: ActuatorModel,
-    desired: FloatArray,
-    time: FloatArray,
-    step: float,
-    recordings: Sequence[Tracked],
-    *,
-    start: StartName | ModelState = "auto",
-    bandwidth: float | None = None,
-    loop: bool = False,
-    absolute: bool = False,
-    history: Sequence[PassRecord] = (),
-) -> Lesson:
-    """Return what to ask of the model for the next pass.
-
-    Parameters
-    ----------
-    model
-        The forward model.
-    desired, time, step
-        The trajectory, its seconds and its even time step (s).
-    recordings
-        Of the last pass, one or more of the same drive.
-    start
-        The state in which the drives began.
-    bandwidth
-        Cut-off of Q in Hz; by default what the model can be trusted to.
-    loop
-        The trajectory is one period of a loop, the recordings are of whole periods.
-    absolute
-        Learn the mean of the error, too; it is taken off as the sensor's zero otherwise.
-    history
-        The passes so far, the oldest first; from one with this very drive on they are forgotten.
-
-    Raises
-    ------
-    InputError
-        A recording is not of this trajectory, in length, rate or values, or the error grew.
-    """
-    passes = [_one_pass(model, desired, time, step, one, start, loop) for one in recordings]
-    _same_drive(model, recordings, [one.voltage for one in passes])
-    believed = np.mean([one.believed for one in passes], axis=0)
-    error = desired - np.mean([one.measured for one in passes], axis=0)
-    name = recordings[0].name
-    move = float(np.sqrt(np.mean((desired - desired.mean()) ** 2)))
-    unit = f" {model.output.unit}" if model.output.unit else ""
-    away = _unlike(believed, desired, absolute)
-    if away > ANOTHER_MOVE * move:
-        raise InputError(
-            f"{name}: its drive belongs to another trajectory: by the model it asks for something "
-            f"{away:.3g}{unit} away from this one in shape (RMS; the move has {move:.3g}{unit})"
-        )
-    remarks, zero = Remarks(), 0.0 if absolute else float(error.mean())
-    _warn_of_jump(remarks, name, unit, error, float(np.ptp(desired)))
-    error = error - zero
-    passed = PassRecord(_digest(passes[0].voltage), _rms(error))
-    drives = [one.drive_sha256 for one in history]
-    if passed.drive_sha256 in drives:  # learned from before: what came of it is forgotten
-        history = history[: drives.index(passed.drive_sha256)]
-    cutoff = _trusted(model, believed, desired - error, step) if bandwidth is None else bandwidth
-    low_pass = ZeroPhaseLowPass(cutoff, step, ORDER)
-    smooth = low_pass.loop if loop else low_pass.whole
-    update, before = smooth(error), smooth(believed - desired)
-    if history:
-        _refuse_grown(name, unit, passed, history)
-    else:
-        _refuse_growth(name, unit, before, update, cutoff, step, move)
-    of = f", the mean of {len(recordings)} recordings" if len(recordings) > 1 else ""
-    percent = 100.0 * passed.rmse / float(np.ptp(desired))
-    remarks.notes.append(
-        f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move{of}), "
-        f"{_rms(update):.3g}{unit} of it below {cutoff:.4g} Hz, which this pass takes off"
-    )
-    if not absolute:
-        remarks.notes.append(
-            f"{name}: the mean of the error, {zero:.3g}{unit}, is taken for the sensor's zero and not "
-            "learned (`absolute` learns it)"
-        )
-    learned = before + update
-    if not absolute:
-        learned = learned - learned.mean()  # nor was it before
-    if model.dynamics is not None and not loop:
-        learned = _resting_ends(learned, cutoff * step)
-    return Lesson(desired + learned, cutoff, remarks, [*history, passed])
-
-
-def learned_source(
-    model: ActuatorModel,
-    source: Source,
-    recordings: Sequence[Tracked],
-    options: DriveOptions,
-    history: Sequence[PassRecord] = (),
-) -> tuple[WholeSource, FloatArray, Lesson]:
-    """Return a source of what to ask for next, the trajectory itself, and the lesson."""
-    whole = WholeSource(source)
-    role = model.output.quantity
-    desired, time = whole.block.values[role], whole.block.time
-    source.require_time("`tracked` needs an even clock")
-    assert time is not None
-    step = whole.even_step("`tracked` needs an even clock")
-    learned = lesson(
-        model, desired, time, step, recordings,
-        start=options.state, bandwidth=options.bandwidth, loop=options.periodic,
-        absolute=options.absolute, history=history,
-    )  # fmt: skip
-    whole.block = dataclasses.replace(whole.block, values={role: learned.request})
-    return whole, desired, learned
 
 
 class _Pass(NamedTuple):
@@ -205,57 +96,206 @@ class _Pass(NamedTuple):
     measured: FloatArray
 
 
-def _one_pass(
-    model: ActuatorModel,
-    desired: FloatArray,
-    time: FloatArray,
-    step: float,
-    one: Tracked,
-    start: StartName | ModelState,
-    loop: bool,
-) -> _Pass:
-    """Return drive, belief and measurement of the rows that belong to the trajectory."""
-    begin, count = 0, desired.size
-    if one.time is not None:
-        own = even_step(one.time)
-        if own is None or abs(own / step - 1.0) > SAME_RATE:
-            told = "no even clock" if own is None else f"{1.0 / own:.6g} samples a second"
+@dataclass(frozen=True)
+class RepeatedMove:
+    """A trajectory that is played again and again.
+
+    Attributes
+    ----------
+    model
+        The forward model.
+    desired, time, step
+        The trajectory, its seconds and its even time step (s).
+    options
+        Of these: ``state``, in which the drives began; ``bandwidth``, the cut-off of Q (by default what the
+        model can be trusted to); ``periodic``, where recordings are of whole periods; ``absolute``.
+    """
+
+    model: ActuatorModel
+    desired: FloatArray
+    time: FloatArray
+    step: float
+    options: DriveOptions
+
+    @property
+    def unit(self) -> str:
+        """The displacement's unit as messages write it."""
+        return self.model.output.suffix
+
+    def lesson(self, recordings: Sequence[Tracked], history: Sequence[PassRecord] = ()) -> Lesson:
+        """Return what to ask of the model for the next pass.
+
+        Parameters
+        ----------
+        recordings
+            Of the last pass, one or more of the same drive.
+        history
+            The passes so far, the oldest first; from one with this very drive on they are forgotten.
+
+        Raises
+        ------
+        InputError
+            A recording is not of this trajectory, in length, rate or values, or the error grew.
+        """
+        desired, absolute = self.desired, self.options.absolute
+        unit, name = self.unit, recordings[0].name
+        passes = [self._rows_of(one) for one in recordings]
+        self._require_same_drive(recordings, passes)
+        believed = np.mean([one.believed for one in passes], axis=0)
+        self._require_same_move(name, believed)
+        error = desired - np.mean([one.measured for one in passes], axis=0)
+        zero = 0.0 if absolute else float(error.mean())
+        remarks = Remarks(warnings=self._jumps(name, error))
+        error = error - zero
+        passed = PassRecord(_digest(passes[0].voltage), _rms(error))
+        drives = [one.drive_sha256 for one in history]
+        if passed.drive_sha256 in drives:  # learned from before: what came of it is forgotten
+            history = history[: drives.index(passed.drive_sha256)]
+        cutoff = self.options.bandwidth or self._trusted(believed, desired - error)
+        low_pass = ZeroPhaseLowPass(cutoff, self.step, ORDER)
+        smooth = low_pass.loop if self.options.periodic else low_pass.whole
+        update, before = smooth(error), smooth(believed - desired)
+        if history:
+            self._refuse_grown(name, passed, history)
+        else:
+            self._refuse_growth(name, before, update, cutoff)
+        of = f", the mean of {len(recordings)} recordings" if len(recordings) > 1 else ""
+        percent = 100.0 * passed.rmse / float(np.ptp(desired))
+        remarks.notes.append(
+            f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move{of}), "
+            f"{_rms(update):.3g}{unit} of it below {cutoff:.4g} Hz, which this pass takes off"
+        )
+        learned = before + update
+        if not absolute:
+            remarks.notes.append(
+                f"{name}: the mean of the error, {zero:.3g}{unit}, is taken for the sensor's zero and not "
+                "learned (`absolute` learns it)"
+            )
+            learned = learned - learned.mean()  # nor was it before
+        if self.model.dynamics is not None and not self.options.periodic:
+            learned = _resting_ends(learned, cutoff * self.step)
+        return Lesson(desired, desired + learned, cutoff, remarks, [*history, passed])
+
+    def _rows_of(self, one: Tracked) -> _Pass:
+        """Return drive, belief and measurement of the rows that belong to the trajectory."""
+        model, step, loop, count = self.model, self.step, self.options.periodic, self.desired.size
+        begin = 0 if one.time is None else self._first_row(one.name, one.time)
+        rows = one.voltage.size - begin
+        if rows > count and not loop and one.time is not None:
+            rows = count  # what stands behind is a return
+        if rows < count or (rows % count if loop else rows != count):
+            whole = " or whole periods of it" if loop else ""
             raise InputError(
-                f"{one.name}: has {told} where the trajectory has {1.0 / step:.6g} (record at the drive's "
+                f"{one.name}: {rows:,} rows from the trajectory's first on, the trajectory has "
+                f"{count:,}{whole} (give the recording of this trajectory, row by row)"
+            )
+        if loop:
+            last = begin if rows == count else begin + count  # the first of several is not settled yet
+            voltage = one.voltage[last:].reshape(-1, count).mean(axis=0)
+            measured = one.measured[last:].reshape(-1, count).mean(axis=0)
+            return _Pass(voltage, settled_output(model, voltage, step, self.options.state), measured)
+        begun = model.start(float(one.voltage[0]), self.options.state if begin == 0 else "auto")
+        believed = model.simulate(one.voltage, begun, time_step=step).y
+        own_rows = slice(begin, begin + count)
+        return _Pass(one.voltage[own_rows], believed[own_rows], one.measured[own_rows])
+
+    def _first_row(self, name: str, time: FloatArray) -> int:
+        """Return the recording's row of the trajectory's first; what stands before is a sweep or run-in."""
+        own = even_step(time)
+        if own is None or abs(own / self.step - 1.0) > SAME_RATE:
+            rate = "no even clock" if own is None else f"{1.0 / own:.6g} samples a second"
+            raise InputError(
+                f"{name}: has {rate} where the trajectory has {1.0 / self.step:.6g} (record at the drive's "
                 "rate, or resample both)"
             )
-        begin = int(
-            np.searchsorted(one.time, time[0] - 0.5 * step)
-        )  # what stands before is a sweep or run-in
-    rows = one.voltage.size - begin
-    if rows > count and not loop and one.time is not None:
-        rows = count  # what stands behind is a return
-    if rows < count or (rows % count if loop else rows != count):
-        whole = " or whole periods of it" if loop else ""
-        raise InputError(
-            f"{one.name}: {rows:,} rows from the trajectory's first on, the trajectory has {count:,}{whole} "
-            "(give the recording of this trajectory, row by row)"
-        )
-    if loop:
-        last = slice(
-            begin if rows == count else begin + count, None
-        )  # the first of several is not settled yet
-        voltage = one.voltage[last].reshape(-1, count).mean(axis=0)
-        measured = one.measured[last].reshape(-1, count).mean(axis=0)
-        return _Pass(voltage, settled_output(model, voltage, step, start), measured)
-    begun = model.start(float(one.voltage[0]), start if begin == 0 else "auto")
-    believed = model.simulate(one.voltage, begun, time_step=step).y
-    own_rows = slice(begin, begin + count)
-    return _Pass(one.voltage[own_rows], believed[own_rows], one.measured[own_rows])
+        return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
+    def _require_same_drive(self, recordings: Sequence[Tracked], passes: Sequence[_Pass]) -> None:
+        for recording, one in zip(recordings, passes, strict=True):
+            if _rms(one.voltage - passes[0].voltage) > SAME_DRIVE * self.model.input.span:
+                raise InputError(
+                    f"{recording.name}: was driven otherwise than {recordings[0].name}; only recordings of "
+                    "one drive can be averaged"
+                )
 
-def _same_drive(model: ActuatorModel, recordings: Sequence[Tracked], drives: Sequence[FloatArray]) -> None:
-    for one, drive in zip(recordings[1:], drives[1:], strict=True):
-        if _rms(drive - drives[0]) > SAME_DRIVE * model.input.span:
+    def _require_same_move(self, name: str, believed: FloatArray) -> None:
+        """Refuse a drive that asks for another shape, whatever its size (``absolute``: or another mean)."""
+        asked, wanted = believed - believed.mean(), self.desired - self.desired.mean()
+        square = float(np.dot(wanted, wanted))
+        size = max(float(np.dot(asked, wanted)) / square, 0.0) if square else 1.0
+        mean = 0.0 if self.options.absolute else float(believed.mean() - self.desired.mean())
+        away = math.hypot(_rms(asked - size * wanted), mean)
+        if away > ANOTHER_MOVE * _rms(wanted):
             raise InputError(
-                f"{one.name}: was driven otherwise than {recordings[0].name}; only recordings of one drive "
-                "can be averaged"
+                f"{name}: its drive belongs to another trajectory: by the model it asks for something "
+                f"{away:.3g}{self.unit} away from this one in shape (RMS; the move has "
+                f"{_rms(wanted):.3g}{self.unit})"
             )
+
+    def _refuse_growth(self, name: str, learned: FloatArray, update: FloatArray, cutoff: float) -> None:
+        """Refuse to go on when the error is larger than what was learned, in either half of the band.
+
+        Growth begins near the cut-off, where what was learned is small; all of it would hide that.
+        """
+        unit, half = self.unit, np.fft.rfftfreq(update.size, self.step) < 0.5 * cutoff
+        least = LEARNED_BEFORE * _rms(self.desired - self.desired.mean())
+        for part, where in ((half, "below"), (~half, "above")):
+            this, before = (_rms(np.fft.irfft(np.fft.rfft(x) * part, x.size)) for x in (update, learned))
+            if before > least and this > GROWTH * before:
+                raise InputError(
+                    f"{name}: the error grew: {where} {0.5 * cutoff:.4g} Hz this pass is {this:.3g}{unit} "
+                    f"off (RMS), more than the {before:.3g}{unit} that was learned there (go back to the "
+                    "best pass, with a lower `bandwidth` or a better model)"
+                )
+
+    def _refuse_grown(self, name: str, passed: PassRecord, history: Sequence[PassRecord]) -> None:
+        """Refuse to go on when the error is larger than the last pass's, or much larger than the best's."""
+        errors, unit = [one.rmse for one in history], self.unit
+        best = min(errors)
+        if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
+            return
+        number = 1 + errors.index(best)
+        raise InputError(
+            f"{name}: the error grew: this pass is {passed.rmse:.3g}{unit} off (RMS), the last one was "
+            f"{errors[-1]:.3g}{unit} and pass {number} of the history, the best, {best:.3g}{unit} (learn "
+            f"from the recording of pass {number} again, with a lower `bandwidth` or a better model)"
+        )
+
+    def _jumps(self, name: str, error: FloatArray) -> list[str]:
+        """Warn where the sensor's zero jumps within the pass: a change between two rows that stays."""
+        steps = np.abs(np.diff(error))
+        least = max(ZERO_JUMP * (1.5 * float(np.median(steps))), SMALLEST_JUMP * float(np.ptp(self.desired)))
+        for k in np.flatnonzero(steps > least)[: 10 * JUMP_STAYS].tolist():
+            before, after = error[max(k + 1 - JUMP_STAYS, 0) : k + 1], error[k + 1 : k + 1 + JUMP_STAYS]
+            stays = abs(float(np.median(after) - np.median(before)))
+            if min(before.size, after.size) == JUMP_STAYS and stays > 0.5 * steps[k]:
+                return [
+                    f"{name}: the measured displacement jumps by {stays:.3g}{self.unit} at row {k + 2:,} of "
+                    "the pass, which no actuator does: the sensor's zero moved, and the jump is learned "
+                    "(record it again)"
+                ]
+        return []
+
+    def _trusted(self, believed: FloatArray, measured: FloatArray) -> float:
+        """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
+        known = trusted_frequency(self.model)
+        frequency = _trusted_by_bands(believed, measured, self.step) if known is None else known
+        return min(frequency, 0.45 / self.step, _safe(self.model))
+
+
+def learned_source(
+    model: ActuatorModel, source: Source, recordings: Sequence[Tracked], options: DriveOptions
+) -> tuple[WholeSource, Lesson]:
+    """Return a source of what to ask for next, and the lesson."""
+    history = [] if options.history is None else read_history(options.history)
+    whole, role = WholeSource(source), model.output.quantity
+    desired, time = whole.block.values[role], whole.block.time
+    source.require_time("`tracked` needs an even clock")
+    assert time is not None
+    step = whole.even_step("`tracked` needs an even clock")
+    lesson = RepeatedMove(model, desired, time, step, options).lesson(recordings, history)
+    whole.block = dataclasses.replace(whole.block, values={role: lesson.request})
+    return whole, lesson
 
 
 def _resting_ends(learned: FloatArray, per_sample: float) -> FloatArray:
@@ -265,86 +305,24 @@ def _resting_ends(learned: FloatArray, per_sample: float) -> FloatArray:
     first sample, which the next belief contains: measured (800 Hz, 20 kHz) it grew fourfold a pass.
     """
     rise = np.clip(np.arange(learned.size) * per_sample, 0.0, 1.0)
-    weight = rise**3 * (10.0 - 15.0 * rise + 6.0 * rise * rise)
+    weight = soft_rise(rise)
     begun = learned[0] + weight * (learned - learned[0])
     rested: FloatArray = begun[-1] + weight[::-1] * (begun - begun[-1])
     return rested
-
-
-def _unlike(believed: FloatArray, desired: FloatArray, absolute: bool) -> float:
-    """Return how far one signal is off the other (RMS), whatever its size (``absolute``: its mean)."""
-    asked, wanted = believed - believed.mean(), desired - desired.mean()
-    square = float(np.dot(wanted, wanted))
-    size = max(float(np.dot(asked, wanted)) / square, 0.0) if square else 1.0
-    mean = 0.0 if absolute else float(believed.mean() - desired.mean())
-    return math.hypot(_rms(asked - size * wanted), mean)
-
-
-def _refuse_growth(
-    name: str,
-    unit: str,
-    learned: FloatArray,
-    update: FloatArray,
-    cutoff: float,
-    step: float,
-    move: float,
-) -> None:
-    """Refuse to go on when the error is larger than what was learned, in either half of the band.
-
-    Growth begins near the cut-off, where what was learned is small; all of it would hide that.
-    """
-    half = np.fft.rfftfreq(update.size, step) < 0.5 * cutoff
-    for part, where in ((half, "below"), (~half, "above")):
-        this, before = (_rms(np.fft.irfft(np.fft.rfft(x) * part, x.size)) for x in (update, learned))
-        if before > LEARNED_BEFORE * move and this > GROWTH * before:
-            raise InputError(
-                f"{name}: the error grew: {where} {0.5 * cutoff:.4g} Hz this pass is {this:.3g}{unit} off "
-                f"(RMS), more than the {before:.3g}{unit} that was learned there (go back to the best pass, "
-                "with a lower `bandwidth` or a better model)"
-            )
-
-
-def _refuse_grown(name: str, unit: str, passed: PassRecord, history: Sequence[PassRecord]) -> None:
-    """Refuse to go on when the error is larger than that of the last pass, or much larger than the best."""
-    last, best = history[-1].rmse, min(one.rmse for one in history)
-    if passed.rmse <= min(GROWTH * last, FROM_BEST * best):
-        return
-    number = 1 + [one.rmse for one in history].index(best)
-    raise InputError(
-        f"{name}: the error grew: this pass is {passed.rmse:.3g}{unit} off (RMS), the last one was "
-        f"{last:.3g}{unit} and pass {number} of the history, the best, {best:.3g}{unit} (learn from the "
-        f"recording of pass {number} again, with a lower `bandwidth` or a better model)"
-    )
-
-
-def _warn_of_jump(remarks: Remarks, name: str, unit: str, error: FloatArray, span: float) -> None:
-    """Warn where the sensor's zero jumps within the pass: a change from one row to the next that stays."""
-    steps = np.abs(np.diff(error))
-    usual = 1.5 * float(np.median(steps))
-    for k in np.flatnonzero(steps > max(ZERO_JUMP * usual, SMALLEST_JUMP * span))[: 10 * JUMP_STAYS].tolist():
-        before, after = error[max(k + 1 - JUMP_STAYS, 0) : k + 1], error[k + 1 : k + 1 + JUMP_STAYS]
-        stays = abs(float(np.median(after) - np.median(before)))
-        if min(before.size, after.size) == JUMP_STAYS and stays > 0.5 * steps[k]:
-            remarks.warn(
-                f"{name}: the measured displacement jumps by {stays:.3g}{unit} at row {k + 2:,} of the pass, "
-                "which no actuator does: the sensor's zero moved, and the jump is learned (record it again)"
-            )
-            return
 
 
 def _digest(drive: FloatArray) -> str:
     return hashlib.sha256(np.ascontiguousarray(drive).tobytes()).hexdigest()
 
 
-def _trusted(model: ActuatorModel, believed: FloatArray, measured: FloatArray, step: float) -> float:
-    """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
-    told = model.fit.get("trusted_hz")
-    highest = min(0.45 / step, _safe(model))
-    if isinstance(told, int | float) and not isinstance(told, bool) and told > 0.0:
-        return min(float(told), highest)
+def trusted_frequency(model: ActuatorModel) -> float | None:
+    """Return the frequency (Hz) to which a model can be trusted, or None where it does not know."""
+    known = model.fit.get("trusted_hz")
+    if isinstance(known, int | float) and not isinstance(known, bool) and known > 0.0:
+        return float(known)
     if model.dynamics is not None and model.dynamics.resonances:
-        return min(model.dynamics.resonances[0].frequency / RESONANCE_PART, highest)
-    return min(_trusted_by_bands(believed, measured, step), highest)
+        return model.dynamics.resonances[0].frequency / RESONANCE_PART
+    return None
 
 
 def _safe(model: ActuatorModel) -> float:

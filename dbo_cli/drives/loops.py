@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from dbo_cli.drives.compensation import NOTHING, Before, Compensation
-from dbo_cli.drives.model_run import Response, unit_of
-from dbo_cli.drives.pieces import ramp, require_rows
-from dbo_cli.errors import InputError, LimitError
+from dbo_cli.drives.compensation import Compensation
+from dbo_cli.drives.learning import Tracked, learned_source
+from dbo_cli.drives.model_run import Response
+from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, soft_rise
+from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.dynamics import undone
 from dbo_cli.hysteresis.kernel import towards
 from dbo_cli.hysteresis.loops import (
@@ -29,10 +31,11 @@ from dbo_cli.hysteresis.loops import (
     slow_output,
     undone_loop,
 )
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.sources import WholeSource
+from dbo_cli.logs.sources import Source, WholeSource
 
 FEWEST_ROWS = 4  # of a period
 SETTLED_PART = 1e-3  # of the move: the mean of a pass within it counts as settled, where no error is stated
@@ -52,7 +55,23 @@ A period sampled evenly has steps at the seam like those inside; one that was cu
 
 @dataclass
 class LoopCompensation(Compensation):
-    """The drive of a settled loop, with ``options.passes`` passes of run-in before it, in negative time."""
+    """The drive of a settled loop, with ``options.passes`` passes of run-in before it, in negative time.
+
+    Attributes
+    ----------
+    whole : WholeSource
+        The period as it was read.
+    step : float
+        Its even time step (s).
+    period : array
+        What the gears are to follow: dynamics and delay are undone.
+    """
+
+    whole: WholeSource = field(init=False)
+    step: float = field(init=False)
+    period: FloatArray = field(init=False)
+
+    remedies = ""  # a loop is run in instead of swept
 
     def responses(self) -> Iterator[Response]:
         """Return the way there and the run-in, where they are asked for, and one period of the settled drive.
@@ -66,89 +85,80 @@ class LoopCompensation(Compensation):
         GateError
             A row breaks a limit: this program's fault.
         """
-        whole = self.source if isinstance(self.source, WholeSource) else WholeSource(self.source)
-        block, why = whole.block, "`periodic` needs an even clock"
-        step = whole.even_step(why)
+        self.whole = self.source if isinstance(self.source, WholeSource) else WholeSource(self.source)
+        self.step = step = self.whole.even_step("`periodic` needs an even clock")
+        block, passes = self.whole.block, self.options.passes
         given = block.values[self.taken.quantity]
-        asked = self._rounded(given, step)
-        desired = given if self.desired is None else self.desired
-        _require_closed(whole.name, desired)
-        period = undone_loop(self.model, asked, step)
-        passes = self.options.passes
-        before = self._before(float(asked[0]), step) if passes else self._ramp_before(period, step)
-        wanted = before.wanted
+        asked = self._rounded(given)
+        desired = given if self.lesson is None else self.lesson.desired
+        _require_closed(self.whole.name, desired)
+        self.period = undone_loop(self.model, asked, step)
+        before = self._before(float(asked[0]), step) if passes else self._ramp_before()
+        wanted, played = before.wanted, before.voltage.size
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
             wanted = np.concatenate([wanted, _faded(asked, passes)])
-        state = before.state or self._begun(float(period[0]))
-        settled = self._settled(period, step, state)
+        settled = self._settled(before.state or self._begun(float(self.period[0])))
         begun, run_in = before.state, NOTHING
         if wanted.size:
-            run_in, settled, begun = self._run_in(wanted, asked, period, begun, settled, step)
-        count = before.voltage.size + run_in.size
-        zero = 0.0 if block.time is None else float(block.time[0])
+            run_in, settled, begun = self._run_in(wanted, asked, begun, settled)
+        count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
-        if before.voltage.size:
-            yield self._response(times[: before.voltage.size], before.expected, before.voltage, step)
-        if not before.voltage.size:
+        if played:
+            yield self._response(times[:played], before.expected, before.voltage, step)
+        else:
             self.gate.require_start(step, None if run_in.size else float(settled.done.y[0]))
         if run_in.size:
-            yield self._response(times[before.voltage.size :], wanted, run_in, step)
-        drive = self._closed(settled.done.y, step)
-        self._count(settled, whole)
+            yield self._response(times[played:], wanted, run_in, step)
+        drive = self._closed(settled.done.y)
+        self._count(settled)
         if begun is None:
             begun = self.model.start(float(drive[0]), self.start)
-        self._require_loop(period, settled, step, begun)
+        self._require_loop(settled, begun)
         self.move.add(desired)
-        end = settled_run(self.model, drive, step, settled.before)
-        self.state = dataclasses.replace(
-            settled.done.state,
-            dynamics=end.state.dynamics,
-            time=None if block.time is None else float(block.time[-1]),
-        )
+        end = settled_run(self.model, drive, step, settled.before).state.dynamics
+        time = None if block.time is None else float(block.time[-1])
+        self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
         response = self._response(zero + step * np.arange(float(drive.size)), desired, drive, step)
         yield response._replace(time=block.time)
 
-    def _remedies(self) -> str:
-        return ""  # a loop is run in instead of swept
-
-    def _ramp_before(self, period: FloatArray, step: float) -> Before:
+    def _ramp_before(self) -> Before:
         """Return the ramp to a loop without a run-in; it ends on the first row of the settled drive."""
         approach, last = self.options.approach, self.came_from
         known = self.start if isinstance(self.start, ModelState) else None
         if approach is None or last is None:
             if approach is not None:
-                self._before(float(period[0]), step)  # says what is missing
+                self._before(float(self.period[0]), self.step)  # says what is missing
             return Before(NOTHING, NOTHING, NOTHING, known)
         begun = known or self.model.start(last, self.start)
-        target = float(self._settled(period, step, begun).done.y[0])
+        target = float(self._settled(begun).done.y[0])
         for _ in range(MOST_RUN_INS):
-            voltage = ramp("approach", last, target, step, approach, self.limits)
+            voltage = ramp("approach", last, target, self.step, approach, self.limits)
             voltage = voltage if known is not None else np.concatenate([[last], voltage])
-            done = self.model.simulate(voltage, begun, time_step=step)
-            ends, target = target, float(self._settled(period, step, done.state).done.y[0])
+            done = self.model.simulate(voltage, begun, time_step=self.step)
+            ends, target = target, float(self._settled(done.state).done.y[0])
             if abs(target - ends) <= SAME_DRIVE * self.given.span:
                 return Before(voltage, done.y, NOTHING, done.state)
         raise LimitError(
             f"{self.source.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
         )
 
-    def _settled(self, period: FloatArray, step: float, state: ModelState) -> Settled:
+    def _settled(self, state: ModelState) -> Settled:
         """Return the settled loop; without a known past, of the state in which a simulation of it starts.
 
         Gears that the loop does not reach stay as they were when it began, and where it begins follows from
         the settled drive.
         """
-        settled = settled_drive(self.model, period, step, state, self.limits)
+        model, period = self.model, self.period
+        settled = settled_drive(model, period, self.step, state, self.limits)
         if self.options.passes or (self.came_from is not None and self.start not in ("empty", "full")):
             return settled
         first, found = float(settled.done.y[0]), settled
         below, above, least = -math.inf, math.inf, math.inf
         for _ in range(MOST_STARTS):
-            begun = self.model.start(first, self.start)
-            settled = settled_drive(self.model, period, step, begun, self.limits)
+            settled = settled_drive(model, period, self.step, model.start(first, self.start), self.limits)
             leads_to = float(settled.done.y[0])
-            away = self._away(period, settled, step, self.model.start(leads_to, self.start))
+            away = self._away(settled, model.start(leads_to, self.start))
             if away < least:
                 found, least = settled, away
             if least <= LOOP_ERROR * float(np.ptp(period)) or below >= above:
@@ -159,21 +169,16 @@ class LoopCompensation(Compensation):
             first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
         return found
 
-    def _away(self, period: FloatArray, settled: Settled, step: float, begun: ModelState) -> float:
+    def _away(self, settled: Settled, begun: ModelState) -> float:
         """Return how far off the model repeats a settled drive that is begun in a state."""
-        drive = settled.done.y
-        ends = slow_output(self.model, drive, step, looped_state(self.model, drive, step, begun))
-        aim = slow_output(self.model, drive, step, settled.before) if settled.done.clipped_count else period
+        model, drive, step = self.model, settled.done.y, self.step
+        ends = slow_output(model, drive, step, looped_state(model, drive, step, begun))
+        clipped = settled.done.clipped_count
+        aim = slow_output(model, drive, step, settled.before) if clipped else self.period
         return float(np.abs(ends - aim).max())
 
     def _run_in(
-        self,
-        wanted: FloatArray,
-        asked: FloatArray,
-        period: FloatArray,
-        begun: ModelState | None,
-        settled: Settled,
-        step: float,
+        self, wanted: FloatArray, asked: FloatArray, begun: ModelState | None, settled: Settled
     ) -> tuple[FloatArray, Settled, ModelState]:
         """Return the drive up to the settled period, the period settled from the state it leaves, and that.
 
@@ -181,113 +186,123 @@ class LoopCompensation(Compensation):
         drive, within the slew limit.
         """
         model, limits = self.model, self.limits
+        signal = self._undone_before(wanted, asked, begun)
+        start = begun or model.start_compensation(float(signal[0]), self.start, limits)
+        time_step = self.step if model.needs_time or limits.max_slew is not None else None
+        followed = model.compensate(signal[: wanted.size], start, limits=limits, time_step=time_step)
+        self._clip(followed, None)
+        forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
+        aim = settled
+        for _ in range(MOST_RUN_INS):
+            settled = aim
+            drive = self._onto(self._closed(settled.done.y), followed.y)
+            state = model.simulate(drive, forward, time_step=time_step).state
+            aim = settled_drive(model, self.period, self.step, state, limits)
+            if np.abs(aim.done.y - settled.done.y).max() <= SAME_DRIVE * model.input.span:
+                break
+        return drive, settled, state
+
+    def _undone_before(self, wanted: FloatArray, asked: FloatArray, begun: ModelState | None) -> FloatArray:
+        """Return what the gears are to follow before the period, delay and dynamics undone."""
+        model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
         signal = shifted(np.concatenate([wanted, np.resize(asked, ahead)]), model.delay_seconds / step)
         if inverter is not None:
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)
-        start = begun or model.start_compensation(float(signal[0]), self.start, limits)
-        time_step = step if model.needs_time or limits.max_slew is not None else None
-        followed = model.compensate(signal[: wanted.size], start, limits=limits, time_step=time_step)
-        self._count_before(followed.clipped_count)
-        forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
-        drive, aim = followed.y, settled
-        for _ in range(MOST_RUN_INS):
-            settled = aim
-            closed = self._closed(settled.done.y, step)
-            for fade in FADES:
-                drive = _faded_over(followed.y, closed, (asked.size, self.options.passes), fade, limits, step)
-                if drive[-1] == closed[-1]:
-                    break
-            else:
-                raise LimitError(
-                    f"{self.source.name}: the run-in ends {abs(drive[-1] - closed[-1]):.3g}"
-                    f"{unit_of(self.given)} off the settled loop (more `passes`, or a larger `max_slew`)"
-                )
-            state = model.simulate(drive, forward, time_step=time_step).state
-            aim = settled_drive(model, period, step, state, limits)
-            if np.abs(aim.done.y - settled.done.y).max() <= SAME_DRIVE * model.input.span:
-                break
-        return drive, settled, state
+        return signal
 
-    def _count_before(self, clipped: int) -> None:
-        """Count what the limits held back before the period."""
-        if clipped:
-            self.clipped.count += clipped
-            if self.options.on_limit == "error":
-                raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
+    def _onto(self, closed: FloatArray, followed: FloatArray) -> FloatArray:
+        """Return a run-in that ends on the settled drive, the gentlest that does; refuse where none does."""
+        for fade in FADES:
+            drive = self._faded_over(followed, closed, fade)
+            if drive[-1] == closed[-1]:
+                return drive
+        raise LimitError(
+            f"{self.source.name}: the run-in ends {abs(drive[-1] - closed[-1]):.3g}{self.given.suffix} off "
+            "the settled loop (more `passes`, or a larger `max_slew`)"
+        )
 
-    def _rounded(self, x: FloatArray, step: float) -> FloatArray:
+    def _faded_over(self, followed: FloatArray, settled: FloatArray, fade: tuple[float, float]) -> FloatArray:
+        """Return a run-in that ends on the settled drive, within the slew limit.
+
+        ``followed`` and the settled drive both keep the limits, and so does what lies between; only the
+        change from the one to the other may be too fast, and then it takes longer. ``fade`` is where the
+        change begins and ends, in parts of the run-in before its end.
+        """
+        rows = followed.size
+        tail = np.resize(settled, rows + (-rows) % settled.size)[-rows:]
+        left = (rows - np.arange(rows)) / (settled.size * self.options.passes)
+        rise = np.clip((fade[0] - left) / (fade[0] - fade[1]), 0.0, 1.0)
+        drive: FloatArray = np.where(rise < 1.0, followed + soft_rise(rise) * (tail - followed), tail)
+        drive = np.clip(drive, self.limits.v_min, self.limits.v_max)
+        return self._within_slew(drive, float(drive[0]))
+
+    def _rounded(self, x: FloatArray) -> FloatArray:
         if self.bandwidth is None:
             return x
-        rounded = ZeroPhaseLowPass(self.bandwidth, step).loop(x)
+        rounded = ZeroPhaseLowPass(self.bandwidth, self.step).loop(x)
         self.inputs.note_rounding(x, rounded)
         return rounded
 
-    def _count(self, settled: Settled, whole: WholeSource) -> None:
+    def _count(self, settled: Settled) -> None:
         """Count what is unusual in the settled period, and say how it closes."""
-        done, block, name = settled.done, whole.block, whole.name
+        done, block, unit = settled.done, self.whole.block, self.given.suffix
         self.rows += len(block)
         self.beyond.add(done.outside_count, done.first_outside, block)
-        self.clipped.add(done.clipped_count, done.first_clipped, block)
-        if self.options.on_limit == "error" and self.clipped.count:
-            raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
-        drive, unit = done.y, unit_of(self.given)
-        seam, inside = abs(float(drive[0] - drive[-1])), float(np.abs(np.diff(drive)).max())
+        self._clip(done, block)
+        seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
-            f"{name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest inside "
-            f"{inside:.3g}{unit}"
+            f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
+            f"inside {inside:.3g}{unit}"
         )
 
-    def _require_loop(self, period: FloatArray, settled: Settled, step: float, begun: ModelState) -> None:
+    def _require_loop(self, settled: Settled, begun: ModelState) -> None:
         """Say when the model, begun as it is, repeats the loop; refuse or warn where it never does."""
-        away, move = self._away(period, settled, step, begun), float(np.ptp(period))
-        unit = unit_of(self.taken)
+        away, move = self._away(settled, begun), float(np.ptp(self.period))
         if away > LOOP_ERROR * move:
-            self._refuse_or_warn(
-                f"however often it is repeated, the model ends {away:.3g}{unit} off "
+            why = (
+                f"however often it is repeated, the model ends {away:.3g}{self.taken.suffix} off "
                 f"({100.0 * away / move:.2g} % of the move); no start leads to it (`passes` 1 or `state` "
                 "empty fixes the start)"
             )
         elif not settled.converged:
-            self._refuse_or_warn("the drive still changes from pass to pass within its limits")
+            why = "the drive still changes from pass to pass within its limits"
         else:
-            self.remarks_before.notes.append(self._settling(settled, step, begun, move))
-
-    def _settling(self, settled: Settled, step: float, begun: ModelState, move: float) -> str:
-        """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
-        drive, unit, seconds = settled.done.y, unit_of(self.taken), step * settled.done.y.size
-        expected = self.model.fit.get("expected_rmse")
-        known = isinstance(expected, float) and expected > 0.0
-        within = expected if isinstance(expected, float) and known else SETTLED_PART * move
-        first, passes = settling(self.model, drive, step, begun, settled.before, within)
-        what = "the expected error" if known else "0.1 % of the move"
-        what, name = f"{what}, {within:.3g}{unit}", self.source.name
-        if not passes:
-            return f"{name}: by the model the loop is settled from its first pass on: within {what}"
-        count = f"{passes:,} pass{'es' if passes > 1 else ''}"
-        return (
-            f"{name}: by the model the loop settles in {count}, {passes * seconds:.3g} s: the mean of the "
-            f"first is {first:.3g}{unit} off, then within {what}"
-        )
-
-    def _refuse_or_warn(self, why: str) -> None:
-        """Say that the loop is none, or refuse it where limits are to be kept."""
+            self.remarks_before.notes.append(self._settling(settled, begun, move))
+            return
         text = f"{self.source.name}: the loop does not settle: {why}"
         if self.options.on_limit == "error":
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
-    def _closed(self, drive: FloatArray, step: float) -> FloatArray:
+    def _settling(self, settled: Settled, begun: ModelState, move: float) -> str:
+        """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
+        drive, unit, name = settled.done.y, self.taken.suffix, self.source.name
+        expected = self.model.fit.get("expected_rmse")
+        within, what = SETTLED_PART * move, "0.1 % of the move"
+        if isinstance(expected, float) and expected > 0.0:
+            within, what = expected, "the expected error"
+        what += f", {within:.3g}{unit}"
+        first, passes = settling(self.model, drive, self.step, begun, settled.before, within)
+        if not passes:
+            return f"{name}: by the model the loop is settled from its first pass on: within {what}"
+        count = f"{passes:,} pass{'es' if passes > 1 else ''}"
+        return (
+            f"{name}: by the model the loop settles in {count}, {passes * (self.step * drive.size):.3g} s: "
+            f"the mean of the first is {first:.3g}{unit} off, then within {what}"
+        )
+
+    def _closed(self, drive: FloatArray) -> FloatArray:
         """Return a settled drive whose seam keeps the slew limit to the last digit; refuse one that jumps.
 
         A drive that has settled differs from the pass before in its last digits, and the first row was held
         within the limit behind the last row of that pass.
         """
-        closed = _within_slew(drive, float(drive[-1]), self.limits, step)
+        closed = self._within_slew(drive, float(drive[-1]))
         away = float(np.abs(closed - drive).max())
-        most = self.limits.largest_change(step)
+        most = self.limits.largest_change(self.step)
         seam = abs(float(closed[0]) - float(closed[-1]))
         if away > SAME_DRIVE * self.given.span or (most is not None and seam > most):
             raise LimitError(
@@ -296,47 +311,20 @@ class LoopCompensation(Compensation):
             )
         return closed
 
-
-def _faded_over(
-    followed: FloatArray,
-    settled: FloatArray,
-    loop: tuple[int, int],
-    fade: tuple[float, float],
-    limits: DriveLimits,
-    step: float,
-) -> FloatArray:
-    """Return a run-in that ends on the settled drive, within the slew limit.
-
-    ``followed`` and the settled drive both keep the limits, and so does what lies between; only the change
-    from the one to the other may be too fast, and then it takes longer. ``loop`` is rows a period and passes,
-    ``fade`` where the change begins and ends, in parts of the run-in before its end.
-    """
-    count, passes = loop
-    tail = np.resize(settled, followed.size + (-followed.size) % count)[-followed.size :]
-    left = (followed.size - np.arange(followed.size)) / (count * passes)
-    rise = np.clip((fade[0] - left) / (fade[0] - fade[1]), 0.0, 1.0)
-    weight = rise**3 * (10.0 - 15.0 * rise + 6.0 * rise * rise)
-    drive: FloatArray = np.where(rise < 1.0, followed + weight * (tail - followed), tail)
-    drive = np.clip(drive, limits.v_min, limits.v_max)
-    return _within_slew(drive, float(drive[0]), limits, step)
-
-
-def _within_slew(drive: FloatArray, last: float, limits: DriveLimits, step: float) -> FloatArray:
-    """Return a drive whose rows follow ``last`` and one another within the slew limit."""
-    most = limits.largest_change(step)
-    if most is None or (np.abs(np.diff(drive, prepend=last)) <= most).all():
-        return drive
-    values = drive.tolist()
-    for k, value in enumerate(values):
-        last = values[k] = min(max(value, towards(last, -most)), towards(last, most))
-    return np.array(values)
+    def _within_slew(self, drive: FloatArray, last: float) -> FloatArray:
+        """Return a drive whose rows follow ``last`` and one another within the slew limit."""
+        most = self.limits.largest_change(self.step)
+        if most is None or (np.abs(np.diff(drive, prepend=last)) <= most).all():
+            return drive
+        values = drive.tolist()
+        for k, value in enumerate(values):
+            last = values[k] = min(max(value, towards(last, -most)), towards(last, most))
+        return np.array(values)
 
 
 def _faded(x: FloatArray, passes: int) -> FloatArray:
     """Return passes of a period that fade in, during the first, from a rest at its first value."""
-    t = np.arange(x.size) / x.size
-    weight = t**3 * (10.0 - 15.0 * t + 6.0 * t * t)  # speed and acceleration are zero at either end
-    first = x[0] + weight * (x - x[0])
+    first = x[0] + soft_rise(np.arange(x.size) / x.size) * (x - x[0])
     return np.concatenate([first, np.tile(x, passes - 1)])
 
 
@@ -351,3 +339,44 @@ def _require_closed(name: str, period: FloatArray) -> None:
             f"{period[0]:.6g}, is a step of {seam:.3g} where the largest inside is {inside:.3g} (give one "
             "whole period, without its first row again at the end)"
         )
+
+
+def compensation(
+    model: ActuatorModel,
+    source: Source,
+    options: DriveOptions,
+    tracked: Sequence[Tracked] = (),
+    last_row: int | None = None,
+) -> Compensation:
+    """Return the run of a forward model's inverse over a trajectory.
+
+    Parameters
+    ----------
+    model
+        A forward model.
+    source
+        The trajectory, under the name of the model's output.
+    options
+        What is asked of the drive.
+    tracked
+        Recordings of the last pass of this trajectory, to learn from.
+    last_row
+        The last row that is answered; rows after it are only read ahead.
+
+    Raises
+    ------
+    UsageError
+        The limits are not in order, or options exclude each other.
+    ModelError
+        The model is an inverse one.
+    InputError
+        A recording is not of this trajectory, or the error grew.
+    """
+    model.require("forward")
+    if options.history is not None and not tracked:
+        raise UsageError("`history` keeps the error of the passes that `tracked` recorded: give both")
+    lesson = None
+    if tracked:
+        source, lesson = learned_source(model, source, tracked, options)
+    make = LoopCompensation if options.periodic else Compensation
+    return make(model, source, last_row=last_row, options=options, lesson=lesson)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.inputs import Inputs, Transforms
-from dbo_cli.drives.time_steps import TimeSteps
+from dbo_cli.drives.inputs import Inputs
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
@@ -28,6 +28,12 @@ FASTER = 2.0
 logs of at most 1.3 ranges a second the error at 3 to 6 ranges a second was twice that at the logs' speeds."""
 
 FAST_PART = 0.05  # of the samples: a few faster ones are not worth a word
+SAME_STEP = 1e-6
+"""A run goes on without a pause where its first sample comes one step after the last one's, to this fraction.
+
+Time stamps are row numbers over a rate, rounded; a rounding error is 1e-9 of a step after 10^7 rows.
+"""
+
 LAG_DEPENDS = "this model's lag, creep or delay depends on it"
 
 
@@ -38,11 +44,79 @@ class Tally:
     count: int = 0
     first_row: int = 0
 
-    def add(self, count: int, index: int, block: SampleBlock) -> None:
-        """Count what one block had, at least one."""
-        if not self.count:
+    def add(self, count: int, index: int, block: SampleBlock | None) -> None:
+        """Count what one block had, at least one; without a block, in rows before row 1."""
+        if not self.count and block is not None:
             self.first_row = int(block.rows[index])
         self.count += count
+
+
+class TimeSteps:
+    """Tells the seconds since the sample before.
+
+    Parameters
+    ----------
+    source : Source
+        Where the samples come from.
+    why : str, optional
+        Why the time is needed, for the refusal of a source without; None: it is not needed.
+    last : float, optional
+        When the sample before the first one was (s), from a state that knows it.
+    """
+
+    def __init__(self, source: Source, why: str | None, last: float | None = None) -> None:
+        self.needed = why is not None
+        self.name = source.name
+        if why is not None:
+            source.require_time(why)
+        # One number where samples are evenly spaced by definition: a delay of whole samples is exact then.
+        rate = source.even_rate
+        self.step = None if rate is None else 1.0 / rate
+        self._last = last
+        self._begun = False
+
+    def of(self, block: SampleBlock) -> float | FloatArray | None:
+        """Return one number, or one for each sample of the block; None where no time is needed.
+
+        Raises
+        ------
+        InputError
+            Time goes backwards.
+        """
+        if block.time is None:
+            return None
+        if not self._begun:
+            self._begin(block.time)
+        if self.step is not None:
+            return self.step
+        steps: FloatArray = np.diff(block.time, prepend=0.0 if self._last is None else self._last)
+        if (steps < 0.0).any():
+            place = block.place(self.name, int(np.argmax(steps < 0.0)))
+            raise InputError(
+                f"{place}: time goes backwards, and this model's lag and creep depend on the time between "
+                "samples (cut the log with `rows` A:B)"
+            )
+        self._last = float(block.time[-1])
+        return steps
+
+    def follow(self, last: float) -> None:
+        """Let the first sample come after one at ``last`` (s)."""
+        self._last = last
+
+    def _begin(self, time: FloatArray) -> None:
+        """Find when the sample before the first one was.
+
+        Only after a saved state does the very first step count. Where the state does not know its time, or
+        the clock began anew since, the first sample comes one step after it. The stamp of the state's own
+        last sample is a repeated one: no time has passed.
+        """
+        self._begun = True
+        first = float(time[0])
+        usual = self.step if self.step is not None else float(time[1]) - first if len(time) > 1 else 0.0
+        if self._last is None or self._last > first or (self.step is not None and self._last == first):
+            self._last = first - usual
+        elif self.step is not None and abs(first - self._last - self.step) > SAME_STEP * self.step:
+            self.step = None  # a pause: from here on the stamps count
 
 
 class Response(NamedTuple):
@@ -71,6 +145,8 @@ class ModelRun:
         Why the time between samples is needed, besides the model's own reasons.
     state : ModelState, or None
         After the samples run so far.
+    time_step : float, array or None
+        Seconds between the samples of the block run last.
     """
 
     model: ActuatorModel
@@ -87,44 +163,41 @@ class ModelRun:
     beyond: Tally = field(default_factory=Tally)
     fast: Tally = field(default_factory=Tally)
     assumed: float = 0.0
+    time_step: float | FloatArray | None = None
+    taken: Quantity = field(init=False)
+    given: Quantity = field(init=False)
+    displacement: Quantity = field(init=False)
     steps: TimeSteps = field(init=False)
     inputs: Inputs = field(init=False)
+    _run: Callable[..., Simulated] = field(init=False)
+
+    remedies = ""
+    """What brings an actuator into the start, in front of other ways."""
+    compensates = False
+    """Whether a forward model is given a displacement, to be turned into a drive."""
 
     def __post_init__(self) -> None:
         """Refuse a source without time where the model needs one."""
-        why = self.why_time
-        if self.model.needs_time or (self.inverting and reads_ahead(self.model)):
-            why = LAG_DEPENDS
-        begun = self.start if isinstance(self.start, ModelState) else None
+        model, begun = self.model, self.start if isinstance(self.start, ModelState) else None
+        self.taken, self.given = model.input, model.output
+        if self.compensates:
+            self.taken, self.given = model.output, model.input
+        inverting = self.compensates or model.direction == "inverse"
+        self.displacement = self.taken if inverting else self.given
+        needed = model.needs_time or (inverting and reads_ahead(model))
+        why = LAG_DEPENDS if needed else self.why_time
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
-        what = Transforms(
-            self.taken.quantity,
-            self.model.delay_seconds if self.inverting else 0.0,
-            self.model.dynamics if self.inverting else None,
-            self.bandwidth,
-            self.last_row,
-        )
-        self.inputs = Inputs(self.source, what, begun, self.taken)
+        self._run = functools.partial(model.simulate, outside=self.outside)
+        delay, dynamics = (model.delay_seconds, model.dynamics) if inverting else (0.0, None)
+        self.inputs = Inputs(self.source, self.taken, delay, dynamics, self.bandwidth, self.last_row, begun)
 
     @property
-    def inverting(self) -> bool:
-        """Whether a displacement goes in and a drive comes out."""
-        return self.model.direction == "inverse"
-
-    @property
-    def taken(self) -> Quantity:
-        """What the run takes in."""
-        return self.model.input
-
-    @property
-    def given(self) -> Quantity:
-        """What the run gives."""
-        return self.model.output
-
-    @property
-    def displacement(self) -> Quantity:
-        """The displacement, whichever end of the run it is."""
-        return self.taken if self.inverting else self.given
+    def voltage_scale(self) -> str | None:
+        """What the voltages of the model's logs were multiplied by, ``times 20``; None where by nothing."""
+        inputs: Any = self.model.provenance.get("inputs") or []
+        reads = [one.get("read", {}) for one in inputs]
+        found = {read.get("columns", {}).get("voltage", {}).get("scale") for read in reads}
+        return found.pop() if len(found) == 1 else None
 
     def responses(self) -> Iterator[Response]:
         """Run over the whole source; the blocks may be of any length, their samples always the same.
@@ -134,16 +207,17 @@ class ModelRun:
         InputError
             The source is bad, time goes backwards, or a sample is outside where that is refused.
         """
+        role = self.taken.quantity
         for block, x in self.inputs.blocks(self.source.blocks()):
-            yield Response(block.time, block.values[self.taken.quantity], self.feed(block, x))
+            yield Response(block.time, block.values[role], self.feed(block, x).y)
 
-    def feed(self, block: SampleBlock, x: FloatArray) -> FloatArray:
-        """Return the output for one block, and go on from there."""
-        steps = self.steps.of(block) if self.steps.needed else None
+    def feed(self, block: SampleBlock, x: FloatArray) -> Simulated:
+        """Run one block, and go on from there."""
+        steps = self.time_step = self.steps.of(block) if self.steps.needed else None
         if self.state is None:
             self.state = self._begun(float(x[0]))
         try:
-            done = self._run(x, self.state, steps)
+            done = self._run(x, self.state, time_step=steps)
         except OutsideError as problem:
             raise InputError(
                 f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
@@ -154,18 +228,9 @@ class ModelRun:
         self.rows += len(x)
         if done.outside_count:
             self.beyond.add(done.outside_count, done.first_outside, block)
-        self._watch(done, block, x, steps)
         if steps is not None and self.model.direction == "forward":
-            self._watch_speed(done.y if self.inverting else x, steps, block)
-        return done.y
-
-    def _run(self, x: FloatArray, state: ModelState, steps: float | FloatArray | None) -> Simulated:
-        return self.model.simulate(x, state, time_step=steps, outside=self.outside)
-
-    def _watch(
-        self, done: Simulated, block: SampleBlock, x: FloatArray, steps: float | FloatArray | None
-    ) -> None:
-        """Look at what came out of a block."""
+            self._watch_speed(done.y if self.compensates else x, steps, block)
+        return done
 
     def _watch_speed(self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock) -> None:
         """Count the samples whose drive is faster than any that the model was identified from."""
@@ -189,8 +254,8 @@ class ModelRun:
         if self.assumed:
             remarks.notes.append(
                 f"{self.source.name}: where it starts, the displacement depends on the past by up to "
-                f"{self.assumed:.3g}{unit_of(self.displacement)}; the actuator is taken to have settled "
-                f"there ({self._remedies()}`state` empty where it comes from its lower end)"
+                f"{self.assumed:.3g}{self.displacement.suffix}; the actuator is taken to have settled "
+                f"there ({self.remedies}`state` empty where it comes from its lower end)"
             )
         self._add_limits(remarks)
         if self.fast.count > FAST_PART * self.rows:
@@ -202,10 +267,6 @@ class ModelRun:
         if kernel.KIND == "python" and self.rows >= LONG_WORK:
             remarks.warn("the compiled kernel is not there and Python does the work, a hundred times slower")
         return remarks
-
-    def _remedies(self) -> str:
-        """Name, in front of others, what would bring the actuator into the start."""
-        return ""
 
     def _add_limits(self, remarks: Remarks) -> None:
         """Say what lay outside."""
@@ -222,7 +283,7 @@ class ModelRun:
 
     def _range(self) -> str:
         taken = self.taken
-        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{unit_of(taken)}"
+        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{taken.suffix}"
 
     def _begun(self, first: float) -> ModelState:
         if self.start == "auto":
@@ -244,10 +305,10 @@ def found_start(model: ActuatorModel, name: str, first: float) -> StartName | No
     if model.direction != "forward" or not isinstance(logs, list):
         return None
     for log in logs:
-        told = log if isinstance(log, dict) else {}
-        named = name == told.get("name") or name.endswith(f"/{told.get('name')}")
+        known = log if isinstance(log, dict) else {}
+        named = name == known.get("name") or name.endswith(f"/{known.get('name')}")
         for start in START_NAMES:
-            if named and told.get("begins_at") == first and told.get("start") == start:
+            if named and known.get("begins_at") == first and known.get("start") == start:
                 return start
     return None
 
@@ -255,8 +316,3 @@ def found_start(model: ActuatorModel, name: str, first: float) -> StartName | No
 def reads_ahead(model: ActuatorModel) -> bool:
     """Tell whether the inverse of a model needs samples that come later."""
     return model.delay_seconds > 0.0 or model.dynamics is not None
-
-
-def unit_of(quantity: Quantity) -> str:
-    """Return a quantity's unit behind a blank, nothing where it has none."""
-    return f" {quantity.unit}" if quantity.unit else ""

@@ -12,6 +12,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 
 Seconds = float | Literal["auto"] | None
+NEED_TIME = (
+    "max_slew", "max_current", "condition", "approach", "lead", "return_", "periodic", "bandwidth"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -136,22 +139,16 @@ class DriveOptions:
     @property
     def why_time(self) -> str | None:
         """Why the time between samples is needed, where it is."""
-        needing = {
-            "max_slew": self.max_slew is not None and self.max_slew != math.inf,
-            "max_current": self.max_current is not None,
-            "condition": self.condition,
-            "approach": self.approach is not None,
-            "lead": self.lead is not None,
-            "return_": self.return_ is not None,
-            "periodic": self.periodic,
-            "bandwidth": self.bandwidth is not None,
-        }
-        return next((f"`{name}` depends on it" for name, asked in needing.items() if asked), None)
+        needing = [name for name in NEED_TIME if getattr(self, name) not in (None, False)]
+        if self.max_slew == math.inf:
+            needing.remove("max_slew")
+        return f"`{needing[0]}` depends on it" if needing else None
 
     @property
-    def begins_before(self) -> bool:
-        """Whether rows stand before the trajectory's own."""
-        return self.condition or self.approach is not None or self.lead is not None
+    def has_pieces(self) -> bool:
+        """Whether rows may stand before or after the trajectory's own."""
+        around = (self.from_, self.approach, self.lead, self.return_)
+        return self.condition or any(one is not None for one in around)
 
 
 def check_seconds(name: str, value: Seconds) -> None:

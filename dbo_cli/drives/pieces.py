@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,28 @@ SLEW_SPARE = 0.9
 stamps take away (since 1970, 0.2 us each)."""
 SHORTEST_WAY = 0.1  # of the sweep's seconds: however short a way, what it excites stays small
 PLANS = 6  # tries to find how long a swing takes; the second is right where no memory matters
+
+
+NOTHING = np.zeros(0)
+
+
+class Before(NamedTuple):
+    """The rows before a trajectory.
+
+    Attributes
+    ----------
+    voltage, expected : array
+        Played as they are, and the displacement that the model expects of them.
+    wanted : array
+        Displacements that the inverse follows, up to the trajectory's first value.
+    state : ModelState, or None
+        After the voltages; None where the run finds its start itself.
+    """
+
+    voltage: Floats
+    expected: Floats
+    wanted: Floats
+    state: ModelState | None
 
 
 def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, limits: DriveLimits) -> Floats:
@@ -130,10 +153,16 @@ def way(
 def _way(begin: float, end: float, creep: float, count: int, step: float) -> Floats:
     """Return a smooth way of so many rows: no jump of speed or acceleration at either end."""
     t = np.arange(1.0, require_rows("the way to the first row", count, step) + 1.0) / count
-    rise = t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
-    found: Floats = begin + rise * (end - begin) + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
+    found: Floats = (
+        begin + soft_rise(t) * (end - begin) + creep * count * t * (1.0 - t) ** 3 * (1.0 + 3.0 * t)
+    )
     found[-1] = end
     return found
+
+
+def soft_rise(t: Floats) -> Floats:
+    """Return a rise from 0 at t = 0 to 1 at t = 1; speed and acceleration are zero at either end."""
+    return t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
 
 
 def require_rows(what: str, count: int, step: float) -> int:

@@ -226,12 +226,14 @@ def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
     p, _, u = (0.0, 0.0, 0.0) if state.drive_lag is None else state.drive_lag[0]
     low, high = bounds
     if state.drive_lag is not None:  # else at rest at this sample: the lag passes on what it gets
-        low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
-    if not low < high:  # the slew limit allows nothing in no time
+        low, high = (p + part * (u - p) + (rise * (bound - u) if rise else 0.0) for bound in bounds)
+    if not low < high:  # the slew limit allows nothing in no time, or a lag passes nothing on in no time
         high = np.nextafter(low, np.inf)
     done = rest.simulate(block.x, state, time_step=block.steps, limits=DriveLimits(low, high))
     w, side = done.y.item(), 0
-    if min(w - low, high - w) <= NEGLIGIBLE * (high - low):
+    if state.drive_lag is not None and not rise:  # what comes in no time moves nothing: the drive stays
+        drive = min(max(u, bounds[0]), bounds[1])
+    elif min(w - low, high - w) <= NEGLIGIBLE * (high - low):
         side = -1 if w - low <= high - w else 1
         drive = bounds[0] if side < 0 else bounds[1]
     else:  # only rounding was in the way

@@ -11,6 +11,7 @@ import math
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,6 +211,40 @@ class Excitation:
             )
             voltage = np.concatenate([voltage, small])
         return np.arange(voltage.size) / self.sample_rate, voltage
+
+
+SAMPLE_RATE = 1000.0  # rows a second where nothing is said: 50 in a swing of the fastest, at 1 Hz
+
+
+def excitation_of(
+    *, sample_rate: float | None = None, points: int | None = None, duration: float, **asked: Any
+) -> Excitation:
+    """Return an excitation at a rate, or of so many rows in all, whose rate follows from the duration.
+
+    Raises
+    ------
+    UsageError
+        Both are given, the points are too few for the frequencies, or as for ``Excitation``.
+    """
+    if points is None:
+        return Excitation(sample_rate=sample_rate or SAMPLE_RATE, duration=duration, **asked)
+    if sample_rate is not None:
+        raise UsageError("`points` and `sample_rate` exclude each other: the rate follows from the points")
+    sweep_to = asked.get("sweep_to")
+
+    def swept(rate: float) -> int:
+        ends, more = (asked["v_min"], asked["v_max"]), (asked.get("sweep_amplitude"), asked.get("max_slew"))
+        return 0 if sweep_to is None else sweep(*ends, rate, sweep_to, *more).size
+
+    fewest = max(SAMPLES_A_CYCLE * asked["frequency"], SAMPLES_A_PERIOD * (sweep_to or 0.0))
+    seconds = duration + swept(2.0 * fewest) / (2.0 * fewest)
+    rate = points / seconds
+    if rate < fewest:
+        raise UsageError(
+            f"`points` {points:,}: {rate:.4g} rows a second, at least {fewest:g} are needed (`points` "
+            f"{math.ceil(fewest * seconds):,})"
+        )
+    return Excitation(sample_rate=rate, duration=(points - swept(rate)) / rate, **asked)
 
 
 class _Planner:

@@ -38,6 +38,7 @@ from dbo_cli.hysteresis.operators import Axis, BacklashState
 
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"
+SET_FORMAT = "dbo-model-set"
 VERSION = 2
 """Of both files. Version 1 had every width written out, and states that did not know their time."""
 
@@ -329,7 +330,11 @@ def read_model(path: str) -> ActuatorModel:
     ModelError
         It is not a model, of a newer version, or contradicts itself; the message names file and key.
     """
-    root = _load(path, MODEL_FORMAT, "model")
+    return model_of(load_document(path, MODEL_FORMAT, "model"))
+
+
+def model_of(root: Node) -> ActuatorModel:
+    """Return the model that an object describes, checked to the last key (ModelError)."""
     root.only(("format", "version", "direction", "input", "output", "stages"), ("fit", "provenance"))
     direction = root.text("direction")
     if direction not in {"forward", "inverse"}:
@@ -345,8 +350,16 @@ def read_model(path: str) -> ActuatorModel:
     return model
 
 
-def _load(path: str, wanted: str, noun: str) -> Node:
-    """Return the top of a JSON file, its format and version checked."""
+def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> Node:
+    """Return the top of a JSON file, its format and version checked.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is no file of that format, or of a newer version than ``newest``.
+    """
     name = "standard input" if path == "-" else path
     try:
         text = (sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()).decode("utf-8-sig")
@@ -365,18 +378,25 @@ def _load(path: str, wanted: str, noun: str) -> Node:
     except (_RepeatedKeyError, ValueError, RecursionError) as problem:
         reason = str(problem) if isinstance(problem, _RepeatedKeyError) else "is not readable JSON"
         raise ModelError(f"{name}: {reason}") from None
+    if isinstance(values, dict) and values.get("format") == SET_FORMAT != wanted:
+        raise ModelError(
+            f"{name}: is a set of models: name one of them ({name}::CHANNEL), or the columns of all with a "
+            "pattern ('V{}')"
+        )
     if not isinstance(values, dict) or values.get("format") != wanted:
         raise ModelError(f'{name}: is not a {noun} file ("format" must be "{wanted}")')
-    root = Node(name, "", values)
-    if "version" not in values:
+    return checked_version(Node(name, "", values), newest)
+
+
+def checked_version(root: Node, newest: int = VERSION) -> Node:
+    """Return an object whose version is one that this program reads (ModelError where it is not)."""
+    if "version" not in root.values:
         raise root.refuse("version", "is missing")
-    version = values["version"]
+    version = root.values["version"]
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise root.refuse("version", f"{json.dumps(version)} is not a version")
-    if version > VERSION:
-        raise root.refuse(
-            "version", f"{version} is newer than this program reads, {VERSION}; upgrade dbo-cli"
-        )
+    if version > newest:
+        raise root.refuse("version", f"{version} is newer than this program reads, {newest}; upgrade dbo-cli")
     return root
 
 
@@ -426,6 +446,11 @@ def read_stages(values: object, key: str) -> tuple[Stage, ...]:
 
 def model_to_bytes(model: ActuatorModel) -> bytes:
     """Return the model file of a model: the same model gives the same bytes."""
+    return document_bytes(model_values(model))
+
+
+def model_values(model: ActuatorModel) -> Json:
+    """Return the keys and values of a model file."""
     values: Json = {
         "format": MODEL_FORMAT,
         "version": VERSION,
@@ -437,7 +462,7 @@ def model_to_bytes(model: ActuatorModel) -> bytes:
     for key, notes in (("fit", model.fit), ("provenance", model.provenance)):
         if notes:
             values[key] = dict(notes)
-    return _to_bytes(values)
+    return values
 
 
 def stage_values(stage: Stage) -> Json:
@@ -448,7 +473,7 @@ def stage_values(stage: Stage) -> Json:
     return {"type": kind, **_written(stage, fields)}
 
 
-def _to_bytes(values: Mapping[str, Any]) -> bytes:
+def document_bytes(values: Mapping[str, Any]) -> bytes:
     """Return JSON with one line for a short object and filled lines for a long list, for people and diff."""
     return (_layout(values, "") + "\n").encode()
 
@@ -502,7 +527,7 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         values["dynamics"] = _dynamics_values(state)
     if state.drive_lag is not None:
         values["drive_lag"] = {"sections": [list(one) for one in state.drive_lag]}
-    return _to_bytes(values)
+    return document_bytes(values)
 
 
 def read_state(path: str, model: ActuatorModel) -> ModelState:
@@ -515,7 +540,7 @@ def read_state(path: str, model: ActuatorModel) -> ModelState:
     ModelError
         It is not a state, contradicts itself, or belongs to another model.
     """
-    root = _load(path, STATE_FORMAT, "state")
+    root = load_document(path, STATE_FORMAT, "state")
     timed = root.values["version"] > 1
     geared = _has_gears(model.stages)
     key, read = ("backlash", _bits_and_memory) if geared else ("plays", _others().read_places)

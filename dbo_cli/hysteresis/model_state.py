@@ -68,6 +68,11 @@ class Quantity:
         """The length of the range."""
         return self.maximum - self.minimum
 
+    @property
+    def suffix(self) -> str:
+        """The unit behind a blank, as messages write it; nothing where there is none."""
+        return f" {self.unit}" if self.unit else ""
+
 
 _INWARDS = 1.0 - 2.0**-51
 """Three roundings (the step in time, the product, this factor) of one part in 2^53 each stay inside it."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from dbo_cli.errors import UsageError
 
+# What loggers, oscilloscopes and LabVIEW call delimited text, and HDF5 by its users (HDF-EOS, MATLAB, NeXus).
 TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".prn", ".log")
 HDF5_ENDINGS = (".h5", ".hdf5", ".hdf", ".he5", ".mat", ".nxs")
 # Endings of files that hold something else; a signal under such a name would not be what it is called.
@@ -20,18 +21,25 @@ _NOT_WRITTEN = {
     ".hdf.gz": "HDF5 is compressed inside: leave out .gz",
     ".lvm": "LabVIEW's own files are not written: call it .txt",
 } | {
+    ending: f"{ending} is a generator's file, which dbo waveform writes: call this one .csv"
+    for ending in (".arb", ".tfw", ".raf", ".i16", ".u16", ".gcs", ".npy", ".wav", ".tdms", ".bin", ".raw")
+} | {
+    ending: f"{ending} files of generators and oscilloscopes are not written: call it .csv"
+    for ending in (".wfm", ".isf", ".awg", ".rdf", ".bsv", ".trc", ".wvf", ".ota")
+} | {
     ending: f"{ending} files are not written: .csv, .tsv, .txt, .dat (also with .gz) and .h5 are"
     for ending in (
         ".xlsx", ".xls", ".xlsm", ".xlsb", ".ods", ".parquet", ".pq", ".feather", ".arrow", ".ipc", ".orc",
-        ".avro", ".npy", ".npz", ".pkl", ".pickle", ".tdms", ".tdm", ".nc", ".nc4", ".netcdf", ".cdf",
-        ".fits", ".zarr", ".wav", ".bin", ".raw", ".sqlite", ".db", ".dta", ".sav", ".rds", ".rdata",
+        ".avro", ".npz", ".pkl", ".pickle", ".tdm", ".nc", ".nc4", ".netcdf", ".cdf",
+        ".fits", ".zarr", ".sqlite", ".db", ".dta", ".sav", ".rds", ".rdata",
         ".msgpack", ".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".toml", ".xml", ".html", ".htm", ".pdf",
         ".doc", ".docx", ".tex", ".png", ".svg", ".jpg", ".zip", ".tar", ".tgz", ".tar.gz", ".bz2", ".xz",
         ".zst", ".lz4", ".7z",
     )
 }  # fmt: skip
-# What a model, a state or a report is written as; every other ending that is known says something else.
+# What a model, a state or a report is written as; every other known ending is that of something else.
 _DOCUMENTS = {"json": (".json",), "csv": (".csv",), "html": (".html", ".htm"), "text": ()}
+# What ``format`` may be, and the kind of file that it is.
 FORMATS = {"csv": "text", "tsv": "text", "txt": "text", "dat": "text", "h5": "hdf5", "hdf5": "hdf5"}
 
 
@@ -77,7 +85,7 @@ class Address:
         return replace(self, kind=FORMATS[named], format=named)
 
     def refuse_other(self, named: str, shown: str | None = None) -> None:
-        """Refuse a format that contradicts the name (UsageError); a name that tells none does not."""
+        """Refuse a format that contradicts the name (UsageError); a name without a known ending does not."""
         own, unlike = _kind_by_name(self.path), {"csv": ".tsv", "tsv": ".csv"}.get(named, "::")
         if own is not None and (own != FORMATS[named] or _plain(self.path).endswith(unlike)):
             raise UsageError(
@@ -126,7 +134,7 @@ def parse_address(given: Given, format: str | None = None) -> Address:
 
 
 def parse_output(given: Given, format: str | None = None) -> Address:
-    """Take the name of a signal to be written apart; it is written as what its name says.
+    """Take the name of a signal to be written apart; its ending chooses the format.
 
     Raises
     ------
@@ -145,12 +153,12 @@ def parse_output(given: Given, format: str | None = None) -> Address:
 
 
 def check_document(address: Given, what: str, form: str) -> None:
-    """Refuse a name that says another format than that of a model, a state or a report.
+    """Refuse a name that is of another format than that of a model, a state or a report.
 
     Parameters
     ----------
     address
-        Where it goes; a stream and a name that says nothing are good.
+        Where it goes; a stream and a name without a known ending are good.
     what
         How messages call it: ``a model``.
     form
@@ -183,7 +191,7 @@ def check_format(named: str | None, addresses: Sequence[Address]) -> None:
     Raises
     ------
     UsageError
-        Every name tells its own format, and one of them another than ``named``.
+        Every name has a format of its own, and one of them another than ``named``.
     """
     if named is not None and all(one.kind is not None for one in addresses):
         for one in addresses:

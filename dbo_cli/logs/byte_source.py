@@ -1,45 +1,53 @@
-"""Bytes in, lines out: files, gzip and standard input as blocks of whole lines, in constant memory."""
+"""Bytes in: what a reader is given, and files, gzip and standard input as plain text, in constant memory."""
 
 from __future__ import annotations
 
 import codecs
+import contextlib
 import io
 import os
 import stat
 import sys
 import zlib
-from collections.abc import Iterator
-from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import IO, Any, cast
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.libraries import GAVE_UP
+from dbo_cli.logs.reading_options import ReadingOptions
 
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-Item = TypeVar("Item")
-HEAD_BYTES = 1 << 18
-LONGEST_LINE = 1 << 24
-NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
-_PIPE_BYTES = 1 << 18
-_UNREADABLE = (EOFError, zlib.error, OSError)
-_GZIP_MAGIC = b"\x1f\x8b"
+_PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
+_UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
+_GZIP_MAGIC = b"\x1f\x8b"  # RFC 1952, 2.3.1
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-_AS_FILE = ", not through a pipe or compressed"
-_FOREIGN = {
-    b"\x89HDF\r\n\x1a\n": "HDF5: give it as a file" + _AS_FILE,
-    b"PK\x03\x04": "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
-    b"\xd0\xcf\x11\xe0": "an old Excel workbook: give it as a file" + _AS_FILE,
-    b"MATLAB 5.0 MAT-file": "a MATLAB file: give it as a file" + _AS_FILE,
-    b"\x93NUMPY": "a NumPy array: give it as a file" + _AS_FILE,
-    b"PAR1": "Parquet: give it as a file" + _AS_FILE,
-    b"TDSm": "TDMS: give it as a file" + _AS_FILE,
-    b"CDF\x01": "netCDF: give it as a file" + _AS_FILE,
-    b"BZh": "compressed with bzip2: unpack it, or compress it with gzip",
-    b"\xfd7zXZ": "compressed with xz: unpack it, or compress it with gzip",
-    b"(\xb5/\xfd": "compressed with zstd: unpack it, or compress it with gzip",
-    b"7z\xbc\xaf": "a 7z archive: unpack it, or compress it with gzip",
+# First bytes of a file that is no text: what messages call it, and the module and function that read it.
+BINARY = {
+    b"\x89HDF\r\n\x1a\n": ("HDF5", "hdf5.reader.open_hdf5"),
+    b"MATLAB 5.0 MAT-file": ("a MATLAB file", "binary.arrays.open_matlab"),
+    b"\x93NUMPY": ("a NumPy array", "binary.arrays.open_npy"),
+    b"PAR1": ("Parquet", "binary.arrow.open_parquet"),
+    b"ARROW1": ("Feather", "binary.arrow.open_feather"),
+    b"FEA1": ("Feather", "binary.arrow.open_old_feather"),
+    b"TDSm": ("TDMS", "binary.tdms.open_tdms"),
+    b"CDF\x01": ("netCDF", "binary.arrays.open_netcdf"),
+    b"CDF\x02": ("netCDF", "binary.arrays.open_netcdf"),
+    b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.excel.open_excel"),
+}
+ZIP = b"PK\x03\x04"  # APPNOTE.TXT 4.3.7; the other signatures are those of the file(1) database
+_UNPACK = "unpack it, or compress it with gzip"
+_UNREAD = {
+    ZIP: "a zip archive: a workbook ends in .xlsx, a NumPy archive in .npz",
+    b"BZh": f"compressed with bzip2: {_UNPACK}",
+    b"\xfd7zXZ": f"compressed with xz: {_UNPACK}",
+    b"(\xb5/\xfd": f"compressed with zstd: {_UNPACK}",
+    b"7z\xbc\xaf": f"a 7z archive: {_UNPACK}",
     b"%PDF": "a PDF document: give the measured data as CSV",
+}
+_REMEDIES = _UNREAD | {
+    start: f"{name}: give it as a file, not through a pipe or compressed"
+    for start, (name, _) in BINARY.items()
 }
 
 
@@ -84,6 +92,73 @@ def _state_of(path: str) -> tuple[int, int, int] | None:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
+@dataclass(frozen=True)
+class Request:
+    """What a reader of a format is given.
+
+    Attributes
+    ----------
+    address, options
+        Where the log is, and how it is to be read.
+    named
+        The columns that the user named.
+    live
+        Hand on what has arrived instead of waiting for a full block.
+    digest
+        Hash the bytes of a stream as they are read: it cannot be read again.
+    content
+        The text itself, where another format has been turned into text (a workbook's sheet).
+    watch
+        Of the file, from now on.
+    """
+
+    address: Address
+    options: ReadingOptions
+    named: Sequence[str] = ()
+    live: bool = False
+    digest: bool = False
+    content: bytes | None = None
+    watch: FileWatch = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Watch the file from now on."""
+        object.__setattr__(self, "watch", FileWatch(self.place, self.address.path))
+
+    @property
+    def place(self) -> str:
+        """How messages call the log."""
+        return self.address.text
+
+    @contextlib.contextmanager
+    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
+        """Turn whatever a library raises at damaged bytes into one line (InputError).
+
+        ``kind`` is what the file should be, as messages call it (``Parquet``).
+        """
+        try:
+            yield
+            self.watch.check()
+        except (DboError, KeyboardInterrupt, SystemExit):
+            raise
+        except errors as problem:
+            self.watch.check()
+            raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
+
+    def no_columns(self, held: Iterable[str], remedy: str = "") -> InputError:
+        """Return the error for a file without columns of numbers; ``held`` is what it has instead."""
+        return InputError(
+            f"{self.place}: no columns of numbers: it holds {', '.join(held) or 'nothing'}{remedy}"
+        )
+
+
+def brief(problem: BaseException) -> str:
+    """Keep the reason in brackets of a library's message, or its first line."""
+    if type(problem).__name__ == "PanicException":  # describes the library's own lines
+        return GAVE_UP
+    text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
+    return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text
+
+
 class _Hashing(io.RawIOBase):
     """A raw stream that hashes what passes through it."""
 
@@ -95,9 +170,7 @@ class _Hashing(io.RawIOBase):
         return True
 
     def readinto(self, buffer: Any) -> int:
-        data = (
-            self._inner.read1(len(buffer)) if hasattr(self._inner, "read1") else self._inner.read(len(buffer))
-        )
+        data: bytes = self._inner.read1(len(buffer))  # type: ignore[attr-defined]
         buffer[: len(data)] = data
         self._digest.update(data)
         return len(data)
@@ -108,16 +181,8 @@ class ByteSource:
 
     Parameters
     ----------
-    address
-        Where to read from.
-    live
-        Hand on what has arrived instead of waiting for a full block.
-    digest
-        Hash the bytes as they are read (for a stream, which cannot be read again).
-    encoding
-        A codec that the user forced; otherwise a byte-order mark decides, and UTF-8 is the default.
-    content
-        The text itself, where another format has been turned into text (a workbook's sheet).
+    request
+        What is to be read; without a codec forced by the user a byte-order mark decides, else it is UTF-8.
 
     Raises
     ------
@@ -125,28 +190,25 @@ class ByteSource:
         The file is missing, is a folder, cannot be read, or is plainly no text.
     """
 
-    def __init__(
-        self,
-        address: Address,
-        *,
-        live: bool = False,
-        digest: bool = False,
-        encoding: str | None = None,
-        content: bytes | None = None,
-    ) -> None:
+    def __init__(self, request: Request) -> None:
+        address = request.address
         self.name = address.name
-        self._content = content
+        self._content = request.content
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
         self._file: IO[bytes] | None = None
         self._begun: os.stat_result | None = None  # how a regular file was when it was opened
         self._largest = 0  # bytes that it has had since
-        self._live = live
-        self._hash = _new_digest() if digest else None
+        self._live = request.live
+        self._hash: Any = None
+        if request.digest and address.is_stream:
+            import hashlib
+
+            self._hash = hashlib.sha256()
         self._owned: list[IO[bytes]] = []
         try:
             self._stream = self._open(address)
-            self._decode = self._decoder(encoding)
+            self._decode = self._decoder(request.options.encoding)
         except BaseException:
             self.close()
             raise
@@ -161,8 +223,10 @@ class ByteSource:
     def read(self, size: int) -> bytes:
         """Read up to ``size`` bytes (what has arrived, when live); empty at the end."""
         while data := self._arrived(size):
-            if self._decode is not None:
-                data = self._decoded(data)
+            try:
+                data = data if self._decode is None else self._decode(data)
+            except UnicodeError as problem:
+                raise InputError(f"{self.name}: the text does not fit its encoding: {problem}") from None
             if self._at_start and data:
                 data = data.removeprefix(codecs.BOM_UTF8)
                 self._classic_mac = b"\n" not in data and b"\r" in data[:-1]
@@ -172,12 +236,6 @@ class ByteSource:
             if data:
                 return data
         return b""
-
-    def _decoded(self, data: bytes) -> bytes:
-        try:
-            return cast(bytes, self._decode(data))
-        except UnicodeError as problem:
-            raise InputError(f"{self.name}: the text does not fit its encoding: {problem}") from None
 
     def _arrived(self, size: int) -> bytes:
         """Read bytes as they are stored."""
@@ -222,7 +280,7 @@ class ByteSource:
         return found if found is not None and stat.S_ISREG(found.st_mode) else None
 
     def _patiently(self, size: int) -> bytes:
-        """Read a full block from a pipe in pieces: Python hears an interrupt only between them."""
+        """Read a full block from a pipe in pieces: an interrupt is served between them."""
         pieces = []
         while size > 0:
             piece = self._stream.read1(min(size, _PIPE_BYTES))  # type: ignore[attr-defined]
@@ -233,7 +291,7 @@ class ByteSource:
         return b"".join(pieces)
 
     def unfinished(self) -> str | None:
-        """Say why a last line without its end must be taken for a cut record; None where it need not be."""
+        """Return why a last line without its end must be taken for a cut record; None where it need not."""
         if self.is_compressed:
             return "in compressed data"
         now = self._now()
@@ -268,7 +326,7 @@ class ByteSource:
             self._owned.append(cast(IO[bytes], unpacked))
             stream = cast(IO[bytes], io.BufferedReader(cast(Any, unpacked), 1 << 20))
             start = self._first_bytes(stream)
-        for magic, remedy in _FOREIGN.items():
+        for magic, remedy in _REMEDIES.items():
             if start.startswith(magic):
                 raise InputError(f"{self.name}: this is not a text log but {remedy}")
         self._start = start
@@ -297,12 +355,6 @@ class ByteSource:
         return lambda data: decoder.decode(data).encode("utf-8")
 
 
-def _new_digest() -> Any:
-    import hashlib
-
-    return hashlib.sha256()
-
-
 def _open_file(address: Address) -> IO[bytes]:
     try:
         if os.path.isdir(address.path):
@@ -313,115 +365,3 @@ def _open_file(address: Address) -> IO[bytes]:
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise InputError(f"{address.path}: cannot be read: {reason}") from None
-
-
-class LineBlocks:
-    """Blocks of whole lines of a source; the first one can be looked at before it is taken.
-
-    ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
-    counts those that were left out at the start.
-    """
-
-    def __init__(self, source: ByteSource, block_bytes: int) -> None:
-        self.block_bytes = block_bytes
-        self._source = source
-        self.above = b""
-        self.empty_lines = 0
-        self._pending = b""
-        self._ended = False
-
-    def head(self, enough: Any) -> bytes:
-        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
-
-        ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
-        """
-        while not (self._ended or self._has_lines(HEAD_BYTES)):
-            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
-            self._leave_out_empty_lines()
-            if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
-                break
-        return self._pending
-
-    def longer_head(self) -> bytes | None:
-        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
-        wanted = 2 * len(self._pending)
-        if self._ended or wanted > LONGEST_LINE:
-            return None
-        while len(self._pending) < wanted and not self._ended:
-            self._fill(wanted - len(self._pending))
-        return self._pending
-
-    def _has_lines(self, size: int) -> bool:
-        enough = len(self._pending) >= size
-        return enough and (self._pending.count(b"\n") > 1 or len(self._pending) > LONGEST_LINE)
-
-    def _leave_out_empty_lines(self) -> None:
-        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
-        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
-            text = self._pending.lstrip()
-            above = self._pending[: len(self._pending) - len(text)]
-            end = above.rfind(b"\n") + 1
-            self.empty_lines += above.count(b"\n")
-            self._pending = self._pending[end:]
-
-    @property
-    def whole_in_head(self) -> bool:
-        """Whether the source ended inside what has been read."""
-        return self._ended
-
-    def __iter__(self) -> Iterator[bytes]:
-        """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        while True:
-            for start, end in self._cuts():  # at first what was read ahead
-                block = self._pending[start:end]
-                self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
-                yield block
-            self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
-            if self._ended:
-                break
-            self._fill(self.block_bytes)
-        if self._pending:
-            last, self._pending = self._pending, b""
-            yield last
-
-    def _cuts(self) -> list[tuple[int, int]]:
-        """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
-        text, start = self._pending, 0
-        last = text.rfind(b"\n") + 1
-        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
-            return [(0, last)] if last else []
-        cuts = []
-        while start < last:
-            limit = min(last, start + self.block_bytes)
-            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
-            cuts.append((start, end))
-            start = end
-        return cuts
-
-    def _fill(self, size: int) -> None:
-        data = self._source.read(size)
-        if not data:
-            self._ended = True
-        elif self._pending:
-            self._pending += data
-        else:
-            self._pending = data
-        if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
-            raise InputError(
-                f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
-            )
-
-
-def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
-    """Give the items of an iterator, each made in a thread while the one before is worked on.
-
-    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An
-    exception of the iterator is raised here, after the items before it.
-    """
-    from concurrent.futures import ThreadPoolExecutor
-
-    with ThreadPoolExecutor(1) as pool:
-        coming: Future[Item | None] = pool.submit(next, items, None)
-        while (item := coming.result()) is not None:
-            coming = pool.submit(next, items, None)
-            yield item

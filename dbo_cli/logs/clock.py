@@ -188,9 +188,8 @@ def require_even(place: str, time: FloatArray, why: str) -> float:
     """
     step = even_step(time)
     if step is None:
-        raise InputError(
-            f"{place}: the samples are not evenly spaced in time, and {why} (`resample` HZ interpolates)"
-        )
+        odd = "the samples are not evenly spaced in time"
+        raise InputError(f"{place}: {odd}, and {why} (`resample` HZ interpolates)")
     return step
 
 
@@ -211,21 +210,17 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
         There is no time, or it stands still or goes backwards, at the line named.
     """
     start: float | None = None
-    carried: SampleBlock | None = None
+    carried: list[SampleBlock] = []
     done = read = 0
-    for block in blocks:
-        if not len(block):
-            continue
-        if block.time is None:
+    for block in filter(len, blocks):
+        piece = joined([*carried, block])
+        if piece.time is None:
             raise InputError(
                 f"{place}: there is no time to resample along (`time` COLUMN or `sample_rate` HZ)"
             )
-        if start is None:
-            start = float(block.time[0])
-        piece = block if carried is None else joined([carried, block])
+        start = float(piece.time[0]) if start is None else start
         _require_rising(place, piece)
-        carried = piece.part(len(piece) - 1, len(piece))
-        assert piece.time is not None
+        carried = [piece.part(len(piece) - 1, len(piece))]
         read += len(block)
         reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
         if reached > _MOST_NEW_ROWS + _MOST_FACTOR * read:
@@ -243,9 +238,10 @@ def _require_rising(place: str, block: SampleBlock) -> None:
     if len(stuck):
         index = int(stuck[0]) + 1
         where = f"row {block.rows[index]}" if block.lines is None else f"line {block.lines[index]}"
+        jump = f"from {_stamp(block.time[index - 1])} s to {_stamp(block.time[index])} s"
         raise InputError(
-            f"{place}: time does not advance at {where} (from {_stamp(block.time[index - 1])} s to "
-            f"{_stamp(block.time[index])} s), so it cannot be resampled (cut the log with `rows` A:B)"
+            f"{place}: time does not advance at {where} ({jump}), so it cannot be resampled (cut the log "
+            "with `rows` A:B)"
         )
 
 

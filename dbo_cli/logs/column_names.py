@@ -13,6 +13,7 @@ from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.units import kind_of_unit
 
 TIME_NAMES = ("time", "t", "x_value", "zeit")  # x_value: what LabVIEW writes
+# Names below are those of the manuals and files in docs/instruments.md, in the languages of their software.
 MORE_TIME_NAMES = (
     "timestamp", "time_stamp", "timestamps", "elapsed", "seconds", "millis", "micros", "milliseconds",
     "microseconds", "nanoseconds", "msec", "usec", "datetime", "zeitstempel", "uhrzeit", "temps", "tiempo",

@@ -6,20 +6,17 @@ A reader of a format finds the columns, their units, scales and the clock; every
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.byte_source import FileWatch
+from dbo_cli.errors import InputError
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.libraries import GAVE_UP
-from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import remedy_for
 from dbo_cli.logs.sample_block import (
     ColumnInfo,
     FloatArray,
@@ -39,46 +36,6 @@ MATLAB_OBJECTS = (
     " (MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
     "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement'))"
 )
-
-
-@dataclass(frozen=True)
-class Request:
-    """What a reader is given: the address, the columns that the user named, the options of reading."""
-
-    address: Address
-    named: Sequence[str]
-    options: ReadingOptions
-    watch: FileWatch = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Watch the file from now on."""
-        object.__setattr__(self, "watch", FileWatch(self.place, self.address.path))
-
-    @property
-    def place(self) -> str:
-        """How messages call the log."""
-        return self.address.text
-
-    @contextlib.contextmanager
-    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
-        """Turn whatever a library raises at damaged bytes into one line (InputError).
-
-        ``kind`` is what the file should be, as messages say it (``Parquet``).
-        """
-        try:
-            yield
-            self.watch.check()
-        except (DboError, KeyboardInterrupt, SystemExit):
-            raise
-        except errors as problem:
-            self.watch.check()
-            raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
-
-    def no_columns(self, held: Iterable[str], remedy: str = "") -> InputError:
-        """Return the error for a file without columns of numbers; ``held`` is what it has instead."""
-        return InputError(
-            f"{self.place}: no columns of numbers: it holds {', '.join(held) or 'nothing'}{remedy}"
-        )
 
 
 @dataclass(frozen=True)
@@ -134,6 +91,23 @@ class ColumnSource:
         return values + self.offset if self.offset != 0.0 else values
 
 
+def from_first_row(source: ColumnSource, unit: str) -> ColumnSource:
+    """Turn dates (and durations) that are stored as counts of a unit into seconds from the first row on.
+
+    As numbers since 1970 they would leave no digits for microseconds.
+    """
+    per_second = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}[unit]
+    first: list[int] = []
+
+    def fetch(start: int, stop: int) -> Any:
+        if not first:
+            first.append(int(np.asarray(source.fetch(0, 1))[0]))
+        counts = np.asarray(source.fetch(start, stop))
+        return (counts.astype(np.int64) if counts.dtype.kind in "iu" else counts) - first[0]
+
+    return replace(source, fetch=lambda start, stop: fetch(start, stop) / per_second, unit="s")
+
+
 def array_source(label: str, values: Any, unit: str | None = None) -> ColumnSource:
     """Make a column of an array in memory."""
     return ColumnSource(label, len(values), lambda start, stop: values[start:stop], unit)
@@ -165,7 +139,7 @@ def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSourc
 
 
 def statements_in(values: Mapping[str, Any]) -> list[Statement]:
-    """Read what named values say of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
+    """Read what named values state of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
     return [
         statement
         for name, value in values.items()
@@ -282,9 +256,7 @@ class ColumnTable(Table):
             )
         return rate, starts.pop() or self.start if starts else self.start
 
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of ``block_rows`` rows.
 
         Raises
@@ -298,19 +270,21 @@ class ColumnTable(Table):
             if source.problem:
                 raise InputError(f"{self.place}: {source.problem}")
             self.notes.extend(f"{self.place}: {remark}" for remark in source.remarks)
-        length = self._common_length(sources)
-        end = length if rows[1] is None else min(length, rows[1])
+        length, options = self._common_length(sources), self.request.options
+        end = length if options.rows[1] is None else min(length, options.rows[1])
         dropped, first = 0, ""
-        for start in range(rows[0] - 1, end, block_rows):
-            block = self._block(list(picks), sources, start, min(end, start + block_rows))
+        for start in range(options.rows[0] - 1, end, options.block_rows):
+            block = self._block(list(picks), sources, start, min(end, start + options.block_rows))
             good = np.logical_and.reduce([are_measured(array) for array in block.values.values()])
             if not good.all():
-                bad = np.logical_or.reduce([_bad(block.values[role], pick) for role, pick in picks.items()])
-                if bad.any():
-                    message = self._complaint(picks, block, int(np.flatnonzero(bad)[0]))
-                    if not skip_bad:
-                        raise InputError(f"{message} {SKIP_REMEDY}")
-                    dropped, first = dropped + int(bad.sum()), first or message
+                bad = np.array([_bad(block.values[role], pick) for role, pick in picks.items()])
+                rows = np.flatnonzero(bad.any(axis=0))
+                if len(rows):
+                    message = self._complaint(picks, block, int(rows[0]), int(np.argmax(bad[:, rows[0]])))
+                    if not options.skip_bad:
+                        rest = bad.shape[1] - 1 - int(rows[0])
+                        raise InputError(f"{message} {remedy_for(len(rows) - 1, rest)}")
+                    dropped, first = dropped + len(rows), first or message
                 kept = {role: array[good] for role, array in block.values.items()}
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
             yield block
@@ -334,24 +308,13 @@ class ColumnTable(Table):
             raise InputError(f"{self.place}: the columns are of unequal length: {listed}")
         return lengths[0]
 
-    def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int) -> str:
-        for role, pick in picks.items():
-            array = block.values[role]
-            if _bad(array[index : index + 1], pick)[0]:
-                value = repr(str(float(array[index])))
-                return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
-        raise AssertionError("a row without a bad value was complained about")
+    def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int, column: int) -> str:
+        role, pick = list(picks.items())[column]
+        value = repr(str(float(block.values[role][index])))
+        return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
 
 
 def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:
     """Tell which values of a column are refused: NaN is none where the column may be blank."""
     bad = ~are_measured(values)
     return bad & ~np.isnan(values) if pick.may_be_blank else bad
-
-
-def brief(problem: BaseException) -> str:
-    """Keep the reason in brackets of a library's message, or its first line."""
-    if type(problem).__name__ == "PanicException":  # describes the library's own lines
-        return GAVE_UP
-    text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
-    return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text

@@ -8,7 +8,7 @@ columns that may be meant are asked about, never taken by their order.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from dbo_cli.errors import InputError, UsageError
@@ -16,6 +16,7 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 
+# How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in milli volts``.
 _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
 _SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
 _SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
@@ -35,6 +36,9 @@ _CHANNEL = re.compile(
     r"[ _.#-]?[a-z]?\d{0,3}",
     re.IGNORECASE,
 )
+_READINGS = frozenset(("monitor", "mon", "readback", "actual", "meas", "ist", "istwert", "laser", "read"))
+"""Words that say that a column was measured, on which scale nobody knows."""
+_CARD = re.compile(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
 _REMARKS = frozenset(
     ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
      "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average")
@@ -154,12 +158,12 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
     UsageError
         The number is 0 or negative.
     """
-    by_number, by_name = selector.startswith("number="), selector.startswith("name=")
-    if by_number or by_name:
-        selector = selector.partition("=")[2]
-    if re.fullmatch(r"[+-]?\d{1,15}", selector) and not by_name:
+    how, given, rest = selector.partition("=")
+    how = how if given and how in ("number", "name") else ""
+    selector = rest if how else selector
+    if re.fullmatch(r"[+-]?\d{1,15}", selector) and how != "name":
         number = int(selector)
-        if not by_number:
+        if not how:
             _ask_about_number(place, columns, selector, option)
         if number < 1:
             raise UsageError(f"`{option}` {selector}: columns are counted from 1")
@@ -207,35 +211,32 @@ def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list
 def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
     """Find the columns that a wish may mean: by name, by word, by letter, or by a lesser name and the unit.
 
-    What is found by less than a whole name has to stand alone: beside it, whatever has a unit of the kind
+    What is found by less than a whole name, or by a letter beside other axes' letters, has to stand alone:
+    beside it, whatever has a unit of the kind
     that is looked for may be meant as well, and so may a name that is only misspelled. Where the only column
     of a name is in a unit that cannot be meant, no lesser name is taken in its place.
     """
     fitting = [column for column in columns if may_be(column, wish)]
     preferred = guess_columns(fitting, wish.preferred) if wish.preferred else []
-    if preferred:
-        return preferred
-    found = guess_columns(fitting, wish.guesses)
-    if not wish.channel_kinds:
-        return found
-    if found and all(column.quantity.lower() in wish.guesses and _is_sure(column, wish) for column in found):
-        return found
+    found = preferred or guess_columns(fitting, wish.guesses)
+    whole = [column for column in found if column.quantity.lower() in wish.guesses]
+    sure = bool(found) and all(_is_sure(column, wish) for column in found)
     measuring = [one for one in fitting if kind_of_unit(one.unit) in wish.channel_kinds]
     letters = [column for column in fitting if column.quantity.lower() in wish.letters]
-    if found and all(_is_sure(column, wish) for column in found):
-        measured_letters = [one for one in measuring if one.quantity.lower() in wish.letters]
-        numbers = {column.number for column in [*found, *_misspelled(fitting, wish), *measured_letters]}
-        return [column for column in fitting if column.number in numbers]
-    if not found and guess_columns(columns, wish.guesses):
-        return []
+    axes = any(len(one.quantity) == 1 for one in found) and any(one in measuring for one in letters)
+    if preferred or not wish.channel_kinds or (sure and len(whole) == len(found) and not axes):
+        return found
+    if sure:
+        meant = {*found, *_misspelled(fitting, wish), *(set(letters) & set(measuring))}
+        return [column for column in fitting if column in meant]
     lesser = [column for column in measuring if _has_lesser_name(column, wish)]
-    if not (found or letters or lesser):
+    if not (found or letters or lesser) or (not found and guess_columns(columns, wish.guesses)):
         return []
     slips = _misspelled(fitting, wish)
-    if not any(column.quantity.lower() in wish.guesses for column in found):
+    if not whole:
         slips += _suspects(fitting, wish, bool(found), [*letters, *lesser])
-    numbers = {column.number for column in [*found, *letters, *measuring, *slips]}
-    return [column for column in fitting if column.number in numbers]
+    meant = {*found, *letters, *measuring, *slips}
+    return [column for column in fitting if column in meant]
 
 
 def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
@@ -248,12 +249,12 @@ def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
 def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
     """Find the columns of which a word is a long name but for one letter."""
     names = [name for name in wish.guesses if len(name) >= 4]
-    return [
-        column
-        for column in columns
-        for words in [{*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())}]
-        if any(_one_letter_off(word, name) for word in words - wish.foreign for name in names)
-    ]
+    found = []
+    for column in columns:
+        words = {*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())} - wish.foreign
+        if any(_one_letter_off(word, name) for word in words for name in names):
+            found.append(column)
+    return found
 
 
 def _suspects(
@@ -335,6 +336,7 @@ def choose_columns(
     want: Mapping[str, ColumnWish],
     taken: Sequence[ColumnInfo] = (),
     timed: bool = True,
+    notes: list[str] | None = None,
 ) -> dict[str, ColumnInfo]:
     """Give every wished role its column.
 
@@ -350,37 +352,65 @@ def choose_columns(
         Columns that are not to be guessed (the time column).
     timed
         Whether the samples' time is known; else the remedy names a time column, too.
+    notes
+        Takes what is to be said of columns that were taken for their unit or place alone.
 
     Raises
     ------
     InputError
         A named column is absent, or a guess finds none or several.
     """
-    chosen: dict[str, ColumnInfo] = {}
+    chosen = {
+        role: find_column(place, columns, wish.selector, wish.option)
+        for role, wish in want.items()
+        if wish.selector is not None
+    }
+    missing: dict[str, list[ColumnInfo]] = {}
+    used = {column.number for column in [*taken, *chosen.values()]}
+    free = [column for column in columns if column.number not in used]
     for role, wish in want.items():
         if wish.selector is not None:
-            chosen[role] = find_column(place, columns, wish.selector, wish.option)
-    missing: dict[str, list[ColumnInfo]] = {}
-    for role, wish in want.items():
-        if wish.selector is None:  # the only column left is what is meant
-            used = {column.number for column in [*taken, *chosen.values()]}
-            free = [column for column in columns if column.number not in used]
-            found = matching_columns(free, wish)
-            if not found and len(want) == 1 and len(free) == 1 and wish.required:
-                found = [one for one in free if may_be(one, wish)]
-                found = [one for one in found if one.quantity.lower() not in wish.foreign]
-            if len(found) == 1:
-                chosen[role] = found[0]
-            elif found or wish.required:
-                missing[role] = found
+            continue
+        found = matching_columns(free, wish)
+        if not found and len(want) == 1 and len(free) == 1 and wish.required:  # the only one left is meant
+            found = [one for one in free if may_be(one, wish) and one.quantity.lower() not in wish.foreign]
+        if not found and wish.required and notes is not None and role in ("voltage", "displacement"):
+            found, why = _only_one(free, columns, wish)
+            notes.extend(
+                f"{place}: '{one.name}' is taken for the {role}: {why} (`{wish.option}` names another)"
+                for one in found
+            )
+        if len(found) == 1:
+            chosen[role] = found[0]
+            free = [column for column in free if column.number != found[0].number]
+        elif found or wish.required:
+            missing[role] = found
     if missing:
-        used = {column.number for column in [*taken, *chosen.values()]}
-        raise InputError(_not_unique(place, columns, want, missing, used, timed))
-    return {
-        role: replace(chosen[role], may_be_blank=wish.may_be_blank)
-        for role, wish in want.items()
-        if role in chosen
-    }
+        raise InputError(_not_unique(place, columns, want, missing, [one.number for one in free], timed))
+    wished = {role: wish for role, wish in want.items() if role in chosen}
+    return {role: replace(chosen[role], may_be_blank=wish.may_be_blank) for role, wish in wished.items()}
+
+
+def _only_one(
+    free: Sequence[ColumnInfo], columns: Sequence[ColumnInfo], wish: ColumnWish
+) -> tuple[list[ColumnInfo], str]:
+    """Find a column that no name gives away: the only one in a unit of the kind, or a card's only channel.
+
+    Not beside a column of the right name whose unit cannot be meant, nor one whose name says something else;
+    a monitor has a scale of its own. Of a data acquisition card, ao drives and ai measures (no trajectory).
+    """
+    if guess_columns(columns, wish.guesses):
+        return [], ""
+    told = wish.foreign | _BESIDES | _READINGS
+    measuring = [one for one in free if may_be(one, wish) and kind_of_unit(one.unit) in wish.channel_kinds]
+    if len(measuring) == 1 and not told & set(_words(measuring[0].quantity)):
+        return measuring, f"no other column is in a unit of {kind_of_unit(measuring[0].unit)}"
+    own = "ao" if "voltage" in wish.channel_kinds else "ai"
+    card = {one.number: _CARD.search(one.quantity.strip()) for one in columns if one.unit is None}
+    found = [one for one in free if (match := card.get(one.number)) is not None and match[1].lower() == own]
+    outputs = [match for match in card.values() if match is not None and match[1].lower() == "ao"]
+    only = len(found) == 1 and len(outputs) == 1 and not measuring and not wish.preferred
+    return (found, f"the only analog {'output' if own == 'ao' else 'input'}") if only else ([], "")
 
 
 def _not_unique(
@@ -388,12 +418,11 @@ def _not_unique(
     columns: Sequence[ColumnInfo],
     want: Mapping[str, ColumnWish],
     missing: Mapping[str, Sequence[ColumnInfo]],
-    used: Collection[int],
+    free: Sequence[int],
     timed: bool,
 ) -> str:
     """Ask for every role at once which columns may be meant, or that none is, and how to choose."""
     calls = {role: f"{role} signal" if role in ("desired", "measured") else role for role in missing}
-    free = [column.number for column in columns if column.number not in used]
     if not any(column.quantity for column in columns) and len(free) >= len(missing):
         options = [want[role].option for role in missing]
         options = ["time", *options] if not timed and len(free) > len(missing) else options
@@ -402,22 +431,16 @@ def _not_unique(
         return f"{place}: {list_columns(columns)}: which is the {which}? (such as {example})"
     questions, absent = [], []
     for role, found in missing.items():
-        called = calls[role]
         if found:
             names = any_of([f"'{column.name}'" for column in found])
-            questions.append(f"which column is the {called}, {names}?")
+            questions.append(f"which column is the {calls[role]}, {names}?")
             continue
-        wanted = [one for one in columns if is_order(one, want[role])]
-        absent.append(called)
-        if wanted:
-            absent[-1] += (
-                f": '{wanted[0].name}' is what was wanted, not what was measured (play the drive and record "
-                "the sensor beside it)"
-            )
+        wanted = next((one.name for one in columns if is_order(one, want[role])), None)
+        order = f": '{wanted}' is what was wanted, not what was measured (play the drive and record the "
+        absent.append(calls[role] + (f"{order}sensor beside it)" if wanted is not None else ""))
     if absent:
-        questions.append(
-            f"no column is recognised as the {' nor as the '.join(absent)}: {list_columns(columns)}"
-        )
+        nothing = f"no column is recognised as the {' nor as the '.join(absent)}"
+        questions.append(f"{nothing}: {list_columns(columns)}")
     options = [f"`{want[role].option}`" for role in missing]
     return f"{place}: {' '.join(questions)} (choose with {' and '.join(options)} NAME or NUMBER)"
 

@@ -17,7 +17,7 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.units import is_known_unit
 
 PLAIN_CELLS = 1 << 16  # with fewer cells importing polars costs more than it saves (benchmarks/text_speed.py)
-_FORMULA_SIGNS = ("=", "+", "-", "@")
+_FORMULA_SIGNS = ("=", "+", "-", "@")  # what begins a formula in Excel and LibreOffice
 
 
 @dataclass(frozen=True)

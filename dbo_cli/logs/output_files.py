@@ -20,6 +20,7 @@ from typing import IO
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, parse_address
 
+# Linux' names of open files, and the names that ``partial_path`` gives.
 _DESCRIPTOR = re.compile(r"/(?:dev/fd|proc/(?:self|thread-self|\d+)/fd)/(\d{1,9})")
 _PARTIAL = re.compile(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
 _NAME_BYTES = 100  # of the output's own name; most file systems allow 255 bytes for all of it
@@ -230,7 +231,7 @@ def partial_path(target: str) -> str:
 def open_partial(path: str, buffering: int = -1) -> IO[bytes]:
     """Open a temporary file for writing and lock it for as long as it is open.
 
-    The lock tells the clean-up of a process that cannot see this one (another container, another machine
+    The lock shows the clean-up of a process that cannot see this one (another container, another machine
     on the same network drive) that its writer lives. HDF5 locks its files by itself.
     """
     file = open(path, "wb", buffering)
@@ -254,7 +255,7 @@ def try_lock(handle: int) -> bool:
     return True
 
 
-def writers_in(folder: str, start: str = "") -> dict[str, int]:
+def writers_in(folder: str, start: str = ".") -> dict[str, int]:
     """Give the temporary files in a folder whose names begin with ``start``, and their writers' ids."""
     try:
         names = os.listdir(folder or ".")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import dataclasses
 import math
+import numbers
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -19,10 +20,22 @@ Rows = tuple[int, int | None]
 """The first and the last data row that take part, counted from 1; None: to the end."""
 
 ALL_ROWS: Rows = (1, None)
-BLOCK_ROWS = 1 << 16
+BLOCK_ROWS = 1 << 16  # half a megabyte a column, so that some columns fit the cache
 _LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost in rounding, or the rows are
 
-SKIP_REMEDY = "(`skip_bad` drops such rows)"
+FEWEST_TO_JUDGE = 20  # rows after a bad one, from which on it is said how many of them are bad, too
+
+
+def remedy_for(bad: int, rows: int) -> str:
+    """Return what to do about a bad row, of whose next ``rows`` rows ``bad`` are bad, too.
+
+    To drop them is no remedy where most of a log would go.
+    """
+    if rows < FEWEST_TO_JUDGE or 2 * bad <= rows:
+        return "(`skip_bad` drops such rows)"
+    return f"(and so on in {bad:,} of the next {rows:,} rows: name another column, or take good `rows` A:B)"
+
+
 BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
@@ -107,13 +120,7 @@ class ReadingOptions:
     def _check_time(self) -> None:
         """Refuse rates and units of time that are none, or that exclude each other."""
         for name in ("sample_rate", "resample"):
-            rate = getattr(self, name)
-            if rate is not None and not (math.isfinite(rate) and rate > 0.0):
-                raise UsageError(f"`{name}` {rate:g}: give a positive number of samples a second")
-            if rate is not None and not _LOWEST_RATE <= rate <= _HIGHEST_RATE:
-                raise UsageError(
-                    f"`{name}` {rate:g}: give between {_LOWEST_RATE:g} and {_HIGHEST_RATE:g} samples a second"
-                )
+            object.__setattr__(self, name, checked_rate(getattr(self, name), name))
         if self.time is not None and self.sample_rate is not None:
             raise UsageError(
                 "`time` and `sample_rate` exclude each other: the log has the one or needs the other"
@@ -180,6 +187,20 @@ class ReadingOptions:
         if found is None:
             raise UsageError(f"`decimal` {self.decimal}: give point or comma")
         return found
+
+
+def checked_rate(rate: float | None, name: str = "sample_rate") -> float | None:
+    """Return samples a second (Hz), or refuse what is no rate (UsageError); ``name`` is the parameter's."""
+    if rate is None:
+        return None
+    if not isinstance(rate, numbers.Real) or isinstance(rate, bool):
+        raise UsageError(f"`{name}` {rate!r}: give a positive number of samples a second")
+    if not 0.0 < rate < math.inf:
+        raise UsageError(f"`{name}` {rate:g}: give a positive number of samples a second")
+    if not _LOWEST_RATE <= rate <= _HIGHEST_RATE:
+        limits = f"{_LOWEST_RATE:g} and {_HIGHEST_RATE:g}"
+        raise UsageError(f"`{name}` {rate:g}: give between {limits} samples a second")
+    return float(rate)
 
 
 def parse_rows(given: object) -> Rows:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ _OVERFLOW_FROM, _OVERFLOW_TO = 9.899e37, 9.911e37
 
 
 def is_overflow(value: float) -> bool:
-    """Return whether a number is an instrument's way to say that it has none."""
+    """Return whether a number is what an instrument sends in place of a value."""
     return _OVERFLOW_FROM < abs(value) < _OVERFLOW_TO
 
 
@@ -82,6 +82,12 @@ class SampleBlock:
             {role: values[start:stop] for role, values in self.values.items()},
         )
 
+    def within(self, rows: tuple[int, int | None]) -> SampleBlock:
+        """Return the samples whose row numbers lie from the first to the last of ``rows``, both included."""
+        stop = len(self) if rows[1] is None else bisect_right(self.rows, rows[1])
+        start = bisect_left(self.rows, rows[0])
+        return self.part(start, max(start, stop))
+
     def place(self, name: str, index: int) -> str:
         """Return where a sample stands: file and line, or row where there are no lines."""
         if self.lines is not None:
@@ -122,8 +128,8 @@ def dropped_note(first: str, count: int) -> str:
     return f"{first}{more}: {count} row{'s' if count > 1 else ''} dropped"
 
 
-class Table(Protocol):
-    """A log in some format: its columns at once, its rows in blocks."""
+class Table:
+    """A log in some format: its columns at once, its rows in blocks, as the options that opened it ask."""
 
     place: str
     columns: list[ColumnInfo]
@@ -131,14 +137,15 @@ class Table(Protocol):
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
+        raise NotImplementedError
 
     def describe(self) -> str:
-        """Describe in one line how the log is written."""
+        """Describe in one line how the log is written, for ``verbose``."""
+        raise NotImplementedError
 
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: tuple[int, int | None], skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
-        """Read the wanted columns in blocks; ``rows`` are the first and the last one, counted from 1."""
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+        """Read the wanted columns in blocks."""
+        raise NotImplementedError
 
     @property
     def sha256(self) -> str | None:

@@ -7,22 +7,24 @@ with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, selected_files, without_folder
+from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, without_folder
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
-from dbo_cli.logs.file_kinds import open_table
-from dbo_cli.logs.provenance import InputRecord, input_record
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.sources import Source
-from dbo_cli.logs.time_column import TimeColumn, find_time_column
+from dbo_cli.logs.tables import HeldTable, join_files, open_table
+from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
 
 
@@ -50,9 +52,9 @@ class SignalLog(Source):
         clock: TimeColumn | None,
         sample_rate: float | None,
         options: ReadingOptions,
-        scales: Mapping[str, Scale] | None = None,
-        start_time: float = 0.0,
-        others: Sequence[str] = (),
+        scales: Mapping[str, Scale],
+        start_time: float,
+        others: Sequence[str],
     ) -> None:
         gaps = options.skip_bad or any(column.may_be_blank for column in columns.values())
         super().__init__(
@@ -62,25 +64,20 @@ class SignalLog(Source):
             options.resample or (None if gaps else sample_rate),
             options.resample or sample_rate,
         )
-        self._address = address
-        self._others = others
-        self._picks = columns
-        self._scales = dict(scales or {})
-        scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in self._scales.items()}
+        self._address, self._others = address, others
+        self._table, self._options = table, options
+        self._picks, self._scales = columns, scales
+        scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in scales.items()}
         self._factors = {role: factor for role, (factor, _) in scaled.items()}
         self.columns |= {role: column for role, (_, column) in scaled.items()}
-        self._clock = clock
+        self._clock, self._start_time = clock, start_time
         self.time = None if clock is None else clock.column
         self.sample_rate = sample_rate
-        self._start_time = start_time
         self.notes = table.notes
         self.warnings = [text for one in columns.values() if (text := _doubtful_unit(self.name, one))]
         self.rows_read = 0
-        self._table = table
-        self._options = options
         self._check: TimeCheck | None = None
-        self._first_time: float | None = None
-        self._last_time: float | None = None
+        self._times: tuple[float, float] | None = None  # s, of the first and the last sample
 
     def __enter__(self) -> SignalLog:
         """Use the log as a context manager that closes it."""
@@ -118,39 +115,37 @@ class SignalLog(Source):
             plural = "" if _plain(rate) == "1" else "s"
             text = f"{about}{_plain(rate)} sample{plural}/s{source}"
             known = [*known, text if seconds is None else f"{_plain(seconds, 3)} s at {text}"]
-        read = [self._read(role, column, column.unit) for role, column in self._picks.items()]
-        if self._clock is not None:
-            read.insert(0, self._read("time", self._clock.column, self._clock.reading()))
+        read = []
+        for role, column, unit in self._used():  # voltage 'CH1' (V)
+            called = f"'{column.name}'" if column.quantity else f"column {column.number}"
+            scale = f", {self._scale_text(role)}" if role in self._scales else ""
+            read.append(f"{role} {called} ({unit or 'no unit'}{scale})")
         return f"{self.name}: {'; '.join(filter(None, [', '.join(known), ', '.join(read)]))}"
 
-    def _read(self, role: str, column: ColumnInfo, unit: str | None) -> str:
-        """Name a column as it was used: ``voltage 'CH1' (V)``."""
-        called = f"'{column.name}'" if column.quantity else f"column {column.number}"
-        scale = f", {self._scale_text(role)}" if role in self._scales else ""
-        return f"{role} {called} ({unit or 'no unit'}{scale})"
+    def _used(self) -> list[tuple[str, ColumnInfo, str | None]]:
+        """List role, column and unit of what is read, the time first."""
+        clock = self._clock
+        timed = [] if clock is None else [("time", clock.column, clock.reading())]
+        return timed + [(role, column, column.unit) for role, column in self._picks.items()]
 
     def reading_record(self) -> dict[str, Any]:
         """Return what ``reading_line`` states as plain values, for a model's provenance."""
         rate, seconds = self._rate_and_seconds()
-        columns = {
-            role: self._column_record(role, column, column.unit) for role, column in self._picks.items()
-        }
+        columns = []
+        for role, column, unit in self._used():
+            name = without_folder(column.name) if self._others else column.name
+            found = {"column": name, "unit": unit, "scale": self._scale_text(role)}
+            columns.append((role, {key: value for key, value in found.items() if value is not None}))
+        time = None if self._clock is None else columns.pop(0)[1]
         record: dict[str, Any] = {"rows": self.rows_read, "seconds": seconds, "sample_rate": rate}
-        if self._clock is not None:
-            record["time"] = self._column_record("time", self._clock.column, self._clock.reading())
-        record["columns"] = columns
+        record |= {"time": time, "columns": dict(columns)}
         return {key: value for key, value in record.items() if value is not None}
-
-    def _column_record(self, role: str, column: ColumnInfo, unit: str | None) -> dict[str, str]:
-        name = without_folder(column.name) if self._others else column.name
-        found = {"column": name, "unit": unit, "scale": self._scale_text(role)}
-        return {key: value for key, value in found.items() if value is not None}
 
     def _rate_and_seconds(self) -> tuple[float | None, float | None]:
         """Return samples a second and the time (s) from the first sample to the last, as far as known."""
         rate, seconds = self.sample_rate, None
-        if self.rows_read and self._first_time is not None and self._last_time is not None:
-            seconds = self._last_time - self._first_time
+        if self._times is not None:
+            seconds = self._times[1] - self._times[0]
         if self.rows_read and self._check is not None and 0.0 < self._check.step < np.inf:
             rate = 1.0 / self._check.step
         return rate, seconds
@@ -187,26 +182,24 @@ class SignalLog(Source):
         clock = self._clock
         picks = self._picks | ({} if clock is None else clock.picks)
         check: TimeCheck | None = None
-        empty = True
         most = self._options.block_rows
-        found = self._table.blocks(picks, self._options.rows, self._options.skip_bad, most)
+        found = self._table.blocks(picks)
         for raw in found if clock is None else clock.held_back(found):
             for start in range(0, len(raw.rows), most):
                 block = self._with_time(raw.part(start, start + most))
                 if block.time is not None and len(block.rows):
-                    self._first_time = float(block.time[0]) if self._first_time is None else self._first_time
-                    self._last_time = float(block.time[-1])
+                    first = block.time[0] if self._times is None else self._times[0]
+                    self._times = float(first), float(block.time[-1])
                     if clock is not None:
                         check = check or TimeCheck(self.name, has_lines=block.lines is not None)
                         check.feed(block.time, block.rows, block.lines)
-                empty = False
                 self.rows_read += len(block.rows)
                 yield block
         if check is not None and clock is not None:
             self.notes.extend([*clock.notes, *check.notes()])
             self.warnings.extend(clock.warnings(check))
         self._check = check
-        if empty:
+        if not self.rows_read:
             raise InputError(f"{self.name}: {self._nothing()}")
 
     def _nothing(self) -> str:
@@ -279,26 +272,22 @@ def open_log(
         The address or a column's number is none.
     """
     options = options or ReadingOptions()
-    elsewhere = selected_files(options.time, *(wish.selector for wish in want.values()))
-    named = [wish.selector for wish in want.values() if wish.selector and other_file(wish.selector) is None]
-    if options.time and other_file(options.time) is None:
-        named.append(options.time)
+    selectors = [one for one in (*(wish.selector for wish in want.values()), options.time) if one]
+    named = [one for one in selectors if other_file(one) is None]
     if isinstance(address, Address):
         target = address.or_format(options.format)
     else:
         target = parse_address(address, options.format)
-    table = open_table(target, options, live, digest, named)
+    table = open_table(Request(target, options, named, live, digest))
     others: list[str] = []
     try:
-        if elsewhere or any("::" in one for one in named):
-            from dbo_cli.logs.joined_logs import join_files
-
+        if any("::" in one for one in selectors):
             table, want, options, others = join_files(table, want, options)
-        found = find_time_column(table.place, table.columns, options, _named_columns(table, want))
+        found = table.found_time if isinstance(table, HeldTable) else _find_time(table, want, options)
         if found.clock is None and options.time_unit is not None:
             raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")
         timed = found.clock is not None or options.sample_rate is not None
-        columns = choose_columns(table.place, table.columns, want, found.taken, timed)
+        columns = choose_columns(table.place, table.columns, want, found.taken, timed, table.notes)
         rate, start = options.sample_rate, 0.0
         if rate is None and found.clock is None:
             rate, start = table.even_clock(columns.values())
@@ -310,13 +299,14 @@ def open_log(
         raise
 
 
-def _named_columns(table: Table, want: Mapping[str, ColumnWish]) -> list[ColumnInfo]:
-    """List the columns that the user named for other roles than the time."""
-    return [
+def _find_time(table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions) -> FoundTime:
+    """Find the time column among those that the user did not name for other roles."""
+    named = [
         find_column(table.place, table.columns, wish.selector, wish.option)
         for wish in want.values()
         if wish.selector is not None
     ]
+    return find_time_column(table.place, table.columns, options, named)
 
 
 def _scales_by_role(
@@ -341,3 +331,48 @@ def _scales_by_role(
         if role in columns:
             found[role] = scale
     return found
+
+
+# --- where a model comes from ------------------------------------------------------------------------
+
+
+class InputRecord(TypedDict):
+    """What a model keeps of one of its inputs; ``joined`` are the other files that columns came from."""
+
+    name: str
+    sha256: str
+    rows: int
+    joined: NotRequired[list[InputRecord]]
+
+
+def file_sha256(path: str) -> str:
+    """Hash a file's bytes (hexadecimal SHA-256).
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    import hashlib
+
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+
+
+def input_record(
+    address: Given, rows: int, sha256: str | None = None, others: Sequence[Given] = ()
+) -> InputRecord:
+    """Record an input: its name without folders (they differ between machines), its digest and the rows used.
+
+    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``); ``others``
+    are the addresses of further files of the same log.
+    """
+    parsed = parse_address(address)
+    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
+    record = InputRecord(name=cleaned(name), sha256=sha256 or file_sha256(parsed.path), rows=rows)
+    if others:
+        record["joined"] = [input_record(other, rows) for other in others]
+    return record

@@ -9,11 +9,13 @@ from typing import IO, TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
-from dbo_cli.logs.output_files import descriptor_of, is_replaceable
-from dbo_cli.logs.whole_output import check_output, opened, replacing
+from dbo_cli.logs.output_files import is_replaceable
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened
+from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -38,7 +40,13 @@ class TextWriter:
     """
 
     def __init__(
-        self, stream: IO[bytes], columns: Sequence[OutColumn], delimiter: str, flush: bool, behind: bool
+        self,
+        stream: IO[bytes],
+        columns: Sequence[OutColumn],
+        delimiter: str,
+        flush: bool,
+        behind: bool,
+        comment: str = "",
     ) -> None:
         self._stream = stream
         self._delimiter = delimiter
@@ -48,7 +56,7 @@ class TextWriter:
         self._running: Future[None] | None = None
         self._columns, self._headers = columns, unique_headers(columns)
         cells = [header_cell(header, delimiter) for header in self._headers]
-        stream.write((delimiter.join(cells) + "\n").encode())
+        stream.write((comment + delimiter.join(cells) + "\n").encode())
         if flush:
             stream.flush()
 
@@ -89,6 +97,24 @@ class TextWriter:
             self._stream.write(rows_as_text(arrays, self._delimiter))
 
 
+class _Keeper:
+    """Keeps rows in memory."""
+
+    def __init__(self, columns: Sequence[OutColumn]) -> None:
+        self._columns, self._headers = columns, unique_headers(columns)
+        self._parts: list[list[FloatArray]] = [[] for _ in columns]
+
+    def write(self, *arrays: ArrayLike) -> None:
+        """Append rows."""
+        require_finite(self._columns, self._headers, arrays)
+        for parts, array in zip(self._parts, arrays, strict=True):
+            parts.append(np.array(array, dtype=np.float64))
+
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """Return all rows, an array a column."""
+        return tuple(parts[0] if len(parts) == 1 else np.concatenate(parts) for parts in self._parts)
+
+
 @contextlib.contextmanager
 def signal_writer(
     address: Given,
@@ -98,6 +124,7 @@ def signal_writer(
     attributes: Mapping[str, str | float] | None = None,
     flush: bool = False,
     protect: Sequence[Given] = (),
+    commented: bool = False,
 ) -> Iterator[SignalWriter]:
     """Open an output for signals; it appears when the block is left without an error, and not otherwise.
 
@@ -110,21 +137,28 @@ def signal_writer(
     format
         ``csv``, ``tsv`` or ``hdf5``, where the name does not tell.
     attributes
-        What an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``); text
-        has no place for it.
+        What an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``).
     flush
         Hand every write on at once.
     protect
         The command's inputs, which must not be overwritten.
+    commented
+        Text begins with a comment line that has the attributes, too.
 
     Raises
     ------
     UsageError
-        The output is an input, HDF5 is to go down a pipe, or the name says another format.
+        The output is an input, HDF5 is to go down a pipe, or the name is that of another format.
     OutputError
         It cannot be written.
     """
     target = parse_output(address, format)
+    kept = KEPT.get()
+    if kept is not None:
+        keeper = _Keeper(columns)
+        yield keeper
+        kept.signals.append(KeptSignal(target, columns, format, attributes or {}, keeper.arrays(), commented))
+        return
     check_output(target, protect)
     if target.kind == "hdf5":
         with _hdf5(target, columns, attributes or {}) as hdf5:
@@ -132,7 +166,8 @@ def signal_writer(
         return
     with _text_stream(target) as stream:
         behind = not flush and is_replaceable(target.path)
-        writer = TextWriter(stream, columns, target.delimiter, flush, behind)
+        comment = _comment(attributes or {}) if commented else ""
+        writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
         try:
             yield writer
             writer.finish()
@@ -140,20 +175,20 @@ def signal_writer(
             writer.close()
 
 
+def _comment(attributes: Mapping[str, str | float]) -> str:
+    """Return the comment line that says where a text output comes from."""
+    parts = [program_version_string(), *(f"{key}: {value}" for key, value in attributes.items())]
+    return f"# {cleaned('; '.join(parts))}\n"
+
+
 @contextlib.contextmanager
 def _hdf5(
     target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
 ) -> Iterator[SignalWriter]:
-    from dbo_cli.logs.hdf5.store import Hdf5Writer, StoreOutput, group_path
+    from dbo_cli.logs.hdf5.store import Hdf5Writer, store_output
 
-    if target.is_stream or descriptor_of(target.path) is not None:
-        raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
-    store = StoreOutput(target.path, group_path(target.group))
-    store.check()
-    if not is_replaceable(target.path):
-        raise OutputError(f"{target.path}: this is no regular file: name a file")
-    with replacing(target.path, store.publishing) as path:
-        writer = Hdf5Writer(path, store.group, columns, attributes)
+    with store_output(target) as (path, group):
+        writer = Hdf5Writer(path, group, columns, attributes)
         try:
             yield writer
             writer.finish()

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import TimeCheck, require_even
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
 from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.logs.units import ONE, UnitFactor, match_units
@@ -89,6 +89,8 @@ class Source:
 
     def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return samples by role in the units that they are to be handed out in."""
+        if not self._factors:
+            return dict(values)
         return {role: self._factors.get(role, ONE).apply(array) for role, array in values.items()}
 
     def reading_line(self) -> str | None:
@@ -99,9 +101,12 @@ class Source:
         """Return the samples in blocks, by role."""
         raise NotImplementedError
 
+    def close(self) -> None:
+        """Close the file, where there is one."""
+
 
 def remarks_of(source: Source) -> Remarks:
-    """Return what is to be said of a source that was read."""
+    """Return notes, warnings and reading line of a source that was read."""
     line = source.reading_line()
     return Remarks(list(source.notes), list(source.warnings), [] if line is None else [line])
 
@@ -159,17 +164,6 @@ def stamps(values: ArrayLike) -> FloatArray:
     return samples("time", count // second + (count % second) / 1e9)
 
 
-def checked_rate(sample_rate: float | None) -> float | None:
-    """Return samples a second (Hz), or refuse what is no rate (UsageError)."""
-    if sample_rate is None:
-        return None
-    number = isinstance(sample_rate, int | float | np.number) and not isinstance(sample_rate, bool)
-    if not number or not 0.0 < sample_rate < float("inf"):
-        shown = f"{sample_rate:g}" if number else repr(sample_rate)
-        raise UsageError(f"`sample_rate` {shown}: give a positive number of samples a second")
-    return float(sample_rate)
-
-
 def is_table(data: object) -> bool:
     """Tell whether something is a DataFrame, without importing pandas for it."""
     return hasattr(data, "columns") and hasattr(data, "iloc")
@@ -178,6 +172,11 @@ def is_table(data: object) -> bool:
 def is_file(data: object) -> bool:
     """Tell whether something names a file."""
     return isinstance(data, str | os.PathLike)
+
+
+def is_log(data: object) -> bool:
+    """Tell whether something is a log, a table or a file's name, and no array."""
+    return is_file(data) or is_table(data)
 
 
 class ArraySource(Source):
@@ -193,6 +192,8 @@ class ArraySource(Source):
         Samples a second (Hz) where ``time`` is not given.
     columns : mapping, optional
         What is known of each role's column.
+    units : mapping, optional
+        The unit of each role's signal, where that is all that is known.
     name : str
         How messages call the arrays.
     rows : (first, last)
@@ -214,6 +215,7 @@ class ArraySource(Source):
         columns: Mapping[str, ColumnInfo] | None = None,
         name: str = "the arrays",
         rows: Rows = ALL_ROWS,
+        units: Mapping[str, str | None] = {},
     ) -> None:
         if time is not None and sample_rate is not None:
             raise UsageError("`time` and `sample_rate` exclude each other: give the one or the other")
@@ -226,7 +228,10 @@ class ArraySource(Source):
         for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
             if signal.size != count:
                 raise InputError(f"`{role}` has {signal.size} samples where `{first}` has {count}")
-        columns = columns or {role: column_info(role, n + 1) for n, role in enumerate(values)}
+        columns = columns or {
+            role: dataclasses.replace(column_info(role, n), unit=units.get(role))
+            for n, role in enumerate(values, start=1)
+        }
         has_time = self.time is not None or self.sample_rate is not None
         super().__init__(name, columns, has_time, self.sample_rate, self.sample_rate)
 
@@ -295,7 +300,7 @@ def table_source(
     Raises
     ------
     InputError
-        A column is not there, not to be told, or holds no finite numbers.
+        A column is absent, several may be meant, or it holds no finite numbers.
     """
     units: Mapping[str, str | None] = table.attrs.get("units", {})
     infos = [column_info(str(name), k, units.get(name)) for k, name in enumerate(table.columns, start=1)]

@@ -60,10 +60,12 @@ _NO_UNIT = frozenset(
 """What is written in the brackets of a time column where other columns have their unit."""
 
 _OTHER_HALVES = frozenset(("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day"))
+# ``Time / ms``, ``ms since 2026-01-02``, ``10us``.
 _STATED = re.compile(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
 _SINCE = re.compile(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
 _COUNT = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
 
+# Names of rates and steps without blanks and signs, from the formats and manuals in docs/instruments.md.
 _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",
           "acquisitionrate", "acquisitionfrequency", "fs", "srate", "sfreq", "scanrate", "abtastrate",
           "abtastfrequenz", "messfrequenz", "messrate"}  # fmt: skip
@@ -232,18 +234,17 @@ def read_statements(name: str, value: object, unit: object = None, *, sure: bool
     kind, key, own = _kind_of(name)
     if not kind:
         return []
-    amount, written = _amount(value)
+    count, amount, written, shown = _taken_apart(value)
     stated = clean_text(unit).strip() if unit is not None else ""
     stated = stated or written or own or ""
     if key in _BARE and stated.replace(" ", "") not in _HERTZ:
         return []
-    text = f"'{name}' {_plain(value)}" + (f" {stated}" if stated and stated not in _plain(value) else "")
+    text = f"'{name}' {shown}" + (f" {stated}" if stated and stated not in shown else "")
     if amount is None:
         # Text and lists under the name of a step are time stamps (``ts``) more often than steps.
-        several = kind == "rate" and not isinstance(value, str | bytes) and np.asarray(value).size > 1
-        return [Statement(text, None, f"{text} is no single number")] if several else []
+        return [Statement(text, None, f"{text} is no single number")] if kind == "rate" and count > 1 else []
     if not amount > 0.0 or not math.isfinite(amount):
-        return []  # an instrument's way to say that it does not know
+        return []  # what an instrument writes when it does not know
     factor = _factor(kind, stated)
     if factor is None:
         proper = "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
@@ -282,21 +283,23 @@ def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -
     return chosen.rate
 
 
-def _amount(value: object) -> tuple[float | None, str]:
-    """Take a value apart into its number (None where it is not exactly one) and the unit behind it."""
+def _taken_apart(value: object) -> tuple[int, float | None, str, str]:
+    """Count a value, and return its one number (or None), the unit behind it, and how it is shown."""
     if isinstance(value, str | bytes):
         text = clean_text(value).strip()
         found = _AMOUNT.fullmatch(text) if len(text) <= _LONGEST else None
-        return (float(found[1]), found[2]) if found else (None, "")
+        return 1, float(found[1]) if found else None, found[2] if found else "", shortened(text)
     try:
         array = np.asarray(value).ravel()
-    except (ValueError, TypeError):
-        return None, ""
-    if array.size and array.dtype.kind in "SUO" and isinstance(array[0], str | bytes):
-        return _amount(array[0]) if array.size == 1 else (None, "")
-    if not array.size or array.dtype.kind not in "fiub" or np.any(array != array[0]):
-        return None, ""
-    return float(array[0]), ""
+    except ValueError:  # a list of lists of unlike lengths
+        return 2, None, "", "(several values)"
+    if array.size == 1 and isinstance(array[0], str | bytes):
+        return _taken_apart(array[0])
+    numbers = array.size > 0 and array.dtype.kind in "fiub"
+    amount = float(array[0]) if numbers and not np.any(array != array[0]) else None
+    if array.size != 1:
+        return array.size, amount, "", f"({array.size} values)"
+    return 1, amount, "", f"{array[0]:g}" if numbers else shortened(clean_text(array[0]))
 
 
 def _factor(kind: str, unit: str) -> float | None:
@@ -311,16 +314,3 @@ def _factor(kind: str, unit: str) -> float | None:
         plain = plain.removesuffix(suffix)
     size = _FACTORS.get(time_unit(plain) or "")  # dividing keeps 0.1 ms at exactly 10,000 samples a second
     return None if size is None else size.denominator / size.numerator
-
-
-def _plain(value: object) -> str:
-    """Show a value shortly."""
-    if isinstance(value, str | bytes):
-        text = clean_text(value).strip()
-    else:
-        array = np.asarray(value).ravel()
-        if array.size != 1:
-            return f"({array.size} values)"
-        one = array[0]
-        text = f"{one:g}" if array.dtype.kind in "fiub" else clean_text(one)
-    return shortened(text)

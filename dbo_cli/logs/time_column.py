@@ -47,6 +47,7 @@ _CALENDARS = (
     _Calendar("100 ns since year 1", 6.3e17, 6.5e17, UnitFactor(1, _TEN_MILLION), -62_135_596_800.0),
     _Calendar("ns since 1970", 9e17, 4.1e18, UnitFactor(1, 10**9)),
 )
+# Excel's and LibreOffice's serial dates, and MATLAB's datenum.
 _DAY_CALENDARS = (
     _Calendar("days since 1899-12-30", 36_526.0, 55_153.0, UnitFactor(86_400), -25_569.0 * 86_400.0),
     _Calendar("days since year 0", 730_486.0, 749_113.0, UnitFactor(86_400), -719_529.0 * 86_400.0),
@@ -123,14 +124,14 @@ class TimeColumn:
     def held_back(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Keep blocks until it is known what the figures count: at most until the second time stamp."""
         waiting: list[SampleBlock] = []
+        figures = np.empty(0)
         for block in blocks if self.bare else ():
             waiting.append(block)
-            figures = np.concatenate([one.values[TIME] for one in waiting])
+            figures = np.concatenate([figures, block.values[TIME]])
             if self._decide(figures, last=False):
                 break
         else:
-            if waiting:
-                self._decide(np.concatenate([one.values[TIME] for one in waiting]), last=True)
+            self._decide(figures, last=True)
         return itertools.chain(waiting, blocks)
 
     def whole(self, figures: FloatArray, warnings: list[str]) -> FloatArray:

@@ -15,6 +15,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
 
+# SI units and prefixes as instruments spell them; below, other spellings that lower-case names have in use.
 _BASES = {
     "V": "voltage", "A": "current", "m": "length", "N": "force", "Hz": "frequency", "s": "time",
     "rad": "angle", "Pa": "pressure", "T": "magnetic flux density", "g": "mass", "C": "charge", "W": "power",

@@ -18,15 +18,15 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import IO
+from dataclasses import dataclass, field
+from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs import output_files
-from dbo_cli.logs.addresses import Given, parse_address
+from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.output_files import (
     check_output,
@@ -39,8 +39,13 @@ from dbo_cli.logs.output_files import (
     remove_orphans,
 )
 
+if TYPE_CHECKING:
+    from dbo_cli.logs.out_column import OutColumn
+    from dbo_cli.logs.sample_block import FloatArray
+
 __all__ = [
-    "OutputSet", "all_or_none", "check_output", "check_outputs", "make_folder", "opened", "reason_of",
+    "KEPT", "KeptOutputs", "KeptSignal", "OutputSet", "all_or_none", "check_output", "check_outputs",
+    "kept_outputs", "make_folder", "opened", "reason_of",
     "replacing", "standard_output", "write_whole",
 ]  # fmt: skip
 
@@ -218,6 +223,40 @@ class OutputSet:
 _CURRENT: ContextVar[OutputSet | None] = ContextVar("dbo_outputs", default=None)
 
 
+@dataclass(frozen=True)
+class KeptSignal:
+    """A signal that was kept instead of written: what its writer was given."""
+
+    address: Address
+    columns: Sequence[OutColumn]
+    format: str | None
+    attributes: Mapping[str, str | float]
+    arrays: tuple[FloatArray, ...]
+    commented: bool = False
+
+
+@dataclass
+class KeptOutputs:
+    """Outputs that were kept instead of written, for another process or a larger file."""
+
+    signals: list[KeptSignal] = field(default_factory=list)
+    documents: list[tuple[str, bytes]] = field(default_factory=list)
+
+
+KEPT: ContextVar[KeptOutputs | None] = ContextVar("dbo_kept", default=None)
+
+
+@contextlib.contextmanager
+def kept_outputs() -> Iterator[KeptOutputs]:
+    """Let ``write_whole`` and ``signal_writer`` keep their data inside the block and write nothing."""
+    kept = KeptOutputs()
+    token = KEPT.set(kept)
+    try:
+        yield kept
+    finally:
+        KEPT.reset(token)
+
+
 @contextlib.contextmanager
 def all_or_none() -> Iterator[OutputSet]:
     """Let all outputs written inside the block appear together at its end, or none of them.
@@ -320,17 +359,17 @@ def _telling(path: str) -> Iterator[None]:
         raise
     except OSError as problem:
         raise OutputError(f"{path}: {reason_of(problem)}") from None
-    except RuntimeError as problem:  # HDF5 tells a full disk in this way when it closes a file
+    except RuntimeError as problem:  # what HDF5 raises at a full disk when it closes a file
         if _HDF5_ERRNO.search(str(problem)) is None:
             raise
         raise OutputError(f"{path}: {reason_of(OSError(str(problem)))}") from None
 
 
 def reason_of(problem: OSError) -> str:
-    """Say why writing failed; the HDF5 library tells the number of the error only inside its text."""
-    number, told = problem.errno, _HDF5_ERRNO.search(str(problem))
-    if number is None and told:
-        number = int(told[1])
+    """Return why writing failed; HDF5 gives the number of the error only inside its text."""
+    number, inside = problem.errno, _HDF5_ERRNO.search(str(problem))
+    if number is None and inside:
+        number = int(inside[1])
     if number in (errno.ENOSPC, errno.EDQUOT):
         return "the disk is full: nothing was written"
     return f"cannot be written: {os.strerror(number) if number else str(problem).splitlines()[0]}"
@@ -362,6 +401,10 @@ def write_whole(address: Given, data: bytes, *, protect: Sequence[Given] = ()) -
         It cannot be written; what stood there is left as it was.
     """
     target = parse_address(address)
+    kept = KEPT.get()
+    if kept is not None:
+        kept.documents.append((target.text, data))
+        return
     check_output(target, protect)
     if target.group is not None:
         raise UsageError(f"{target.text}: '::' names a group of an HDF5 file, and this output is no signal")

@@ -6,20 +6,23 @@ import dataclasses
 import hashlib
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.hysteresis.model_set import is_set
+from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.channels import is_pattern
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import ArraySource, checked_rate, is_file, is_table, table_source
+from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
-from dbo_cli.runs.model import Model, read_model, require_known
+from dbo_cli.runs.model import Model, record_of
+from dbo_cli.runs.model import read_model as read_single_model
 from dbo_cli.runs.roles import recording_wishes, short_names
 
 if TYPE_CHECKING:
@@ -105,16 +108,18 @@ def _frame(log: SignalLog) -> pandas.DataFrame:
 
 def identify(
     log: Any,
-    displacement: ArrayLike | None = None,
+    displacement: Any = None,
     *,
+    voltage: str | None = None,
     time: Any = None,
     sample_rate: float | None = None,
     validate: Any = (),
-    prior: Model | str | os.PathLike[str] | None = None,
+    prior: Any = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
+    jobs: int = 1,
     **options: Any,
-) -> Model:
+) -> Any:
     """Identify a model of an actuator from logs of its drive voltage and displacement.
 
     Parameters
@@ -123,22 +128,29 @@ def identify(
         The drive voltage of shape (samples,) beside ``displacement``; or one or more logs of one actuator.
     displacement : array_like of shape (samples,), optional
         The measured displacement, where ``log`` is the voltage.
+    voltage, displacement : str, optional
+        The columns of tables and files; guessed where not given. Patterns (``V{}`` and ``D{}``) name those of
+        many channels.
     time, sample_rate
         Seconds of shape (samples,), or samples a second (Hz), for arrays; for tables and files a column's
         name or number, or the rate of a log without time.
     validate
         Another log, or a list of logs, to say how well the model predicts.
     prior : Model or file name, optional
-        Keep the shape of this model, and find its gain, offset and lag again from a short log.
+        Keep the shape of this model, and find its gain, offset and lag again from a short log; for channels
+        a ``ModelSet`` or the file of one.
     voltage_unit, displacement_unit : str, optional
         Units of arrays, for the model to carry.
+    jobs : int
+        Processes, for channels; changes no result. A script that asks for several needs the usual
+        ``if __name__ == "__main__":``.
     **options
         What ``IdentificationOptions`` knows (``gears``, ``points``, ``relaxation``, ``delay``, ``slopes``,
         ``skip_seconds``, ``method``, ``zero``, ``rated``, ``force``); all else is found on data left out.
 
     Returns
     -------
-    Model
+    Model, or of patterns a ModelSet
         With ``summary`` and ``warnings``; warnings also go the way of Python's own (``DboWarning``).
 
     Raises
@@ -153,21 +165,46 @@ def identify(
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings
 
-    require_known(IdentificationOptions, options, "is no parameter of identify")
-    asked = IdentificationOptions(**options)
+    asked = record_of(IdentificationOptions, options, "is no parameter of identify")
+    by_name = voltage is not None or isinstance(displacement, str)
+    columns = (voltage, displacement) if by_name else (None, None)
+    if any(map(is_pattern, columns)):
+        from dbo_cli.runs.model_set import identify_set
+
+        words = (_listed(log), _listed(validate), columns, time, sample_rate, asked, prior, jobs)
+        return identify_set(*words, record=_recorded)
     kept = None if prior is None else _model(prior).actuator
-    if displacement is not None:
-        units = {"voltage": voltage_unit, "displacement": displacement_unit}
-        logs = [_recorded_arrays(log, displacement, time, sample_rate, units, kept)]
-    else:
-        logs = [_recorded(one, time, sample_rate, kept) for one in _listed(log)]
-    checks = [_recorded(one, time, sample_rate, kept) for one in _listed(validate)]
-    named = {"prior": os.path.basename(prior)} if isinstance(prior, str | os.PathLike) else {}
-    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked) | named)
+    units = {"voltage": voltage_unit, "displacement": displacement_unit}
+    arrays = displacement is not None and not by_name
+    given = [(log, displacement)] if arrays else [(one,) for one in _listed(log)]
+    logs = [_recorded(one, time, sample_rate, kept, units, columns) for one in given]
+    checks = [_recorded((one,), time, sample_rate, kept, columns=columns) for one in _listed(validate)]
+    chosen = chosen_of(asked) | ({"prior": os.path.basename(str(prior))} if is_file(prior) else {})
+    arguments = arguments_of(_names(logs), _names(checks), chosen)
     found = identify_recordings(logs, asked, checks, arguments, kept)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
     return Model(found.model, found.summary, found.remarks)
+
+
+def read_model(path: str | os.PathLike[str]) -> Any:
+    """Read a model file, or a set of models; ``-`` is standard input.
+
+    Returns
+    -------
+    Model, or of a set a ModelSet
+        ``FILE::CHANNEL`` is one model of a set.
+
+    Raises
+    ------
+    InputError, ModelError
+        The file cannot be read, is no model, or contradicts itself; the message names file and key.
+    """
+    if is_set(os.fspath(path)):
+        from dbo_cli.runs.model_set import read_model_set
+
+        return read_model_set(path)
+    return read_single_model(path)
 
 
 def simulate(model: Model | str | os.PathLike[str], x: Any, **options: Any) -> Any:
@@ -232,13 +269,49 @@ def report(
     from dbo_cli.runs.tracking import TrackingRun
 
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
-    options["sample_rate"] = checked_rate(sample_rate)
+    options["sample_rate"] = sample_rate
     reading = _reading(time if isinstance(time, str) else None, options.pop("rows", None), options)
-    if logs:
-        _add_logs(tracking, logs, asked, reading, time, name)
-    else:
-        _add_arrays(tracking, (wanted, measured, voltage), asked, reading, time, unit, name)
+    arrays: dict[str, Any] = {}
+    if not logs:
+        arrays = {"desired" if predicting is None else "voltage": wanted, "measured": measured}
+        arrays |= {} if voltage is None or predicting is not None else {"voltage": voltage}
+    _compare(tracking, logs, arrays, asked, reading, time, unit, name)
     return tracking.result()
+
+
+def _compare(
+    tracking: TrackingRun,
+    logs: Sequence[Any],
+    arrays: dict[str, Any],
+    asked: TrackingOptions,
+    reading: ReadingOptions,
+    time: Any,
+    unit: str | None,
+    name: str,
+) -> None:
+    """Compare tables and files, or arrays by role where there are none of these."""
+    from dbo_cli.runs.reporting import add_file, rows_to_score
+
+    if not logs and arrays["measured"] is None:
+        raise InputError(
+            "what was measured is missing: give two arrays, or a table or file with both columns"
+        )
+    with_model, rate = tracking.model is not None, reading.sample_rate
+    own, score = rows_to_score(reading, asked.lag, from_first=with_model)
+    sweep = asked.count_sweep or reading.rows != ALL_ROWS
+    files = {number: parse_address(one) for number, one in enumerate(logs, 1) if is_file(one)}
+    names = short_names(list(files.values()))
+    for number, one in enumerate(logs or [arrays], 1):
+        if number in files:
+            add_file(tracking, files[number], reading, asked, names.get(files[number]))
+            continue
+        if logs:
+            source = table_source(one, asked.wishes(with_model), time, rate, own.rows)
+        else:
+            units = {"desired": unit, "measured": unit}
+            source = ArraySource(one, time, rate, rows=own.rows, units=units)
+        called = name if len(logs) < 2 else f"{name} {number}"
+        tracking.add(source, called, score_rows=score, count_sweep=sweep)
 
 
 def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any) -> TrackingOptions:
@@ -251,84 +324,27 @@ def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any
         if not logs or not all(map(is_file, logs)):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
         asked["trajectory"] = parse_address(asked["trajectory"])
-    asked |= {"lag": _lag(asked.get("lag", 0)), "segment": _segment(asked.get("segment"))}
     return TrackingOptions(**asked | {"voltage": voltage if logs else None})
 
 
-def _add_logs(
-    tracking: TrackingRun,
-    logs: Sequence[Any],
-    options: TrackingOptions,
-    reading: ReadingOptions,
-    time: Any,
-    name: str,
-) -> None:
-    """Compare tables and files."""
-    from dbo_cli.runs.reporting import add_file, rows_to_score
-
-    with_model = tracking.model is not None
-    own, score = rows_to_score(reading, options.lag, from_first=with_model)
-    files = {number: parse_address(one) for number, one in enumerate(logs, 1) if is_file(one)}
-    names = short_names(list(files.values()))
-    for number, one in enumerate(logs, 1):
-        if number in files:
-            add_file(tracking, files[number], reading, options, names.get(files[number]))
-            continue
-        table = table_source(one, options.wishes(with_model), time, reading.sample_rate, own.rows)
-        sweep = options.count_sweep or reading.rows != ALL_ROWS
-        called = name if len(logs) == 1 else f"{name} {number}"
-        tracking.add(table, called, score_rows=score, count_sweep=sweep)
-
-
-def _add_arrays(
-    tracking: TrackingRun,
-    signals: tuple[Any, Any, Any],
-    options: TrackingOptions,
-    reading: ReadingOptions,
-    time: Any,
-    unit: str | None,
-    name: str,
-) -> None:
-    """Compare arrays: what was wanted (with a model: the drive), what was measured, perhaps the drive."""
-    from dbo_cli.runs.reporting import rows_to_score
-
-    wanted, measured, voltage = signals
-    if measured is None:
-        raise InputError(
-            "what was measured is missing: give two arrays, or a table or file with both columns"
-        )
-    values = {"desired" if tracking.model is None else "voltage": wanted, "measured": measured}
-    if voltage is not None and tracking.model is None:
-        values["voltage"] = voltage
-    own, score = rows_to_score(reading, options.lag, from_first=tracking.model is not None)
-    source = ArraySource(values, time, reading.sample_rate, rows=own.rows)
-    source.columns = {
-        role: dataclasses.replace(column, unit=None if role == "voltage" else unit)
-        for role, column in source.columns.items()
-    }
-    sweep = options.count_sweep or reading.rows != ALL_ROWS
-    tracking.add(source, name, score_rows=score, count_sweep=sweep)
-
-
 def _model(model: Model | str | os.PathLike[str]) -> Model:
-    return model if isinstance(model, Model) else read_model(model)
+    return model if isinstance(model, Model) else read_single_model(model)
 
 
 def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    require_known(ReadingOptions, options, "says nothing about reading a log")
-    return ReadingOptions(time=time, rows=ALL_ROWS if rows is None else parse_rows(rows), **options)
+    given = options | {"time": time, "rows": ALL_ROWS if rows is None else parse_rows(rows)}
+    return record_of(ReadingOptions, given, "says nothing about reading a log")
 
 
 def _logs(given: Any) -> list[Any]:
     """Return the tables and files that were given, one or a list of them; none of anything else."""
-    if is_file(given) or is_table(given):
+    if is_log(given):
         return [given]
-    several = isinstance(given, list | tuple) and all(is_file(one) or is_table(one) for one in given)
-    return list(given) if several else []
+    return list(given) if isinstance(given, list | tuple) and all(map(is_log, given)) else []
 
 
 def _listed(logs: Any) -> Sequence[Any]:
-    return [logs] if is_file(logs) or is_table(logs) else list(logs)
+    return [logs] if is_log(logs) else list(logs)
 
 
 def _names(logs: Sequence[RecordedLog]) -> list[str]:
@@ -336,39 +352,33 @@ def _names(logs: Sequence[RecordedLog]) -> list[str]:
 
 
 def _recorded(
-    log: Any, time: Any, sample_rate: float | None, prior: ActuatorModel | None = None
+    signals: Sequence[Any],
+    time: Any,
+    sample_rate: float | None,
+    prior: ActuatorModel | None,
+    units: Mapping[str, str | None] = {},
+    columns: tuple[str | None, str | None] = (None, None),
 ) -> RecordedLog:
-    """Return one log, a table or a file, ready to be identified from, in the units of a prior."""
+    """Return a table, a file, or voltage and displacement, ready to be identified from (see ``prior``)."""
     from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, read_recordings, recording_of
 
-    if is_file(log):
+    log = signals[0]
+    if len(signals) > 1:
+        arrays = {"voltage": log, "displacement": signals[1]}
+        source = ArraySource(arrays, time, sample_rate, units=units)
+    elif is_file(log) or isinstance(log, Address):
         options = ReadingOptions(time=time, sample_rate=sample_rate)
-        return read_recordings([parse_address(log)], [], options, prior=prior)[0][0]
-    if not is_table(log):
+        return read_recordings([parse_address(log)], [], options, *columns, prior=prior)[0][0]
+    elif is_table(log):
+        source = table_source(log, recording_wishes(*columns), time, sample_rate)
+    else:
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
-    source = table_source(log, recording_wishes(None, None), time, sample_rate)
     bring_to_prior(source, prior)
-    record = log.attrs.get("provenance") or _record(source)
-    remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
+    record, remarks = _record(source), Remarks(list(source.notes))
+    if len(signals) == 1:  # what ``read_log`` left in the table
+        record = log.attrs.get("provenance") or record
+        remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
     return RecordedLog(recording_of(source, record["name"]), record, remarks)
-
-
-def _recorded_arrays(
-    voltage: ArrayLike,
-    displacement: ArrayLike,
-    time: ArrayLike | None,
-    sample_rate: float | None,
-    units: dict[str, str | None],
-    prior: ActuatorModel | None,
-) -> RecordedLog:
-    from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, recording_of
-
-    source = ArraySource({"voltage": voltage, "displacement": displacement}, time, sample_rate)
-    source.columns = {
-        role: dataclasses.replace(column, unit=units[role]) for role, column in source.columns.items()
-    }
-    bring_to_prior(source, prior)
-    return RecordedLog(recording_of(source, "arrays"), _record(source), Remarks(list(source.notes)))
 
 
 def _record(source: ArraySource) -> dict[str, Any]:
@@ -378,17 +388,3 @@ def _record(source: ArraySource) -> dict[str, Any]:
         digest.update(values.astype("<f8").tobytes())
     count = next(iter(source.values.values())).size
     return {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}
-
-
-def _lag(lag: int | str) -> Any:
-    if lag == "auto" or (isinstance(lag, int) and not isinstance(lag, bool)):
-        return lag
-    raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
-
-
-def _segment(segment: float | str | None) -> Any:
-    if segment is None or segment == "cycles":
-        return segment
-    if isinstance(segment, int | float) and 0.0 < segment < float("inf"):
-        return float(segment)
-    raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
-from dbo_cli.errors import LimitError
+from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.clock import even_step
@@ -28,7 +28,8 @@ class CheckOptions:
     """What a drive is checked for.
 
     Limits are infinite where not given. With ``against``, the drive is a recording of what was played, and
-    ``against`` the file of what was to be. ``voltage`` is the drive's column.
+    ``against`` the file of what was to be; ``gain`` is that of an amplifier between the two places.
+    ``voltage`` is the drive's column.
     """
 
     v_min: float | None = None
@@ -38,7 +39,17 @@ class CheckOptions:
     loop: bool = False
     against: Address | None = None
     tolerance: float | None = None
+    gain: float = 1.0
     voltage: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a gain of nothing, and one of no recording."""
+        if self.gain == 0.0:
+            raise UsageError(
+                "`gain` 0: an amplifier of no gain moves nothing (give its volts out per volt in)"
+            )
+        if self.gain != 1.0 and self.against is None:
+            raise UsageError("`gain` is that behind a recording (`against` FILE is the drive it is of)")
 
     def limits(self) -> DriveLimits:
         """Return the limits."""
@@ -78,7 +89,7 @@ def check_file(
     if against is not None:
         other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
         remarks.add(more)
-        check_played(checked, other.values["voltage"], values, (own, step), options.tolerance)
+        check_played(checked, other.values["voltage"], values, (own, step), options.tolerance, options.gain)
     name = drive.name
     lines = _lines(name, checked, unit)
     found = {"format": "dbo-check", "version": 1, "name": name, "unit": unit, "passed": not checked.problems,
@@ -118,9 +129,10 @@ def _lines(name: str, checked: CheckedDrive, unit: str | None) -> list[str]:
     if checked.played:
         one = checked.played
         late = f" ({one['lag_seconds'] * 1e3:.4g} ms)" if one["lag_seconds"] else ""
+        gain, after = one["amplifier_gain"], ", at another rate" if one["resampled"] else ""
+        after += f", times the amplifier's {gain:g}" if gain != 1.0 else ""
         lines.append(
             f"  played: {one['rows']:,} rows, {one['lag_rows']} later{late}, gain {one['gain']:.6g}, offset "
-            f"{one['offset']:.3g}{u}, largest difference {one['largest_difference']:.3g}{u}"
-            f"{', at another rate' if one['resampled'] else ''}"
+            f"{one['offset']:.3g}{u}, largest difference {one['largest_difference']:.3g}{u}{after}"
         )
     return lines + [f"  {text}" for text in checked.problems]

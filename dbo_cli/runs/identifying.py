@@ -11,7 +11,8 @@ from typing import Any
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
+from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.addresses import (
     Address,
     check_document,
@@ -21,7 +22,6 @@ from dbo_cli.logs.addresses import (
 )
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
@@ -29,6 +29,7 @@ from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import bring_to, recording_wishes, short_names
+from dbo_cli.version import program_version_string
 
 
 @dataclass(frozen=True)

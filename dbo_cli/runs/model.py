@@ -6,11 +6,12 @@ import dataclasses
 import os
 import warnings
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.model_run import ModelRun
@@ -18,24 +19,24 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_file import read_model as read_model_file
+from dbo_cli.hysteresis.model_set import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_document
-from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
-from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import ArraySource, Source, checked_rate, is_file, is_table, table_source
+from dbo_cli.logs.reading_options import ALL_ROWS, Rows, parse_rows
+from dbo_cli.logs.sources import is_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning, Remarks
-from dbo_cli.runs.roles import bring_to, quantity_wish
-from dbo_cli.runs.starts import start_of
+from dbo_cli.runs.roles import bring_to, quantity_wish, source_of, start_of, tracked_of, tracked_wishes
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
     from dbo_cli.drives.controller import Controller
     from dbo_cli.drives.learning import Tracked
 
 Floats = NDArray[np.float64]
+Record = TypeVar("Record", bound="DataclassInstance")
 Start = StartName | ModelState | str | os.PathLike[str]
 
 
@@ -211,12 +212,30 @@ class Model:
         UsageError
             No state is called so.
         """
-        want, ahead = quantity_wish(self.input, option="x"), self.direction == "inverse"
-        source, last = _source(x, self.input, want, time, sample_rate, rows, ahead)
-        beyond = _one_of("outside", outside, OUTSIDE)
-        run = ModelRun(self.actuator, source, self._start(state), beyond, last)
+        read, last = _rows_of(rows, self.direction == "inverse")
+        want = {self.input.quantity: quantity_wish(self.input, option="x")}
+        source = source_of(want, x, time=time, sample_rate=sample_rate, rows=read)
+        bring_to(source, self.input.quantity, self.input, "the model")
+        if outside not in OUTSIDE:
+            raise UsageError(f"`outside`: '{outside}' is none of {', '.join(OUTSIDE)}")
+        run = ModelRun(self.actuator, source, start_of(state, self.actuator), outside, last)
         return _finished(run, return_state, details)
 
+    @overload
+    def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                   rows: str | None = ..., tracked: Any = ..., return_state: Literal[False] = ...,
+                   details: Literal[False] = ..., **options: Any,
+                   ) -> Floats: ...  # fmt: skip
+    @overload
+    def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                   rows: str | None = ..., tracked: Any = ..., return_state: Literal[True],
+                   details: Literal[False] = ..., **options: Any,
+                   ) -> tuple[Floats, ModelState]: ...  # fmt: skip
+    @overload
+    def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
+                   rows: str | None = ..., tracked: Any = ..., return_state: bool = ...,
+                   details: Literal[True], **options: Any,
+                   ) -> Result: ...  # fmt: skip
     def compensate(
         self,
         wanted: Any,
@@ -263,38 +282,28 @@ class Model:
         LimitError
             A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
         """
+        from dbo_cli.drives.loops import compensation
         from dbo_cli.drives.options import DriveOptions
-        from dbo_cli.drives.planning import compensation
 
-        require_known(DriveOptions, options, "is no parameter of compensate")
-        asked = DriveOptions(**options | {"state": self._start(options.get("state", "auto"))})
+        state = start_of(options.get("state", "auto"), self.actuator)
+        asked = record_of(DriveOptions, options | {"state": state}, "is no parameter of compensate")
         self.actuator.require("forward")
-        want = quantity_wish(self.output, option="wanted", trajectory=True)
-        ahead = not (asked.periodic or np.size(tracked))
-        source, last = _source(wanted, self.output, want, time, sample_rate, rows, ahead)
+        read, last = _rows_of(rows, not (asked.periodic or np.size(tracked)))
+        want = {self.output.quantity: quantity_wish(self.output, option="wanted", trajectory=True)}
+        source = source_of(want, wanted, time=time, sample_rate=sample_rate, rows=read)
+        bring_to(source, self.output.quantity, self.output, "the model")
         run = compensation(self.actuator, source, asked, _tracked(tracked, self.actuator), last)
         return _finished(run, return_state, details)
 
-    def controller(
-        self,
-        sample_rate: float | None = None,
-        *,
-        v_min: float | None = None,
-        v_max: float | None = None,
-        max_slew: float | None = None,
-        state: Start = "auto",
-        from_: float | None = None,
-        dac: ArrayLike | None = None,
-        ahead: bool = False,
-    ) -> Controller:
+    def controller(self, sample_rate: float | None = None, **options: Any) -> Controller:
         """Return a controller that plans and commits one sample at a time.
 
         Parameters
         ----------
         sample_rate : float, optional
             Samples a second (Hz); needed by a model with lag or creep and by ``max_slew``.
-        v_min, v_max, max_slew, state, from_
-            As in ``compensate``.
+        **options
+            ``v_min``, ``v_max``, ``max_slew``, ``state`` and ``from_`` as in ``compensate``, and:
         dac : array_like, optional
             The voltage of every code of a digital-to-analogue converter, from code 0 on; codes are then
             planned, and the state follows the voltage of the code.
@@ -310,20 +319,8 @@ class Model:
         """
         from dbo_cli.drives.controller import Controller
 
-        return Controller(
-            self.actuator,
-            sample_rate,
-            v_min=v_min,
-            v_max=v_max,
-            max_slew=max_slew,
-            state=self._start(state),
-            from_=from_,
-            dac=dac,
-            ahead=ahead,
-        )
-
-    def _start(self, state: Start) -> StartName | ModelState:
-        return start_of(state, self.actuator)
+        options["state"] = start_of(options.get("state", "auto"), self.actuator)
+        return Controller(self.actuator, sample_rate, **options)
 
 
 OUTSIDE = ("extend", "hold", "error")
@@ -342,7 +339,13 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     return Model(actuator, remarks=Remarks(warnings=list(kept) if isinstance(kept, list) else []))
 
 
-def require_known(record: Any, given: Mapping[str, Any], what: str) -> None:
+def record_of(record: type[Record], given: Mapping[str, Any], what: str) -> Record:
+    """Return a record of options, made of keywords that it knows (see ``require_known``)."""
+    require_known(record, given, what)
+    return record(**given)
+
+
+def require_known(record: type[DataclassInstance], given: Mapping[str, Any], what: str) -> None:
     """Refuse keywords that are no fields of a record of options (UsageError, which lists the fields)."""
     known = {field.name for field in dataclasses.fields(record)}
     for name in given:
@@ -350,64 +353,28 @@ def require_known(record: Any, given: Mapping[str, Any], what: str) -> None:
             raise UsageError(f"`{name}` {what}; there are: {', '.join(sorted(known))}")
 
 
-def _source(
-    data: Any,
-    quantity: Quantity,
-    want: ColumnWish,
-    time: Any,
-    sample_rate: float | None,
-    rows: str | None,
-    ahead: bool,
-) -> tuple[Source, int | None]:
-    """Return a file, table or array as a source in the model's unit, and the last row to answer."""
+def _rows_of(rows: str | None, ahead: bool) -> tuple[Rows, int | None]:
+    """Return the rows to read and the last one to answer, where those after it are read ahead."""
     taken = ALL_ROWS if rows is None else parse_rows(rows)
-    last, role = (taken[1] if ahead else None), quantity.quantity
-    taken = (taken[0], None) if ahead else taken
-    if is_file(data):
-        options = ReadingOptions(time=time, sample_rate=checked_rate(sample_rate), rows=taken)
-        source: Source = open_log(data, {role: want}, options)
-    elif is_table(data):
-        source = table_source(data, {role: want}, time, sample_rate, taken)
-    else:
-        name = want.option
-        arrays = ArraySource({name: data}, time, sample_rate, name=f"`{name}`", rows=taken)
-        arrays.values = {role: arrays.values[name]}
-        arrays.columns = {role: dataclasses.replace(arrays.columns[name], unit=None)}
-        source = arrays
-    bring_to(source, role, quantity, "the model")
-    return source, last
+    return ((taken[0], None), taken[1]) if ahead else (taken, None)
 
 
 def _tracked(given: Any, model: ActuatorModel) -> list[Tracked]:
     """Return recordings of a pass, whatever form they have."""
-    pair = isinstance(given, tuple) and len(given) == 2 and not any(is_file(x) or is_table(x) for x in given)
-    listed = [given] if pair or is_file(given) or is_table(given) else list(given)
-    return [_one_tracked(one, k, model) for k, one in enumerate(listed, start=1)]
-
-
-def _one_tracked(one: Any, number: int, model: ActuatorModel) -> Tracked:
-    from dbo_cli.runs.roles import tracked_of, tracked_wishes
-
-    want = tracked_wishes(model)
-    if is_file(one):
-        with open_log(one, want, ReadingOptions()) as log:
-            return tracked_of(log, model)
-    if is_table(one):
-        return tracked_of(table_source(one, want), model)
-    voltage, measured = one
-    name = f"`tracked` {number}"
-    source = ArraySource({"voltage": voltage, "measured": measured}, name=name)
-    source.columns = {role: dataclasses.replace(one, unit=None) for role, one in source.columns.items()}
-    return tracked_of(source, model)
+    pair = isinstance(given, tuple) and len(given) == 2 and not any(map(is_log, given))
+    found = []
+    for number, one in enumerate([given] if pair or is_log(given) else given, start=1):
+        signals = [one] if is_log(one) else one
+        source = source_of(tracked_wishes(model), *signals, name=f"`tracked` {number}")
+        with closing(source):
+            found.append(tracked_of(source, model))
+    return found
 
 
 def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     """Run to the end and return what was asked for."""
-    try:
+    with closing(run.source):
         responses = list(run.responses())
-    finally:
-        if isinstance(run.source, SignalLog):
-            run.source.close()
     if isinstance(run, Compensation):
         run.keep_history()
     values = np.concatenate([response.result for response in responses])
@@ -430,12 +397,5 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
     return (values, run.state) if return_state else values
 
 
-def _one_of(name: str, value: Any, choices: tuple[str, ...]) -> Any:
-    if value not in choices:
-        raise UsageError(f"`{name}`: '{value}' is none of {', '.join(choices)}")
-    return value
-
-
 def _named(quantity: Quantity) -> str:
-    unit = f" {quantity.unit}" if quantity.unit else ""
-    return f"{quantity.quantity} {quantity.minimum:g} to {quantity.maximum:g}{unit}"
+    return f"{quantity.quantity} {quantity.minimum:g} to {quantity.maximum:g}{quantity.suffix}"

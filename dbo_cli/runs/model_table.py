@@ -10,7 +10,6 @@ from pathlib import Path
 
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.logs.addresses import Address, check_format
-from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.relatives.judging import NAMES, compare
@@ -19,6 +18,7 @@ from dbo_cli.reports.drawing import save
 from dbo_cli.reports.models import ModelTable
 from dbo_cli.runs.identifying import read_recordings
 from dbo_cli.runs.reporting import prepare_folder, report_form
+from dbo_cli.version import program_version_string
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.errors import DboError, OutputError, UsageError
+from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -41,9 +41,15 @@ class Written:
     report: Report
     form: str
     remarks: Remarks
+    failure: DboError | None = None
 
     def check(self, limits: Limits) -> None:
-        """Raise LimitError for the first log that misses a limit; the others are counted in it."""
+        """Raise LimitError for the first log that misses a limit; the others are counted in it.
+
+        A ``failure`` of channels that are not in the report is raised before.
+        """
+        if self.failure is not None:
+            raise self.failure
         check_limits(self.report, **dataclasses.asdict(limits))
 
 

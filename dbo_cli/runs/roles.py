@@ -1,19 +1,26 @@
-"""The columns of a log that a use case asks for, what unit they must be in, and the log opened for them."""
+"""What a use case takes in: the columns of a log, its source in whatever form it is given, and the start."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from dbo_cli.drives.learning import Tracked
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import Quantity
+from dbo_cli.hysteresis.model_file import read_state
+from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import joined
-from dbo_cli.logs.sources import Source
+from dbo_cli.logs.signal_log import open_log
+from dbo_cli.logs.sources import ArraySource, Source, is_file, is_table, table_source
 
 
 def quantity_wish(
@@ -43,6 +50,40 @@ def bring_to(source: Source, role: str, wanted: Quantity, model: str) -> None:
     source.convert(role, wanted.unit, f"{model} takes {wanted.quantity}")
 
 
+def source_of(
+    want: Mapping[str, ColumnWish],
+    *signals: Any,
+    time: Any = None,
+    sample_rate: float | None = None,
+    rows: Rows = ALL_ROWS,
+    name: str | None = None,
+) -> Source:
+    """Return what was given to a function in Python as a source of the columns wanted.
+
+    Parameters
+    ----------
+    want
+        Role to column; arrays come in this order, and messages call them as the options.
+    signals
+        A file's name, a table, or one array for each role.
+    time, sample_rate, rows
+        A column of a file or a table, or seconds; samples a second (Hz); the rows to take.
+    name
+        How messages call arrays.
+    """
+    if is_file(signals[0]):
+        options = ReadingOptions(time=time, sample_rate=sample_rate, rows=rows)
+        return open_log(signals[0], want, options)
+    if is_table(signals[0]):
+        return table_source(signals[0], want, time, sample_rate, rows)
+    called = [one.option for one in want.values()]
+    given = dict(zip(called, signals, strict=True))
+    arrays = ArraySource(given, time, sample_rate, name=name or f"`{called[0]}`", rows=rows)
+    arrays.values = dict(zip(want, arrays.values.values(), strict=True))
+    arrays.columns = dict(zip(want, arrays.columns.values(), strict=True))
+    return arrays
+
+
 def tracked_wishes(
     model: ActuatorModel, voltage: str | None = None, measured: str | None = None
 ) -> dict[str, ColumnWish]:
@@ -59,3 +100,26 @@ def tracked_of(source: Source, model: ActuatorModel) -> Tracked:
     bring_to(source, "measured", model.output, "the model")
     block = joined(list(source.blocks()))
     return Tracked(source.name, block.values["voltage"], block.values["measured"], block.time)
+
+
+def start_of(
+    state: StartName | ModelState | str | os.PathLike[str], model: ActuatorModel
+) -> StartName | ModelState:
+    """Return a start: a name or a state as it is, anything else as a state file.
+
+    Raises
+    ------
+    UsageError
+        There is neither a start nor a file of that name, or the state is of another model.
+    """
+    if isinstance(state, ModelState):
+        if state.model not in (None, model.digest):
+            raise UsageError("`state`: is of another model (go on with the model that returned it)")
+        return state
+    path = os.fspath(state)
+    if path in START_NAMES:
+        return path
+    if not os.path.exists(path):
+        names = ", ".join(START_NAMES)
+        raise UsageError(f"`state`: '{path}' is none of {names}, and there is no such file")
+    return dataclasses.replace(read_state(path, model), model=model.digest)

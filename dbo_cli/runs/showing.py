@@ -6,9 +6,11 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
-from dbo_cli.hysteresis.model_file import read_model, section_values
+from dbo_cli.hysteresis.model_file import section_values
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
@@ -18,6 +20,8 @@ WIDTH = 96  # characters of a line on the screen
 
 def show_model(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
     """Write what is in a model; returns notes (where figures went)."""
+    if is_set(model_file):
+        return _show_set(model_file, output, form, figures)
     model = read_model(model_file)
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "what is shown", chosen)
@@ -35,6 +39,47 @@ def show_model(model_file: str, output: Address, form: str | None, figures: str 
 
     save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
+
+
+def _show_set(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
+    """Write what is in a set of models: a line a channel, or the same as JSON."""
+    if figures is not None:
+        raise UsageError(
+            f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
+        )
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
+    check_document(output, "what is shown", chosen)
+    models = {channel: contents(model) for channel, model in read_set(model_file).items()}
+    if chosen == "json":
+        whole = {"format": "dbo-show-set", "version": 1, "models": models}
+        text = json.dumps(whole, indent=2, ensure_ascii=False)
+    else:
+        text = "\n".join(_set_lines(models))
+    write_whole(output, (text + "\n").encode(), protect=[model_file])
+    return []
+
+
+def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a table of a set: what each channel spans, how good it is, and how many warnings it has."""
+    rows: list[tuple[str, ...]] = [
+        ("channel", "drive", "output", "gears", "fit RMSE", "% of range", "expected", "warnings")
+    ]
+    for channel, one in models.items():
+        fit, unit = one["fit"], one["output"]["unit"] or ""
+        ends = [
+            f"{q['min']:.4g} to {q['max']:.4g} {q['unit'] or ''}".strip()
+            for q in (one["input"], one["output"])
+        ]
+        errors = [
+            ""
+            if fit.get(key) is None
+            else f"{fit[key]:.3g}{'' if key.endswith('percent') else f' {unit}'}".strip()
+            for key in ("rmse", "rmse_percent", "expected_rmse")
+        ]
+        rows.append((channel, *ends, str(one["gears"] or ""), *errors, str(len(one["warnings"]))))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]
 
 
 def contents(model: ActuatorModel) -> dict[str, Any]:
@@ -122,16 +167,44 @@ def _goodness(content: Mapping[str, Any], unit: str | None) -> list[str]:
     lines = []
     if "rmse" in fit:
         percent = f" ({fit['rmse_percent']:.2f} % of range)" if "rmse_percent" in fit else ""
-        lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from")
-    if "expected_rmse" in fit and fit["expected_rmse"] is not None:
-        lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range")
+        left_out = fit.get("cross_validated_rmse")
+        more = "" if left_out is None else f", {left_out:.4g}{suffix} on cycles left out"
+        line = fit.get("straight_line_rmse")
+        more += "" if line is None else f"; a straight line leaves {line:.4g}{suffix}"
+        lines.append(f"fit: RMSE {fit['rmse']:.4g}{suffix}{percent} on the rows it was identified from{more}")
+    why = fit.get("expected_from")
+    if fit.get("expected_rmse") is not None:
+        rests = f", from {why}" if why else ""
+        lines.append(f"expect: RMSE {fit['expected_rmse']:.4g}{suffix} on new moves inside the range{rests}")
+    elif why:
+        lines.append(f"expect: cannot be told: {why}")
     lines += [
         f"validated: RMSE {one['rmse']:.4g}{suffix} on {one['name']}, which took no part in the fit"
         for one in content["validation"]
     ]
     if "loop_width_percent" in fit:
-        lines.append(f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes")
-    return lines
+        slopes = f"; {fit['slopes']} slopes" if fit.get("slopes") else ""
+        bend = f", drive bent by {100.0 * fit['drive_bend']:.0f} %" if fit.get("drive_bend") else ""
+        lines.append(
+            f"loop: {fit['loop_width_percent']:.1f} % of range wide, which the model undoes{slopes}{bend}"
+        )
+    return lines + _lateness(fit)
+
+
+def _lateness(fit: Mapping[str, Any]) -> list[str]:
+    """Return how late the displacement is, how well that is known, and whose lag it is."""
+    if not fit.get("lag_seconds"):
+        return []
+    line = f"lag: {1e3 * fit['lag_seconds']:.3g} ms at the logs' own frequency"
+    low, high = fit.get("delay_interval_seconds") or (0.0, 0.0)
+    if high > low:
+        line += f"; a delay from {1e3 * low:.3g} to {1e3 * high:.3g} ms explains the logs as well"
+    if "sensor" not in fit and fit["lag_seconds"] > 0.0:
+        line += (
+            "; whether the actuator or its sensor is late a log cannot tell: all of it is compensated "
+            "(identify --sensor-delay, --sensor-lag takes the sensor's part off)"
+        )
+    return [line]
 
 
 def _asymmetry(content: Mapping[str, Any]) -> str:

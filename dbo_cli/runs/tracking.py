@@ -14,7 +14,6 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.provenance import program_version_string
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.sources import Source, remarks_of
@@ -22,6 +21,7 @@ from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch
 from dbo_cli.runs.roles import bring_to
+from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     import pandas
@@ -66,10 +66,20 @@ class TrackingOptions:
     match: Match = "auto"
     count_sweep: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse a lag or a segment that is none (UsageError)."""
+        lag, segment = self.lag, self.segment
+        if lag != "auto" and (not isinstance(lag, int) or isinstance(lag, bool)):
+            raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
+        if segment not in (None, "cycles"):
+            if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
+                raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")
+
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
         labels = ("model" if with_model else "desired", "measured")
-        return ReportOptions(self.lag, self.remove_offset, self.segment, labels)
+        segment = float(self.segment) if isinstance(self.segment, int) else self.segment
+        return ReportOptions(self.lag, self.remove_offset, segment, labels)
 
     def wishes(self, with_model: bool) -> dict[str, ColumnWish]:
         """Return the columns to be read of a log, as named or to be guessed."""
@@ -208,7 +218,7 @@ class TrackingRun:
 
     def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
         for block in counted(source, listener):
-            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]))
+            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]).y)
 
 
 def refuse_both() -> NoReturn:

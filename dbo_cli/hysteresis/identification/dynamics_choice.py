@@ -22,7 +22,7 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
     fitted,
     residuals,
 )
-from dbo_cli.hysteresis.identification.evaluation import beyond_noise, white_noise
+from dbo_cli.hysteresis.identification.evaluation import WHOSE_LAG, beyond_noise, white_noise
 from dbo_cli.hysteresis.identification.recordings import Floats
 
 MOST_RESONANCES = 2
@@ -294,17 +294,12 @@ def said(figures: dict[str, object], chosen: Candidate, trusted: float, why: str
     crept = figures.get("creep", [])
     assert isinstance(crept, list)
     told = ", ".join(f"{100.0 * one['share']:.2g} % with {one['seconds']:.3g} s" for one in crept)
-    beside = figures["relaxation_seconds"]
-    assert isinstance(beside, list)
-    memories = ", ".join(f"{tau:.3g}" for tau in beside)
     return [
         *([f"creep of the displacement, behind the gears: {told}"] if told else []),
-        *([f"relaxation beside the gears: {memories} s"] if memories else []),
         f"dynamics: {'; '.join(parts)}{lag}; fast rows RMSE {chosen.rmse:.3g}{unit}, on blocks left out "
         f"{chosen.left_out:.3g}{unit}"
         + (
-            "; whether the actuator or its sensor is late a log cannot tell: all of it will be compensated "
-            "(`sensor_delay`, `sensor_lag` take the sensor's part off)"
+            f"; its lateness is {WHOSE_LAG}"
             if max(chosen.lag, chosen.structure.delay) > 0.0 and "sensor" not in figures
             else ""
         ),

@@ -23,6 +23,8 @@ from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
 
 BLOCK_ROWS = 65536
+WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
+"""What becomes of a lag: a log cannot tell whether the actuator or its sensor is late."""
 
 
 @dataclass(frozen=True)
@@ -325,7 +327,7 @@ def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
     each = ", ".join(f"{log.name} {gain:.3f}" for log, gain in zip(recordings, gains, strict=True))
     return [
         f"the logs' gains differ (over the model's: {each}), and this makes most of the error: different "
-        "actuators, loads or temperatures? identify each by itself"
+        "actuators, loads or temperatures? identify each by itself (`output` 'models/{file}.json' does)"
     ]
 
 

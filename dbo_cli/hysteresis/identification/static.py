@@ -11,6 +11,7 @@ import numpy as np
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned
 from dbo_cli.hysteresis.identification.evaluation import (
+    WHOSE_LAG,
     Residual,
     fit_warnings,
     log_warnings,
@@ -129,7 +130,7 @@ def identify_static(
             f"the logs ({line:.4g}): record more amplitudes and cycles before using the model"
         )
     warnings += _late_warnings(figures, prepared, expected, options)
-    summary = said + prepared.notes + _summary(figures, model, prepared, choice, checks, options.sensor)
+    summary = said + prepared.notes + _summary(figures, model, prepared, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
     if expected.gain_trend is not None:
@@ -282,32 +283,29 @@ def _summary(
     figures: dict[str, object],
     model: ActuatorModel,
     prepared: Prepared,
-    choice: Choice,
     checks: Sequence[Residual],
     sensor: Sensor,
 ) -> list[str]:
     """Lines for the person at the terminal."""
     unit = f" {model.output.unit}" if model.output.unit else ""
     volt = f" {model.input.unit}" if model.input.unit else ""
-    lines = [
-        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), on cycles left "
-        f"out {figures['cross_validated_rmse']:.4g}{unit} ({figures['cross_validated_percent']:.2f} %); "
-        f"straight line {figures['straight_line_rmse']:.4g}{unit}"
-    ]
-    lines.extend(validated(checks, abs(prepared.scale), unit)[1])
-    if figures["expected_rmse"] is None:
-        lines.append(f"what error to expect on new moves cannot be told: {figures['expected_from']}")
-    else:
-        lines.append(
-            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
-            f"({figures['expected_percent']:.2f} %), from {figures['expected_from']}"
-        )
-    lines.append(
-        f"{figures['gears']} gears ({figures['slopes']} slopes), {figures['points']} segments of asymmetry, "
-        f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "
-        f"{prepared.high:g}{volt}"
+    fitted = (
+        f"fit RMSE {figures['rmse']:.4g}{unit} ({figures['rmse_percent']:.2f} % of range), a straight line's "
+        f"{figures['straight_line_rmse']:.4g}{unit}"
     )
-    lines.append(_lag_line(figures, choice, sensor))
+    if figures["expected_rmse"] is None:
+        lines = [f"what error to expect on new moves cannot be told: {figures['expected_from']}", fitted]
+    else:
+        lines = [
+            f"expected on new moves inside the range: {figures['expected_rmse']:.4g}{unit} "
+            f"({figures['expected_percent']:.2f} %); {fitted}"
+        ]
+    lines.extend(validated(checks, abs(prepared.scale), unit)[1])
+    lines.append(
+        f"loop {figures['loop_width_percent']:.1f} % of range, drive {prepared.low:g} to "
+        f"{prepared.high:g}{volt}; {figures['gears']} gears, {figures['points']} segments of asymmetry"
+    )
+    lines.append(_lag_line(figures, sensor))
     lines.extend(
         f"{log.name}: sensor drift of {drift:.3g}{unit} fitted beside the model and left out of it"
         for log, drift in zip(prepared.logs, _drifts(figures), strict=True)
@@ -322,31 +320,14 @@ def _drifts(figures: dict[str, object]) -> list[float]:
     return [float(log["drift"]) for log in logs]
 
 
-def _lag_line(figures: dict[str, object], choice: Choice, sensor: Sensor) -> str:
-    """Say what lag was found and how well it is determined."""
-    taus = figures["relaxation_seconds"]
-    assert isinstance(taus, list)
-    memories = ", ".join(f"{tau:.3g}" for tau in taus) + " s" if taus else "none"
+def _lag_line(figures: dict[str, object], sensor: Sensor) -> str:
+    """Say what lag was found and what becomes of it; ``show`` says how well it is determined."""
     lag = figures["lag_seconds"]
     assert isinstance(lag, float)
-    line = (
-        f"lag {1e3 * lag:.3g} ms (delay {1e3 * choice.basis.delay:.3g} ms; relaxation {memories}), drive "
-        f"bent by {100.0 * choice.basis.bend:.0f} %"
-    )
-    if choice.delay_interval is not None:
-        low, high = choice.delay_interval
-        if high > low:
-            line += f"; a delay from {1e3 * low:.3g} to {1e3 * high:.3g} ms explains the logs as well" + (
-                ", the middle was taken" if choice.basis.delay > 0.0 else ""
-            )
+    line = f"lag {1e3 * lag:.3g} ms"
     if sensor:
         return (
             f"{line}; the sensor's delay of {1e3 * sensor.delay:.3g} ms and lag of {1e3 * sensor.lag:.3g} ms "
             "were taken off before and are not compensated"
         )
-    if lag > 0.0:
-        line += (
-            "; whether the actuator or its sensor is late a log cannot tell: all of it is taken for the "
-            "actuator's and will be compensated (`sensor_delay`, `sensor_lag` take the sensor's part off)"
-        )
-    return line
+    return line + (f", {WHOSE_LAG}" if lag > 0.0 else "")

@@ -11,7 +11,8 @@ import numpy as np
 import polars
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, statements_in
+from dbo_cli.logs.byte_source import Request
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, from_first_row, statements_in
 from dbo_cli.logs.libraries import host, keep_interrupts
 
 _ROWS = 1 << 20  # read at once: a row group is decoded whole, and pandas writes a million rows into one
@@ -100,19 +101,10 @@ def _column(reader: _Reader, name: str, kind: Any, length: int) -> ColumnSource 
     source = ColumnSource(name, length, lambda start, stop: reader.fetch(name, start, stop))
     if kind.is_numeric() or str(kind) == "Boolean":
         return None if name == _INDEX and kind.is_integer() else source
-    per_second = {"ms": 1000, "us": 10**6, "ns": 10**9}.get(getattr(kind, "time_unit", None) or "")
-    if per_second is None or not length:
+    unit = getattr(kind, "time_unit", None)
+    if unit is None or not length:
         return None
-    label = "time" if name == _INDEX else name
-    first: list[int] = []
-
-    def fetch(start: int, stop: int) -> Any:
-        """Give seconds from the first row on: dates as numbers would leave no digits for microseconds."""
-        if not first:
-            first.append(int(reader.fetch(name, 0, 1)[0]))
-        return (reader.fetch(name, start, stop) - first[0]) / per_second
-
-    return replace(source, label=label, fetch=fetch, unit="s")
+    return from_first_row(replace(source, label="time" if name == _INDEX else name), unit)
 
 
 def _parquet_metadata(path: str) -> dict[str, str]:

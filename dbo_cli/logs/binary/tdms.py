@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from typing import Any
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, array_source
+from dbo_cli.logs.byte_source import Request
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source
 from dbo_cli.logs.libraries import import_extra
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, read_statements
@@ -27,11 +29,12 @@ def open_tdms(request: Request) -> ColumnTable:
         with request.reading("TDMS"):  # npTDMS raises whatever the damaged bytes lead to
             file = nptdms.TdmsFile.open(stream)
         groups = _groups(request, file)
-        numeric = [(group, one) for group in groups for one in group.channels() if _is_numeric(one)]
+        channels = [(group, one) for group in groups for one in group.channels()]
+        numeric = [(group, one) for group, one in channels if len(one) > 0 and one.dtype.kind in "fiubM"]
         several = len({group.name for group, _ in numeric}) > 1
         sources = [_column(group, channel, several) for group, channel in numeric]
         if not sources:
-            listed = ", ".join(f"{g.name}/{c.name}" for g in groups for c in g.channels()) or "nothing"
+            listed = ", ".join(f"{group.name}/{one.name}" for group, one in channels) or "nothing"
             raise InputError(f"{request.place}: no channels of numbers: it holds {listed}")
         levels = [*(groups if len(groups) == 1 else ()), file]
         clock = next((found for level in levels if (found := _statements(level))), [])
@@ -51,10 +54,6 @@ def _groups(request: Request, file: Any) -> list[Any]:
     return found
 
 
-def _is_numeric(channel: Any) -> bool:
-    return len(channel) > 0 and channel.dtype.kind in "fiubM"
-
-
 def _column(group: Any, channel: Any, several: bool) -> ColumnSource:
     name = clean_text(channel.name)
     label = f"{clean_text(group.name)}/{name}" if several else name
@@ -63,20 +62,10 @@ def _column(group: Any, channel: Any, several: bool) -> ColumnSource:
     if channel.dtype.kind == "M":
         stamps = channel[:]
         return array_source(label, (stamps - stamps[0]).astype("timedelta64[us]").astype("int64") / 1e6, "s")
-    return ColumnSource(
-        label,
-        len(channel),
-        lambda start, stop: channel[start:stop],
-        unit,
-        clock=tuple(_statements(channel)),
-        start=_start(properties),
-    )
-
-
-def _start(properties: Any) -> float:
-    """Give ``wf_start_offset``, which LabVIEW defines in seconds."""
-    value = properties.get("wf_start_offset", 0.0)
-    return float(value) if isinstance(value, int | float) else 0.0
+    source = ColumnSource(label, len(channel), lambda start, stop: channel[start:stop], unit)
+    offset = properties.get("wf_start_offset", 0.0)  # LabVIEW defines it in seconds
+    offset = float(offset) if isinstance(offset, int | float) else 0.0
+    return replace(source, clock=tuple(_statements(channel)), start=offset)
 
 
 def _statements(node: Any) -> list[Statement]:

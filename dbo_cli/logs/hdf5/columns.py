@@ -12,6 +12,7 @@ from dbo_cli.logs.column_table import NETCDF_FILL, ColumnSource, Fetch, number_i
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 
+# Names in use: NeXus, CF conventions and netCDF, LabVIEW, h5py recorders; MATLAB's own classes of numbers.
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")
 _NAME_ATTRIBUTES = ("columns", "column_names", "names", "channels", "channel_names", "labels", "fields")
 _UNUSED_FACTORS = ("gain", "factor", "multiplier", "sensitivity", "calibration", "conversion",
@@ -146,7 +147,7 @@ def _column_names(dataset: Any, width: int) -> list[str] | None:
 
 
 def _described(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
-    """Add what the attributes say: unit, scale, missing values, rate."""
+    """Add what the attributes state: unit, scale, missing values, rate."""
     scaled = _scaled(source, dataset, index)
     return replace(scaled, unit=_unit_of(dataset, index) or None, clock=tuple(statements_of(dataset)))
 
@@ -163,7 +164,7 @@ def _unit_of(dataset: Any, index: int) -> str:
 
 
 def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
-    """Apply netCDF's conventions and a plain ``scale``; say what looks like a factor and is not used."""
+    """Apply netCDF's conventions and a plain ``scale``; note what looks like a factor and is not used."""
 
     def number(name: str) -> float | None:
         return number_in(attribute(dataset, name), index)
@@ -198,7 +199,7 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
 
 
 def statements_of(node: Any) -> Iterator[Statement]:
-    """Read what the attributes of a dataset or group say of the sample rate."""
+    """Read what the attributes of a dataset or group state of the sample rate."""
     for name in map(clean_text, node.attrs):
         if is_clock_name(name):
             unit = attribute(node, f"{name}_units", f"{name}_unit")
@@ -206,7 +207,7 @@ def statements_of(node: Any) -> Iterator[Statement]:
 
 
 def scalar_statements(group: Any) -> Iterator[Statement]:
-    """Read what single values in a group (``fs``, ``Ts``) say of the sample rate."""
+    """Read what single values in a group (``fs``, ``Ts``) state of the sample rate."""
     for name in group:
         if is_clock_name(clean_text(name)):
             node = group.get(name)

@@ -1,26 +1,58 @@
-"""HDF5 as a table of columns: datasets of a group, fields of a compound dataset, rows or columns of a matrix.
+"""HDF5 as a table of columns: how programs arrange a table in a group, and the group that is meant.
 
-MATLAB's v7.3 files are HDF5 with every matrix stored transposed; since the longer axis is taken as time, both
-read the same.  How programs arrange a table is in ``hdf5.layouts``, what a dataset's attributes mean in
-``hdf5.columns``.
+NeXus, Bluesky, LabOne, MATLAB, pandas, and plain groups of datasets. MATLAB's v7.3 files are HDF5 with every
+matrix stored transposed; since the longer axis is taken as time, both read the same. What a dataset's
+attributes mean is in ``hdf5.columns``.
 """
 
 from __future__ import annotations
 
+import io
 import os
+import pickle
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import MATLAB_OBJECTS, ColumnSource, ColumnTable, Request, brief
-from dbo_cli.logs.hdf5.columns import columns_of, is_dataset, matlab_class, scalar_statements, statements_of
-from dbo_cli.logs.hdf5.layouts import columns_in, tables_below
+from dbo_cli.logs.byte_source import Request, brief
+from dbo_cli.logs.column_table import (
+    MATLAB_OBJECTS,
+    ColumnSource,
+    ColumnTable,
+    from_first_row,
+    number_in,
+    with_unit,
+    without_scalars,
+)
+from dbo_cli.logs.hdf5.columns import (
+    attribute,
+    attribute_text,
+    columns_of,
+    field_sources,
+    is_dataset,
+    is_group,
+    matlab_class,
+    scalar_statements,
+    slicer,
+    statements_of,
+    stored_text,
+)
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.stated_clock import Statement
+from dbo_cli.logs.stated_clock import Statement, is_clock_name
 
+# What h5py raises at damaged bytes.
 _DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError, IndexError)
+_DEEPEST = 8  # levels looked through for a table; LabOne's is the deepest known (/000/dev/demods/0/sample)
+# What NXlog, Bluesky's writers (EPOCH) and LabOne call values, stamps and what stands beside them.
+_VALUES = ("value", "values", "data", "average_value")
+_TIMES = ("time", "timestamp", "timestamps", "EPOCH")
+_BESIDE = ("raw_value", "chunk", "status", "severity", "alarm_status", "alarm_severity", "connection_status")
+_SAME_STAMPS = 1e-9  # of the stamp: what is left of one clock written twice, in seconds since 1970
 
 
 def open_hdf5(request: Request) -> ColumnTable:
@@ -98,7 +130,7 @@ def _by_path(
 
 
 def _nearest_clock(node: Any) -> list[Statement]:
-    """Read what is said of the sample rate next to the columns, else further out."""
+    """Read the statements of the sample rate next to the columns, else further out."""
     level = node.parent if is_dataset(node) else node
     while True:
         found = [*statements_of(level), *scalar_statements(level)]
@@ -136,3 +168,272 @@ def _list_groups(file: Any) -> str:
 def _shape_of(dataset: Any) -> str:
     shape = "no shape" if dataset.shape is None else "x".join(map(str, dataset.shape)) or "one value"
     return f"{shape}, {dataset.dtype}"
+
+
+def columns_in(group: Any) -> list[ColumnSource]:
+    """List the columns of one group, whoever arranged it; scalars (a sample rate, a remark) are none."""
+    return pandas_columns(group) or _plain_columns(group) or _logged_columns(group)
+
+
+def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
+    """Find the groups that hold columns, at the shallowest level below ``group`` that has any.
+
+    Where NeXus names the group that is meant (``default``, or a single NXdata), that is the only one.
+    """
+    chosen = _default_data(group)
+    if chosen is not None:
+        return [(chosen, columns_in(chosen))]
+    level, seen = [group], {group.id}
+    for _ in range(_DEEPEST):
+        level = [child for node in level for child in _inner_groups(node) if child.id not in seen]
+        level = list({child.id: child for child in level}.values())
+        seen |= {child.id for child in level}
+        found = [(child, columns) for child in level if (columns := columns_in(child))]
+        if found or not level:
+            return found
+    return []
+
+
+def _inner_groups(group: Any) -> list[Any]:
+    """List the groups in a group; links that lead nowhere and programs' own book-keeping are left out."""
+    return [node for _, node in _members(group) if is_group(node)]
+
+
+def _members(group: Any) -> Iterator[tuple[str, Any]]:
+    """Give what is in a group by name; not MATLAB's references and PyTables' indices."""
+    return ((name, group.get(name)) for name in group if not name.startswith(("#", "_i_")))
+
+
+def _plain_columns(group: Any) -> list[ColumnSource]:
+    sources: list[ColumnSource] = []
+    for name, node in _members(group):
+        if is_dataset(node) and not (node.size == 1 and is_clock_name(clean_text(name))):
+            sources += columns_of(node, clean_text(name))
+    sources = [
+        with_unit(source, lambda name: stored_text(group.get(name))) for source in without_scalars(sources)
+    ]
+    if attribute_text(group, "NX_class") in ("NXdata", "NXlog"):
+        sources = _nexus_scaled(group, sources)
+    return [_in_seconds(group, source) for source in sources]
+
+
+# --- NeXus ----------------------------------------------------------------------------------------
+
+
+def _default_data(group: Any) -> Any:
+    """Follow NeXus to the group that is meant: ``default`` attributes, else the only entry's only NXdata."""
+    node = group
+    for _ in range(_DEEPEST):
+        if attribute_text(node, "NX_class") == "NXdata":
+            return node
+        named = attribute_text(node, "default")
+        target = node.get(named) if named else None
+        if target is None:
+            kinds = [child for child in _inner_groups(node) if attribute_text(child, "NX_class") == "NXentry"]
+            kinds = kinds or [c for c in _inner_groups(node) if attribute_text(c, "NX_class") == "NXdata"]
+            target = kinds[0] if len(kinds) == 1 else None
+        if not is_group(target):
+            return None
+        node = target
+    return None
+
+
+def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]:
+    """Apply NeXus' ``NAME_scaling_factor`` and ``NAME_offset`` fields: (value + offset) · factor."""
+    helpers = {
+        f"{source.label}{end}" for source in sources for end in ("_scaling_factor", "_offset", "_errors")
+    }
+    found = []
+    for source in sources:
+        if source.label in helpers:
+            continue
+        factor, offset = (
+            _single(group.get(f"{source.label}{end}")) for end in ("_scaling_factor", "_offset")
+        )
+        if factor is not None or offset is not None:
+            factor, offset = 1.0 if factor is None else factor, offset or 0.0
+            source = replace(source, scale=factor, offset=offset * factor)
+        found.append(source)
+    signal = attribute_text(group, "signal")
+    length = next((source.length for source in found if source.label == signal), None)
+    return found if length is None else [source for source in found if source.length == length]
+
+
+def _single(node: Any) -> float | None:
+    return number_in(node[()]) if is_dataset(node) and node.size == 1 else None
+
+
+# --- one group per signal (Bluesky, NXlog, LabOne's plotter) --------------------------------------
+
+
+def _logged_columns(group: Any) -> list[ColumnSource]:
+    """Read groups that hold one signal each, its values beside their own time stamps."""
+    values: list[ColumnSource] = []
+    clocks: list[ColumnSource] = []
+    for child in _inner_groups(group):
+        held = {name: node for name in child if is_dataset(node := child.get(name)) and node.shape}
+        value = next((name for name in _VALUES if name in held), None)
+        time = next((name for name in _TIMES if name in held), None)
+        own = clean_text(child.name.rsplit("/", 1)[-1])
+        if value is None or _beside(held, held[value].shape[0]):
+            continue
+        found = columns_of(held[value], own)
+        if len(found) != 1:
+            continue
+        values += found
+        if time is not None:
+            stamps = columns_of(held[time], f"{own}/{time}")
+            unit = stamps[0].unit if stamps else None
+            if child.get("EPOCH") is not None:  # Bluesky's writer documents its times in seconds
+                unit = unit or "s"
+            clocks += [_in_seconds(child, replace(one, unit=unit)) for one in stamps]
+    if not values or max(source.length for source in values) < 2:
+        return []
+    return (_one_clock(clocks) if len(clocks) == len(values) else clocks) + values
+
+
+def _beside(held: dict[str, Any], length: int) -> bool:
+    """Tell whether a group holds other columns beside one signal and its stamps: then it is a table."""
+    known = (*_VALUES, *_TIMES, *_BESIDE)
+    return any(name not in known and node.shape[0] == length for name, node in held.items())
+
+
+def _one_clock(clocks: list[ColumnSource]) -> list[ColumnSource]:
+    """Put clocks that agree together into one; signals stamped each for itself keep their own."""
+    first = clocks[0]
+    for other in clocks[1:]:
+        if (other.length, other.unit, other.scale) != (first.length, first.unit, first.scale):
+            return clocks
+        step = 1 << 16
+        for start in range(0, first.length, step):
+            stop = min(first.length, start + step)
+            here, there = first.read(start, stop), other.read(start, stop)
+            if not np.allclose(here, there, rtol=_SAME_STAMPS, atol=0.0):
+                return clocks
+    return [replace(first, label=first.label.rsplit("/", 1)[-1])]
+
+
+def _in_seconds(group: Any, source: ColumnSource) -> ColumnSource:
+    """Turn LabOne's time stamps, which count ticks of the instrument's clock, into seconds."""
+    if source.label.rsplit("/", 1)[-1] != "timestamp" or source.unit:
+        return source
+    base = _clock_base(group)
+    if base is not None:
+        return replace(source, unit="s", scale=1.0 / base)
+    device = any(re.fullmatch(r"dev\d+", part.lower()) for part in group.name.split("/"))
+    return replace(source, unit="ticks") if device else source
+
+
+def _clock_base(group: Any) -> float | None:
+    """Look for LabOne's ``clockbase`` (ticks a second) beside the samples or anywhere above them."""
+    node = group
+    for _ in range(_DEEPEST):
+        found = _single(node.get("clockbase"))
+        if found is None:
+            found = number_in(attribute(node, "clockbase"))
+        if found is not None and found > 0.0:
+            return found
+        if node.name == "/":
+            return None
+        node = node.parent
+    return None
+
+
+# --- pandas, through PyTables: tables, with data columns or not, and blocks -------------------------
+
+
+def pandas_columns(group: Any) -> list[ColumnSource]:
+    """Read what ``DataFrame.to_hdf`` writes, in either of its formats."""
+    kind = attribute_text(group, "pandas_type")
+    if kind in ("frame_table", "appendable_frame", "series_table") and is_dataset(group.get("table")):
+        return _pandas_table(group, group["table"])
+    if kind == "frame" and is_dataset(group.get("axis1")):
+        return _pandas_blocks(group)
+    if kind == "series" and is_dataset(group.get("values")):
+        return [
+            *_index(group.get("index")),
+            *columns_of(group["values"], attribute_text(group, "name") or "values"),
+        ]
+    return []
+
+
+def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
+    sources: list[ColumnSource] = []
+    info = _harmless(attribute(group, "info"))
+    for field in table.dtype.names:
+        if field == "index":
+            name = info.get("index", {}).get("index_name") if isinstance(info, dict) else None
+            for source in field_sources(table, field, clean_text(name or ""), None):
+                sources += _as_index(source, attribute_text(table, "index_kind"))
+            continue
+        names = [clean_text(name) for name in _harmless(attribute(table, f"{field}_kind")) or ()]
+        for source in field_sources(table, field, clean_text(field), names):
+            sources.append(_from_stamps(source, attribute_text(table, f"{field}_dtype")) or source)
+    return sources
+
+
+def _pandas_blocks(group: Any) -> list[ColumnSource]:
+    sources = _index(group["axis1"])
+    order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
+    found: dict[str, ColumnSource] = {}
+    for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
+        values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
+        if not (is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub"):
+            continue
+        if len(values.shape) != 2:
+            continue
+        for index, name in enumerate(map(clean_text, items[()].ravel())):
+            source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
+            found[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
+    return sources + [found[name] for name in map(clean_text, order) if name in found]
+
+
+def _index(axis: Any) -> list[ColumnSource]:
+    if not is_dataset(axis) or axis.dtype.kind not in "fiu" or len(axis.shape) != 1:
+        return []
+    name = attribute_text(axis, "name")
+    label = "" if name in ("N.", "") else _unpickled_text(name)
+    source = ColumnSource(label, axis.shape[0], slicer(axis, 0, 0))
+    return _as_index(source, attribute_text(axis, "kind"))
+
+
+def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
+    """Keep an index that means something: a name, stamps of time, fractions; not pandas' own row numbers."""
+    stamped = _from_stamps(source, kind)
+    if stamped is not None:
+        return [replace(stamped, label=source.label or "time")]
+    if source.label or kind == "float":
+        return [replace(source, label=source.label or "index")]
+    return []
+
+
+def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
+    """Turn dates (and durations) stored as counts into seconds from the first row on."""
+    found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
+    if found is None or not source.length:
+        return None
+    return from_first_row(source, found[1] or "ns")
+
+
+class _NoCode(pickle.Unpickler):
+    """Reads pickled lists, tuples, dicts, texts and numbers; anything that would run code is refused."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        raise pickle.UnpicklingError(f"{module}.{name}")
+
+
+def _harmless(value: Any) -> Any:
+    """Read the column names that PyTables pickles into attributes, without ever running what is in them."""
+    if value is None or not isinstance(value, bytes | np.bytes_):
+        return None
+    try:
+        return _NoCode(io.BytesIO(bytes(value))).load()
+    except Exception:
+        return None  # whatever is no plain list of names: the columns then go by numbers
+
+
+def _unpickled_text(name: str) -> str:
+    plain = _harmless(name.encode())
+    if isinstance(plain, str):
+        return clean_text(plain)
+    return "" if plain is None and name.endswith(".") else name

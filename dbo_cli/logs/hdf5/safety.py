@@ -221,8 +221,8 @@ def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tupl
         source = _file_named(file_name, _text(dataset.file.filename)) if file_name != "." else own[0]
         if "%" in file_name + name:
             raise InputError(f"{place} is a virtual one of numbered files: join them into one file first")
-        said = f"'{cleaned(name)}'" + (f" in '{cleaned(file_name)}'" if file_name != "." else "")
-        missing = f"{place} is a virtual one, and its source {said} is missing"
+        called = f"'{cleaned(name)}'" + (f" in '{cleaned(file_name)}'" if file_name != "." else "")
+        missing = f"{place} is a virtual one, and its source {called} is missing"
         if source is None or not os.path.isfile(source):
             raise InputError(f"{missing}: put the file beside this one")
         if (os.path.realpath(source), "/" + name.strip("/")) in (*above, own):
@@ -236,7 +236,7 @@ def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tupl
                 if node.is_virtual:
                     _check_virtual(node, place, watch, (*above, own))
                 elif node.external:
-                    raise InputError(f"{place} is a virtual one, and its source {said} is stored elsewhere")
+                    raise InputError(f"{place} is a virtual one, and its source {called} is stored elsewhere")
         except OSError:
             raise InputError(f"{missing}: it cannot be opened") from None
 

@@ -1,4 +1,4 @@
-"""Signals written as HDF5, also into files that others use: nothing of theirs is lost.
+"""Signals and matrices written as HDF5, also into files that others use: nothing of theirs is lost.
 
 A recorder that has a file open holds HDF5's own lock on it (``flock``). A new group is made in a file of
 its own; right before the rename the store is locked in the same way, copied, given the group, and renamed
@@ -15,9 +15,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import struct
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,18 +28,29 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs import output_files
+from dbo_cli.logs.addresses import Address, Given
 from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
-from dbo_cli.logs.output_files import is_running, partial_path, try_lock, writers_in
+from dbo_cli.logs.output_files import (
+    check_output,
+    descriptor_of,
+    is_replaceable,
+    is_running,
+    partial_path,
+    try_lock,
+    writers_in,
+)
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import replacing
 
-MARK = "dbo_columns"
+MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
-_COPY_BYTES = 1 << 23  # at a time, so that an interrupt is heard
-CHUNK_ROWS = 1 << 16
+_COPY_BYTES = 1 << 23  # at a time; an interrupt is served in between
+CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
+MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
 _PROBE = 2048  # bytes tried before a byte plane is squeezed
 _WORTH = 0.9  # squeezed only where the probe shrinks to less than this
 _STORED_MOST = 65535  # bytes in one stored block (RFC 1951, 3.2.4)
@@ -163,6 +175,27 @@ class StoreOutput:
         return f"name a group of its own ({self.path}::/NAME)"
 
 
+@contextlib.contextmanager
+def store_output(target: Address) -> Iterator[tuple[str, str]]:
+    """Give the file to write an HDF5 output to, and the group in it; it is published at the end.
+
+    Raises
+    ------
+    UsageError
+        The output is a pipe.
+    OutputError
+        It is no regular file, or as for ``StoreOutput.check``.
+    """
+    if target.is_stream or descriptor_of(target.path) is not None:
+        raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
+    store = StoreOutput(target.path, group_path(target.group))
+    store.check()
+    if not is_replaceable(target.path):
+        raise OutputError(f"{target.path}: this is no regular file: name a file")
+    with replacing(target.path, store.publishing) as path:
+        yield path, store.group
+
+
 def _in_use(path: str) -> str:
     return f"{path}: the file is open in another program: close it there, or write to another file"
 
@@ -221,7 +254,7 @@ def _is_being_added_to(path: str) -> bool:
 
 
 def _copy(source: str, copy: str) -> None:
-    """Copy a file in pieces, between which an interrupt is heard."""
+    """Copy a file in pieces, between which an interrupt is served."""
     with open(source, "rb", buffering=0) as old, open(copy, "wb", buffering=0) as new:
         while piece := old.read(_COPY_BYTES):
             view = memoryview(piece)
@@ -241,7 +274,7 @@ class Hdf5Writer:
     columns
         One dataset each, named by its header, with the attributes ``units`` and ``quantity``.
     attributes
-        What the group says about itself (``sample_rate``, ``model_sha256``, ``command``).
+        What the group states of itself (``sample_rate``, ``model_sha256``, ``command``).
     """
 
     def __init__(
@@ -291,7 +324,7 @@ class Hdf5Writer:
         try:
             self._file.close()
         except (OSError, RuntimeError, ValueError):
-            pass  # the error that led here is the one to be told
+            pass  # the error that led here is the one to be shown
 
     def _store(self, chunk: int, last: bool = False) -> None:
         """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""
@@ -343,24 +376,76 @@ def shuffled_deflated(values: FloatArray) -> bytes:
     for number in range(8):
         plane = planes[number].tobytes()
         check = zlib.adler32(plane, check)
-        stream.append(_squeezed(plane) if _is_worth_squeezing(plane) else _stored(plane))
+        stream.append(_squeezed(plane))
     return b"".join([*stream, _LAST_BLOCK, check.to_bytes(4, "big")])
 
 
-def _is_worth_squeezing(plane: bytes) -> bool:
+def _squeezed(plane: bytes) -> bytes:
+    """Encode a byte plane as deflate blocks, squeezed where its middle shrinks, else stored."""
     middle = max(0, (len(plane) - _PROBE) // 2)
     probe = plane[middle : middle + _PROBE]
-    return len(zlib.compress(probe, 1)) < _WORTH * len(probe)
-
-
-def _squeezed(plane: bytes) -> bytes:
-    raw = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
-    return raw.compress(plane) + raw.flush(zlib.Z_SYNC_FLUSH)
-
-
-def _stored(plane: bytes) -> bytes:
+    if len(zlib.compress(probe, 1)) < _WORTH * len(probe):
+        raw = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
+        return raw.compress(plane) + raw.flush(zlib.Z_SYNC_FLUSH)
     pieces = [plane[start : start + _STORED_MOST] for start in range(0, len(plane), _STORED_MOST)]
-    lengths = [
-        (len(piece).to_bytes(2, "little"), (len(piece) ^ 0xFFFF).to_bytes(2, "little")) for piece in pieces
-    ]
-    return b"".join(b"\0" + one + other + piece for (one, other), piece in zip(lengths, pieces, strict=True))
+    # a byte that says "stored", the length and its complement, both little-endian
+    return b"".join(struct.pack("<BHH", 0, len(one), len(one) ^ 0xFFFF) + one for one in pieces)
+
+
+# --- matrices: a dataset a quantity, rows of samples, a column of each channel ------------------------
+
+WriteChannel = Callable[[int, Sequence[FloatArray]], None]
+
+
+@contextlib.contextmanager
+def matrix_writer(
+    target: Address,
+    columns: Sequence[OutColumn],
+    channels: Sequence[str],
+    time: FloatArray | None,
+    rows: int,
+    *,
+    attributes: Mapping[str, str | float],
+    protect: Sequence[Given] = (),
+) -> Iterator[WriteChannel]:
+    """Open a file for matrices; gives a function that writes one channel's column of each.
+
+    A channel that is not written is NaN, so that no other's numbers are taken for its own.
+
+    Raises
+    ------
+    UsageError
+        The output is an input, or a stream.
+    OutputError
+        It cannot be written.
+    """
+    check_output(target, protect)
+    with store_output(target) as (path, place), h5py.File(path, "w") as file:
+        group = file.require_group(place)
+        for key, value in attributes.items():
+            group.attrs[key] = cleaned(value) if isinstance(value, str) else value
+        group.attrs[MARK] = [*(["time_s"] if time is not None else []), *(one.name for one in columns)]
+        if time is not None:
+            group["time_s"] = time
+            group["time_s"].attrs["units"] = "s"
+        datasets = []
+        for column in columns:
+            dataset = group.create_dataset(
+                column.name,
+                (rows, len(channels)),
+                "<f8",
+                chunks=(min(rows, MATRIX_ROWS), 1),
+                fillvalue=np.nan,
+            )
+            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
+            dataset.attrs["channel_of_column"] = list(channels)
+            if column.unit:
+                dataset.attrs["units"] = cleaned(column.unit)
+            datasets.append(dataset)
+
+        def write(place: int, arrays: Sequence[FloatArray]) -> None:
+            require_finite(columns, [one.header for one in columns], arrays)
+            for dataset, array in zip(datasets, arrays, strict=True):
+                dataset[:, place] = array
+
+        yield write

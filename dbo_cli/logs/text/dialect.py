@@ -16,8 +16,7 @@ from typing import NamedTuple
 from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
-from dbo_cli.logs.text.cells import is_number, split_cells
-from dbo_cli.logs.text.segments import HeaderBlock, find_header_block
+from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}

@@ -10,15 +10,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
-from dbo_cli.logs.text.cells import is_number, split_cells
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect
-from dbo_cli.logs.text.segments import END_OF_HEADER, find_header_block
+from dbo_cli.logs.text.lines import END_OF_HEADER, find_header_block, is_number, split_cells
 
 _LOOKED_AT = 400  # lines; no instrument's header is half as long
 _NEAR = 100  # lines; makers that write a few settings begin their table above
@@ -114,7 +113,7 @@ def _first_value(text: str, mark: str) -> str:
 # What the makers' readers share.
 
 
-def _dialect(
+def _header(
     lines: Sequence[str],
     first: int,
     names: Sequence[str],
@@ -122,18 +121,23 @@ def _dialect(
     width: int | None = None,
     delimiter: str = ",",
     decimal: str = ".",
-) -> Dialect:
-    """Describe a table whose rows begin at index ``first``; names and units are filled up to its width."""
+    **stated: Any,
+) -> InstrumentHeader:
+    """Describe a table whose rows begin at index ``first``; names and units are filled up to its width.
+
+    ``stated`` are fields of ``InstrumentHeader``.
+    """
     width = len(split_cells(lines[first], delimiter)) if width is None else width
     filled = [tuple([*cells, *[""] * width][:width]) for cells in (names, units)]
     rows = [split_cells(line, delimiter) for line in lines[first:][-SAMPLE_LINES:]]
     rows = [row for row in rows if len(row) >= width]
     counts = [sum(is_number(row[n], decimal) for row in rows) for n in range(width)]
-    return Dialect(
+    dialect = Dialect(
         delimiter, decimal, COMMENTS, width, first + 1, filled[0], filled[1] if any(units) else (),
         numeric=frozenset(n for n, count in enumerate(counts) if count and 2 * count >= len(rows)),
         header_block=find_header_block(lines, first, delimiter),
     )  # fmt: skip
+    return InstrumentHeader(dialect, **stated)
 
 
 def _number_row(lines: Sequence[str], start: int, delimiter: str = ",", decimal: str = ".") -> int | None:
@@ -192,8 +196,8 @@ def _pi_array(place: str, lines: list[str], end: int) -> InstrumentHeader | None
             "(`skip_lines` and `header_lines` 0 read it without the header)"
         )
     names = [settings.get(f"NAME{number}", "") for number in range(width)]
-    dialect = _dialect(lines, end + 1, names, [], width, delimiter)
-    return InstrumentHeader(dialect, _step("SAMPLE_TIME", settings.get("SAMPLE_TIME", ""), " s"))
+    clock = _step("SAMPLE_TIME", settings.get("SAMPLE_TIME", ""), " s")
+    return _header(lines, end + 1, names, [], width, delimiter, clock=clock)
 
 
 _LVM_SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
@@ -228,14 +232,14 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     if x_columns == "no":
         names = ["", *names[1:]]  # the X column is there, but its cells are empty
     units = ["s" if timed and x_columns != "no" else "", *channels.get("Y_Unit_Label", [])]
-    relative = (
-        file.get("Time_Pref", "Relative").lower() == "relative"
-    )  # else X0 counts from a day in the past
-    start = _number(next((one for one in channels.get("X0", []) if one), "")) if relative else None
+    # Where X0 is not relative, it counts from a day in the past.
+    starts = channels.get("X0", []) if file.get("Time_Pref", "Relative").lower() == "relative" else []
+    start = _number(next((one for one in starts if one), "")) or 0.0
     steps = [found for value in channels.get("Delta_X", []) for found in _step("Delta_X", value)]
+    clock = tuple(dict.fromkeys(steps)) if timed else ()
     decimal = "," if file.get("Decimal_Separator") == "," else "."
-    dialect = _dialect(lines, ends[1] + 2, names, units, max(len(names), len(rows[-1])), delimiter, decimal)
-    return InstrumentHeader(dialect, tuple(dict.fromkeys(steps)) if timed else (), start or 0.0)
+    width = max(len(names), len(rows[-1]))
+    return _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
 
 
 _FILETIME = 1e16  # counts of 100 ns since 1601 are above, milliseconds since the start of a recording below
@@ -255,9 +259,7 @@ def _twincat(place: str, lines: list[str], at: int) -> InstrumentHeader | None:
     delimiter = lines[at][len("SampleTime[ms]")]
     keyed = [(number, split_cells(line, delimiter)) for number, line in enumerate(lines[:_NEAR])]
     keyed = [(number, cells) for number, cells in keyed if cells[0] in _TWINCAT_KEYS]
-    rows = {
-        cells[0]: cells for _, cells in keyed
-    }  # the first "Name" is the project's; the channels' is below
+    rows = {cells[0]: cells for _, cells in keyed}  # of two lines "Name" the channels', not the project's
     at = keyed[-1][0] + 1
     commas = delimiter != "," and _has_decimal_commas(lines[at : at + 50], delimiter)
     decimal = "," if commas else "."
@@ -287,8 +289,10 @@ def _twincat(place: str, lines: list[str], at: int) -> InstrumentHeader | None:
         labels[0], units[0] = "time", "ms"
     step = _number(steps.pop()) if steps else None
     clock = (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),) if step and step > 0.0 else ()
-    dialect = _dialect(lines, first, labels, units, None, delimiter, decimal)
-    return InstrumentHeader(dialect, clock, remarks=_scale_remarks(rows, channels), end_mark=b"EOF")
+    remarks = _scale_remarks(rows, channels)
+    return _header(
+        lines, first, labels, units, None, delimiter, decimal, clock=clock, remarks=remarks, end_mark=b"EOF"
+    )
 
 
 def _has_decimal_commas(lines: Sequence[str], delimiter: str) -> bool:
@@ -317,15 +321,15 @@ def _tektronix_rows(place: str, lines: list[str], _: int) -> InstrumentHeader | 
     if len(first) < 5 or not all(is_number(cell, ".") for cell in first[3:5]):
         return None
     beside = next((n for n, line in enumerate(lines) if not split_cells(line, ",")[0]), len(lines))
-    settings = {key: values[0] for key, values in _settings(lines[:beside]).items() if values}
+    settings = _settings(lines[:beside])
     width = len(first) - (not first[-1])
-    names, units = ["", "", "", "time"], ["", "", "", settings.get("horizontal units", "")]
+    keys = ("source", "horizontal units", "vertical units", "sample interval")
+    source, horizontal, vertical, interval = ([*settings.get(key, []), ""][0] for key in keys)
+    names, units = ["", "", "", "time"], ["", "", "", horizontal]
     if width == 5:
-        names, units = [*names, settings.get("source", "")], [*units, settings.get("vertical units", "")]
-    dialect = _dialect(lines, 0, names, units, width)
-    return InstrumentHeader(
-        dialect, read_statements("Sample Interval", settings.get("sample interval", ""), sure=True)
-    )
+        names, units = [*names, source], [*units, vertical]
+    clock = read_statements("Sample Interval", interval, sure=True)
+    return _header(lines, 0, names, units, width, clock=clock)
 
 
 def _tektronix_table(place: str, lines: list[str], header: int) -> InstrumentHeader | None:
@@ -337,16 +341,14 @@ def _tektronix_table(place: str, lines: list[str], header: int) -> InstrumentHea
     names, width = split_cells(lines[header], ","), len(split_cells(lines[first], ","))
     if abs(width - len(names)) > 1:
         return None
-    horizontal, interval = (
-        [*settings.get(key, []), ""][0] for key in ("horizontal units", "sample interval")
-    )
+    keys = ("horizontal units", "sample interval")
+    horizontal, interval = ([*settings.get(key, []), ""][0] for key in keys)
     vertical = settings.get("vertical units", [])
     if len(names) == 2 and len([one for one in vertical if one]) == 1:
         vertical = vertical[:1]
     units = [horizontal or "s", *vertical]  # the maker's unit of time is the second
-    return InstrumentHeader(
-        _dialect(lines, first, names, units), read_statements("Sample Interval", interval, sure=True)
-    )
+    clock = read_statements("Sample Interval", interval, sure=True)
+    return _header(lines, first, names, units, clock=clock)
 
 
 def _rigol_ds(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
@@ -356,16 +358,12 @@ def _rigol_ds(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
         return None
     second, at, channels = split_cells(lines[1], ","), names.index("increment"), names.index("start")
     start = _number(second[channels]) if len(second) > max(at, channels) else None
-    timed = second[0].lower() == "second"
-    if (
-        start is None
-        or len(split_cells(lines[2], ",")) < channels
-        or second[0].lower() not in ("sequence", "second")
-    ):
+    counts = {"second": ("time", "s"), "sequence": ("sequence", "")}.get(second[0].lower())
+    if start is None or counts is None or len(split_cells(lines[2], ",")) < channels:
         return None
-    labels = ["time" if timed else "sequence", *split_cells(lines[0], ",")[1:channels]]
-    dialect = _dialect(lines, 2, labels, ["s" if timed else "", *second[1:channels]])
-    return InstrumentHeader(dialect, _step("Increment", second[at]), start)
+    labels = [counts[0], *split_cells(lines[0], ",")[1:channels]]
+    units = [counts[1], *second[1:channels]]
+    return _header(lines, 2, labels, units, clock=_step("Increment", second[at]), start=start)
 
 
 def _rigol_mso(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
@@ -373,13 +371,12 @@ def _rigol_mso(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     found = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST])
     if found is None or len(lines) < 2:
         return None
-    cells = [
-        cell for cell in split_cells(lines[0], ",") if cell and not cell.lower().startswith(("t0", "tinc"))
-    ]
+    cells = [cell for cell in split_cells(lines[0], ",") if cell]
+    cells = [cell for cell in cells if not cell.lower().startswith(("t0", "tinc"))]
     channels = [re.fullmatch(r"(.+?)\(?([mu]?V|A)\)?", cell) for cell in cells]
     names = [one[1] if one else cell for one, cell in zip(channels, cells, strict=True)]
-    dialect = _dialect(lines, 1, names, [one[2] if one else "" for one in channels])
-    return InstrumentHeader(dialect, _step("tInc", found[2]), _number(found[1]) or 0.0)
+    units = [one[2] if one else "" for one in channels]
+    return _header(lines, 1, names, units, clock=_step("tInc", found[2]), start=_number(found[1]) or 0.0)
 
 
 def _infiniivision(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
@@ -390,7 +387,7 @@ def _infiniivision(place: str, lines: list[str], _: int) -> InstrumentHeader | N
     names, units = split_cells(lines[0], ","), split_cells(lines[1], ",")
     if len(units) != len(names) or is_number(units[0], "."):
         return None
-    return InstrumentHeader(_dialect(lines, first, names, units))
+    return _header(lines, first, names, units)
 
 
 def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
@@ -415,9 +412,7 @@ def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     if width > 2:
         names, units = ["time", *[f"signal {number}" for number in range(1, width)]], [unit]
     clock = read_statements("XInc", settings["xinc"], unit or None, sure=True)
-    return InstrumentHeader(
-        _dialect(lines, first, names, units, width), clock, _number(settings["xorg"]) or 0.0
-    )
+    return _header(lines, first, names, units, width, clock=clock, start=_number(settings["xorg"]) or 0.0)
 
 
 def _rohde_schwarz(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
@@ -428,7 +423,7 @@ def _rohde_schwarz(place: str, lines: list[str], _: int) -> InstrumentHeader | N
     names = ["time", *(part[0] for part in parts)]
     units = [cells[0].removeprefix("in "), *(part[1] if len(part) == 2 else "" for part in parts)]
     decimal = "," if delimiter == ";" and re.search(r"\d,\d", lines[1] if len(lines) > 1 else "") else "."
-    return InstrumentHeader(_dialect(lines, 1, names, units, len(names), delimiter, decimal))
+    return _header(lines, 1, names, units, len(names), delimiter, decimal)
 
 
 class _Maker(NamedTuple):

@@ -9,43 +9,34 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.byte_source import ByteSource, LineBlocks, one_ahead
+from dbo_cli.logs.byte_source import ByteSource, Request
 from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.plain_text import decoded
-from dbo_cli.logs.reading_options import ReadingOptions, Rows
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock, dropped_note
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock, Table, dropped_note
 from dbo_cli.logs.text.block_parser import PLAIN_BYTES, BlockParser
-from dbo_cli.logs.text.cells import is_number, split_cells, to_number
 from dbo_cli.logs.text.dialect import COMMENTS, Dialect, detect, is_comment
+from dbo_cli.logs.text.lines import LineBlocks, is_number, one_ahead, split_cells, to_number
 
 if TYPE_CHECKING:
     from dbo_cli.logs.text.instruments import InstrumentHeader
 
-_NEIGHBOURS = 100
+_NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column has
 _USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
 _NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
-_LARGEST_BLOCK = 1 << 23
+_LARGEST_BLOCK = 1 << 23  # bytes; 8 MB in memory twice, whatever ``block_rows`` asks for
 # One line of names above nothing but numbers: no instrument's header, so its readers need not be loaded.
 # A rate in the names (tInc = 2e-6) and Rohde & Schwarz's "in s" are theirs.
 _PLAIN = re.compile(rb"(?!.*\bin )[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
 
 
-class TextTable:
+class TextTable(Table):
     """A delimited text log: its dialect and columns at once, its rows in blocks.
 
     Parameters
     ----------
-    address
-        Where to read from.
-    options
-        What the user forces about the dialect.
-    live
-        Give each row as it arrives.
-    digest
-        Hash what is read.
-    content
-        The text itself, where another format has been turned into text (a workbook's sheet).
+    request
+        What is to be read; its options force parts of the dialect.
 
     Raises
     ------
@@ -53,20 +44,11 @@ class TextTable:
         The log cannot be read, is empty, or holds no numbers.
     """
 
-    def __init__(
-        self,
-        address: Address,
-        options: ReadingOptions,
-        *,
-        live: bool = False,
-        digest: bool = False,
-        content: bytes | None = None,
-    ) -> None:
-        self.place = address.name
+    def __init__(self, request: Request) -> None:
+        options, live = request.options, request.live
+        self.place, self._options = request.address.name, options
         self.notes: list[str] = []
-        self.source = ByteSource(
-            address, live=live, digest=digest, encoding=options.encoding, content=content
-        )
+        self.source = ByteSource(request)
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and _has_data(text, options))
@@ -111,9 +93,7 @@ class TextTable:
 
         return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
 
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of about ``block_rows`` rows.
 
         Raises
@@ -121,8 +101,8 @@ class TextTable:
         InputError
             At the first bad row, unless ``skip_bad``.
         """
-        self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, block_rows * self._bytes_per_row))
-        parser = BlockParser(self.place, self.dialect, picks, rows, skip_bad)
+        self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, self._options.block_rows * self._bytes_per_row))
+        parser = BlockParser(self.place, self.dialect, picks, self._options.rows, self._options.skip_bad)
         found = parser.parse(self._data(parser), self._small or self._live)
         yield from one_ahead(found) if self._ahead else found
         if parser.repeated is not None and parser.repeated.count:

@@ -1,28 +1,95 @@
-"""One log in several files: a column of another file beside those of the first (``FILE::COLUMN``).
+"""From the name of a log to its table: the reader that the file needs, and several files side by side.
 
-Rows belong together by number.  Where both files have clocks, they must agree; where only one has, or none,
-the files must be equally long.
+What a file is called matters less than what it is: its first bytes choose the reader, and a library is
+imported only then. A column of another file (``FILE::COLUMN``) stands beside those of the first. Rows belong
+together by number. Where both files have clocks, they must agree; where only one has, or none, the files must
+be equally long.
 """
 
 from __future__ import annotations
 
+import importlib
+import os
+import re
+from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import other_file, parse_address
+from dbo_cli.logs.addresses import Address, other_file, parse_address
+from dbo_cli.logs.byte_source import BINARY, ZIP, Request
 from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
-from dbo_cli.logs.file_kinds import open_table
-from dbo_cli.logs.reading_options import ReadingOptions, Rows
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.time_column import TimeColumn, find_time_column, time_column
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table
+from dbo_cli.logs.text.text_table import TextTable
+from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
 
-if TYPE_CHECKING:
-    from dbo_cli.logs.sample_block import Table
+_HDF5, _MATLAB, _EXCEL = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab", "binary.excel.open_excel"
+_ZIP_ENDINGS = {".npz": "binary.arrays.open_npz"} | dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".ods"), _EXCEL)
+_USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
+
+
+def open_table(request: Request) -> Table:
+    """Open a log with the reader that its first bytes (or its name) ask for.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a library that reads it is not installed.
+    """
+    address = request.address
+    if isinstance(address, ReadLog) and address.table is not None:
+        return address.table.opened(request.options)
+    reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
+    if not reader:
+        return TextTable(request)
+    module, _, function = reader.rpartition(".")
+    read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
+    opened: Table = read(request)
+    return opened
+
+
+def _reader_by_content(address: Address) -> str:
+    """Return the module and function that read a file of such content; nothing for text and streams."""
+    if address.is_stream or not (os.path.isfile(address.path) and os.access(address.path, os.R_OK)):
+        return ""
+    lower = address.path.lower()
+    with open(address.path, "rb") as file:
+        head = file.read(2056)
+    _refuse_own(address.text, head)
+    if head.startswith(ZIP):
+        return _ZIP_ENDINGS.get(os.path.splitext(lower)[1], "")
+    if any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in _USER_BLOCKS):
+        return _HDF5
+    known = (reader for start, (_, reader) in BINARY.items() if head.startswith(start))
+    return next(known, _MATLAB if lower.endswith(".mat") and _is_matlab_4(head) else "")
+
+
+def _refuse_own(place: str, head: bytes) -> None:
+    """Refuse what this program wrote and is no log (InputError)."""
+    kind = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
+    if kind is not None:
+        remedy = "; a report takes a model as `model`" if kind[1] == b"model" else ""
+        raise InputError(f"{place}: this is a {kind[1].decode()}, not a log (give a recording{remedy})")
+
+
+def _is_matlab_4(head: bytes) -> bool:
+    """Check the five whole numbers that begin every matrix of a MATLAB v4 file."""
+    if len(head) < 20:
+        return False
+    for order in ("little", "big"):
+        kind, rows, columns, imaginary, name = (
+            int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)
+        )
+        if 0 <= kind < 5000 and rows >= 0 and columns >= 0 and imaginary in (0, 1) and 0 < name < 512:
+            return True
+    return False
+
+
+# --- several files as one -------------------------------------------------------------------------
 
 _CLOCK = "the clock of file "  # the role of a file's seconds while clocks are compared
 
@@ -70,7 +137,7 @@ def join_files(
             return wish.selector
         address, selector = named
         if address not in others:
-            opened = open_table(parse_address(address), there, False, False, [selector])
+            opened = open_table(Request(parse_address(address), there, [selector]))
             others[address] = _File(opened, {})
         found = find_column(others[address].table.place, others[address].table.columns, selector, wish.option)
         _append(columns, others[address], found)
@@ -125,8 +192,8 @@ def _refuse_missing(table: Table, wish: ColumnWish) -> None:
         )
 
 
-class _JoinedTable:
-    """Several files as one; fulfils the protocol ``Table``."""
+class _JoinedTable(Table):
+    """Several files as one."""
 
     def __init__(
         self, first: Table, others: list[_File], columns: list[ColumnInfo], options: ReadingOptions
@@ -135,7 +202,7 @@ class _JoinedTable:
         self.columns = columns
         self.notes = first.notes
         self._files = [_File(first, {column.number: column for column in first.columns}), *others]
-        self._time_unit = options.time_unit
+        self._options = options
         self._step = 0.0
 
     def describe(self) -> str:
@@ -163,9 +230,7 @@ class _JoinedTable:
                 )
         return rate, start
 
-    def blocks(
-        self, picks: Mapping[str, ColumnInfo], rows: Rows, skip_bad: bool, block_rows: int
-    ) -> Iterator[SampleBlock]:
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Read the wanted columns of all files in blocks; a row dropped in one is dropped in all.
 
         Raises
@@ -177,7 +242,7 @@ class _JoinedTable:
         timed = TIME in picks and picks[TIME].number in first.columns  # else there is nothing to compare
         if timed:
             column = first.columns[picks[TIME].number]
-            first.clock = time_column(self.place, column, list(first.table.columns), self._time_unit)
+            first.clock = time_column(self.place, column, list(first.table.columns), self._options.time_unit)
         streams = []
         for file in self._files:
             own = {
@@ -188,11 +253,11 @@ class _JoinedTable:
             clock = file.clock if timed else None
             extra = {} if clock is None or file is first else dict(clock.picks)
             if own or extra:
-                found = file.table.blocks(own | extra, rows, skip_bad, block_rows)
+                found = file.table.blocks(own | extra)
                 role = _CLOCK if file is first else _CLOCK + file.table.place
                 seconds = found if clock is None else _with_seconds(clock, found, role, extra)
                 streams.append((file.table.place, seconds))
-        for block in _in_step(streams, skip_bad, self.notes):
+        for block in _in_step(streams, self._options.skip_bad, self.notes):
             yield self._checked(block)
         for other in others:
             self.notes.extend(other.table.notes)
@@ -254,7 +319,7 @@ def _in_step(
     while all(pending):
         blocks = [block for block in pending if block is not None]
         upto = min(int(block.rows[-1]) for block in blocks)
-        cuts = [int(np.searchsorted(np.asarray(block.rows), upto, side="right")) for block in blocks]
+        cuts = [bisect_right(block.rows, upto) for block in blocks]
         yield _merged([block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)])
         last = [int(block.rows[-1]) for block in blocks]
         rests = [block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)]
@@ -285,3 +350,77 @@ def _merged(parts: list[SampleBlock]) -> SampleBlock:
         return replace(first, values=values)
     lines = None if first.lines is None else np.asarray(first.lines)[np.isin(np.asarray(first.rows), common)]
     return SampleBlock(common, lines, None, values)
+
+
+# --- a log that was read already ---------------------------------------------------------------------
+
+
+@dataclass
+class HeldTable(Table):
+    """Some columns of a table in memory.
+
+    Attributes
+    ----------
+    place, columns, described
+        As the table that was read has them; only the columns that are held.
+    block
+        All rows; the values by column number, as text.
+    found_time
+        The time column, found among all columns of the log.
+    clock
+        The rate (Hz) and the first row's time (s) that the file states, or the refusal.
+    digest
+        Of the file.
+    """
+
+    place: str
+    columns: list[ColumnInfo]
+    described: str
+    block: SampleBlock
+    found_time: FoundTime
+    clock: tuple[float | None, float] | InputError
+    digest: str | None
+    remarks: tuple[str, ...] = ()
+    rows: Rows = ALL_ROWS
+    notes: list[str] = field(default_factory=list)
+
+    def opened(self, options: ReadingOptions) -> HeldTable:
+        """Return a table to read from, whose notes and clock are its own."""
+        found = self.found_time
+        if found.clock is not None:
+            found = found._replace(clock=replace(found.clock, notes=list(found.clock.notes)))
+        return replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
+        if isinstance(self.clock, InputError):
+            raise self.clock
+        return self.clock
+
+    def describe(self) -> str:
+        """Describe in one line how the log is written."""
+        return self.described
+
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+        """Return the rows asked for as one block; none of them is bad."""
+        values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
+        block = replace(self.block, values=values).within(self.rows)
+        if len(block):
+            yield block
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read."""
+        return self.digest
+
+
+@dataclass(frozen=True)
+class ReadLog(Address):
+    """The address of a log whose columns are in memory already."""
+
+    table: HeldTable | None = field(default=None, compare=False, repr=False)
+
+    @classmethod
+    def of(cls, address: Address, table: HeldTable) -> ReadLog:
+        """Put a table behind an address."""
+        return cls(address.text, address.path, address.group, address.kind, address.format, table)

@@ -1,0 +1,258 @@
+"""Channels: columns that a pattern names, and a log that is read once for all of them.
+
+``V{}`` (or ``V{channel}``) stands for V1, V2, …; ``voltages[{}]`` for the columns of a matrix. Several
+patterns have to name the same channels. What comes out of one channel is what its columns alone would give:
+one whose rows cannot be read together with the others' is read by itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.byte_source import Request
+from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
+from dbo_cli.logs.columns import column_label, list_columns
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
+from dbo_cli.logs.signal_log import file_sha256
+from dbo_cli.logs.tables import HeldTable, ReadLog, open_table
+from dbo_cli.logs.text.text_table import TextTable
+from dbo_cli.logs.time_column import find_time_column
+
+PLACE = re.compile(r"\{(?:channel)?\}")
+_LISTED = 5  # channels that a message names at most
+
+
+def is_pattern(selector: str | None) -> bool:
+    """Tell whether the name of a column stands for many."""
+    return selector is not None and PLACE.search(selector) is not None
+
+
+def column_of(pattern: str, channel: str) -> str:
+    """Return the column that a pattern means for a channel, as one would name it."""
+    name = PLACE.sub(lambda place: channel, pattern)
+    return f"name={name}" if re.fullmatch(r"[+-]?\d+", name) else name
+
+
+def is_matrix(pattern: str) -> bool:
+    """Tell whether a pattern names the columns of a matrix."""
+    return pattern.endswith("[{}]") or pattern.endswith("[{channel}]")
+
+
+def channels_of(
+    place: str, columns: Sequence[ColumnInfo], patterns: Mapping[str, str], taken: Collection[int] = ()
+) -> dict[str, dict[str, ColumnInfo]]:
+    """Find the channels of a log: for each, the column of every pattern, in the order of the log.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    columns
+        What the log has.
+    patterns
+        By the parameter that each was given as.
+    taken
+        Numbers of columns that no pattern means (the time).
+
+    Raises
+    ------
+    UsageError
+        A pattern has several places for the channel's name, or some parameters are patterns and others not.
+    InputError
+        A pattern matches nothing, two columns are one channel's, or a channel lacks a column.
+    """
+    for option, pattern in patterns.items():
+        if len(PLACE.findall(pattern)) != 1:
+            raise UsageError(
+                f"`{option}` '{pattern}': put {{}} once where the channel's name stands, as in every pattern"
+                " beside it"
+            )
+    found = {option: _matches(place, columns, option, one, taken) for option, one in patterns.items()}
+    names = list(dict.fromkeys(channel for one in found.values() for channel in one))
+    for option, one in found.items():
+        missing = [channel for channel in names if channel not in one]
+        if missing:
+            counts = ", ".join(f"`{key}` {len(found[key]):,}" for key in found)
+            raise InputError(
+                f"{place}: no column '{column_of(patterns[option], missing[0])}' (`{option}`) for channel"
+                f" '{missing[0]}'{_and_more(missing)} (columns found: {counts})"
+            )
+    return {channel: {option: one[channel] for option, one in found.items()} for channel in names}
+
+
+def _matches(
+    place: str, columns: Sequence[ColumnInfo], option: str, pattern: str, taken: Collection[int]
+) -> dict[str, ColumnInfo]:
+    """Return the columns of one pattern by channel: by the name without its unit, else the whole name."""
+    before, after = PLACE.split(pattern)
+    free = [one for one in columns if one.quantity and one.number not in taken]
+    for fold in (str, str.lower):
+        shape = re.compile(re.escape(fold(before)) + "(.+)" + re.escape(fold(after)), re.DOTALL)
+        for whole in (False, True):
+            found: dict[str, ColumnInfo] = {}
+            for column in free:
+                name = column.name if whole else column.quantity
+                match = shape.fullmatch(fold(name))
+                if match is None:
+                    continue
+                channel = name[match.start(1) : match.end(1)]
+                if channel in found:
+                    first = column_label(found[channel])
+                    raise InputError(
+                        f"{place}: `{option}` '{pattern}': {first} and {column_label(column)} are both "
+                        f"channel '{channel}' (rename one, or make the pattern longer)"
+                    )
+                found[channel] = column
+            if found:
+                return found
+    raise InputError(f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}")
+
+
+def _and_more(channels: Sequence[str]) -> str:
+    if len(channels) == 1:
+        return ""
+    more = ", …" if len(channels) > _LISTED else ""
+    return f" nor for {', '.join(channels[1:_LISTED])}{more} ({len(channels):,} channels)"
+
+
+@dataclass
+class ChannelReader:
+    """A log whose channels are read together, and handed on one by one.
+
+    Text is read whole, once; of formats whose columns can be read alone, one channel is held at a time.
+
+    Parameters
+    ----------
+    address
+        The log.
+    options
+        How it is to be read.
+    patterns
+        By the parameter that each was given as.
+    digest
+        Hash the file, for the provenance of models.
+
+    Raises
+    ------
+    InputError, UsageError
+        As for ``channels_of``, or the log cannot be read.
+    """
+
+    address: Address
+    options: ReadingOptions
+    patterns: Mapping[str, str]
+    digest: bool = False
+    channels: dict[str, dict[str, ColumnInfo]] = field(init=False)
+    _held: dict[str, HeldTable | None] = field(default_factory=dict)
+    _sha256: str | None = None
+
+    def __post_init__(self) -> None:
+        """Open the log and find its channels."""
+        if any("::" in one for one in (*self.patterns.values(), self.options.time or "")):
+            raise UsageError(
+                "a pattern of columns takes all of them, and the time, from one log: no FILE::COLUMN"
+            )
+        self._table = self._open()
+        self._first_notes = list(self._table.notes)
+        try:
+            columns = self._table.columns
+            times = {c.number for c in columns if c.quantity.lower() in (*TIME_NAMES, *MORE_TIME_NAMES)}
+            self.channels = channels_of(self._table.place, columns, self.patterns, times)
+            named = [column for one in self.channels.values() for column in one.values()]
+            self._time = find_time_column(self._table.place, columns, self.options, named)
+        except BaseException:
+            self._table.close()
+            raise
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the channels in the order of the log."""
+        return iter(self.channels)
+
+    def close(self) -> None:
+        """Close the log."""
+        self._table.close()
+
+    def log(self, channel: str) -> Address:
+        """Return the log of one channel, by the log's address: read already, or where it is bad the file."""
+        if isinstance(self._table, TextTable):
+            if not self._held:
+                self._hold(list(self.channels))
+            table = self._held.pop(channel, None)
+        else:
+            self._table.notes[:] = self._first_notes
+            table = self._read([channel])[channel]
+        return self.address if table is None else ReadLog.of(self.address, table)
+
+    def _open(self) -> Table:
+        address = self.address.or_format(self.options.format)
+        # Read to the end, whatever rows are asked for: a channel's log takes its own rows of what is held.
+        whole = replace(self.options, rows=(self.options.rows[0], None), skip_bad=False)
+        return open_table(Request(address, whole, list(self.patterns.values()), digest=self.digest))
+
+    def _hold(self, channels: Sequence[str]) -> None:
+        """Read channels together, or in two halves where a row is bad in one of them."""
+        read = self._read(channels)
+        if None not in read.values() or len(channels) == 1 or self.address.is_stream:
+            self._held |= read
+            return
+        half = len(channels) // 2
+        for part in (channels[:half], channels[half:]):
+            self._table.close()
+            self._table = self._open()
+            self._hold(part)
+
+    def _read(self, channels: Sequence[str]) -> dict[str, HeldTable | None]:
+        """Return what channels hold; None for each where any of their rows is bad."""
+        table, clock = self._table, self._time.clock
+        picked = {column.number: column for one in channels for column in self.channels[one].values()}
+        picks = {str(number): column for number, column in picked.items()}
+        picks |= {} if clock is None else clock.picks
+        try:
+            parts = list(table.blocks(picks))
+        except InputError:
+            if self.address.is_stream:
+                raise
+            return dict.fromkeys(channels)
+        if not parts:
+            return dict.fromkeys(channels)
+        block = joined(parts)
+        held = dict(block.values) | (
+            {}
+            if clock is None
+            else {str(one.number): block.values[role] for role, one in clock.picks.items()}
+        )
+        return {channel: self._table_of(channel, replace(block, values=held)) for channel in channels}
+
+    def _table_of(self, channel: str, block: SampleBlock) -> HeldTable:
+        """Return the columns of one channel, and the time, as a table."""
+        time = {} if self._time.clock is None else self._time.clock.picks
+        own = [*time.values(), *self.channels[channel].values()]
+        values = {str(one.number): block.values[str(one.number)] for one in own}
+        return HeldTable(
+            self._table.place,
+            own,
+            self._table.describe(),
+            replace(block, values=values),
+            self._time,
+            self._clock(channel),
+            self._hashed(),
+            tuple(self._table.notes),
+        )
+
+    def _clock(self, channel: str) -> tuple[float | None, float] | InputError:
+        if self._time.clock is not None or self.options.sample_rate is not None:
+            return None, 0.0
+        try:
+            return self._table.even_clock(self.channels[channel].values())
+        except InputError as problem:
+            return problem
+
+    def _hashed(self) -> str | None:
+        if self._sha256 is None and self.digest:
+            self._sha256 = self._table.sha256 or file_sha256(self.address.path)
+        return self._sha256

@@ -1,0 +1,339 @@
+"""Lines of a text, in blocks: cells, which of them are numbers, and header blocks among the data.
+
+The fast parsers accept a subset of this grammar; whatever they refuse is decided here, so both always agree.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.byte_source import ByteSource
+from dbo_cli.logs.plain_text import shortened
+from dbo_cli.logs.reading_options import BLANKS
+from dbo_cli.logs.sample_block import FloatArray, is_overflow
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Item = TypeVar("Item")
+HEAD_BYTES = 1 << 18  # read ahead: longer than the header of any instrument, and some thousand rows
+LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
+NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
+# Numbers with either decimal sign; d is Fortran's exponent.
+_POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
+NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})
+
+
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Split a line into stripped cells; quotes are honoured, and blanks count as one delimiter."""
+    if delimiter == BLANKS:
+        return _split_blanks(line)
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    return [
+        quoted.replace('""', '"').strip() if quoted is not None else plain.strip()
+        for quoted, plain in _quoted_cells(line, delimiter)
+    ]
+
+
+def _quoted_cells(line: str, delimiter: str) -> Iterator[tuple[str | None, str]]:
+    """Take a line with quotes apart: what is quoted, or else the plain text, of each cell."""
+    mark = re.escape(delimiter)
+    cell = re.compile(rf'\s*"((?:[^"]|"")*)"\s*(?={mark}|$)|([^{mark}]*)')
+    place = 0
+    while True:
+        found = cell.match(line, place)
+        assert found is not None  # the second way matches anything, also nothing
+        yield found[1], found[2] or ""
+        place = found.end() + 1
+        if place > len(line):
+            return
+
+
+def _split_blanks(line: str) -> list[str]:
+    if '"' not in line:
+        return line.split()
+    return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)]
+
+
+def to_number(cell: str, decimal: str) -> float | None:
+    """Read a cell as a finite number, or give None."""
+    pattern = _POINT if decimal == "." else _COMMA
+    if not cell.isascii() or pattern.fullmatch(cell) is None:
+        return None
+    value = float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
+    return value if abs(value) != float("inf") and not is_overflow(value) else None
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Return whether a cell is written as a number (NaN and inf count: they are numbers that went wrong)."""
+    pattern = _POINT if decimal == "." else _COMMA
+    if pattern.fullmatch(cell) is not None:
+        return cell.isascii()
+    return cell.lstrip("+-").lower() in NOT_FINITE
+
+
+MISSING = frozenset({"na", "n/a", "nan", "null", "none", "nil", "missing"})
+"""What programs write where a number is missing: no sign that a row is no row of data."""
+
+
+def is_text(cell: str, decimal: str) -> bool:
+    """Return whether a cell holds words where others of its column hold numbers (an e alone is none)."""
+    if not any(character >= "@" and character not in "eE" for character in cell):
+        return False
+    return not is_number(cell, decimal) and cell.lower() not in MISSING
+
+
+def complain(cell: str, decimal: str, written: str = "numbers") -> str:
+    """Describe what is wrong with a cell that holds no finite number, or none of its column's time stamps."""
+    if not cell:
+        return "is empty"
+    shown = repr(shortened(cell))
+    if written != "numbers":
+        return f"is not a time stamp like the others: {shown}"
+    if is_number(cell, decimal):
+        overflow = "the instrument's overflow" if to_number(cell, decimal) is None and "37" in cell else ""
+        return f"is {overflow or 'not finite'}: {shown}"
+    return f"is not a number: {shown}"
+
+
+# --- header blocks that stand again, one before each segment (LabVIEW's Multi_Headings) --------------
+
+END_OF_HEADER = "***End_of_Header***"  # as LabVIEW writes it
+
+
+class HeaderBlock(NamedTuple):
+    """What begins and ends each header block, and the date and time that the first one states (each s)."""
+
+    first_word: str
+    names: str
+    delimiter: str
+    start: tuple[float, float] | None
+
+
+def find_header_block(lines: Sequence[str], first: int, delimiter: str) -> HeaderBlock | None:
+    """Find the block above the data (which begin at index ``first``) that each segment repeats.
+
+    Such a file has two ends of a header: that of the file's and that of the first segment's.
+    """
+    ends = [number for number in range(first) if lines[number].strip().startswith(END_OF_HEADER)]
+    if len(ends) < 2 or first - ends[-1] != 2:
+        return None
+    inner = [lines[number] for number in range(ends[-2] + 1, ends[-1]) if lines[number].strip()]
+    if not inner:
+        return None
+    word = split_cells(inner[0], delimiter)[0]
+    return HeaderBlock(word, lines[first - 1].strip(), delimiter, _start(inner, delimiter)) if word else None
+
+
+def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
+    """Return when a segment began: the date and the time that its header states, each in seconds."""
+    from dbo_cli.logs.text.time_stamps import clock_seconds, date_seconds
+
+    rows = [split_cells(line, delimiter) for line in lines]
+    stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
+    date, clock = (
+        date_seconds(stated.get("Date", "")),
+        clock_seconds(stated.get("Time", "").replace(",", ".")),
+    )
+    return None if date is None or clock is None else (date, clock)
+
+
+class RepeatedHeader:
+    """Takes header blocks out of the data, and lets the time go on where a segment begins it again.
+
+    A segment's time is shifted by what its header's date and time are later than the first one's; where that
+    is not stated, it begins one step after the last row.
+    """
+
+    def __init__(self, place: str, block: HeaderBlock) -> None:
+        self.place = place
+        self.block = block
+        self.count = 0
+        self.guessed = 0
+        self._lines: list[str] | None = None
+        self._begins = False
+        self._start: tuple[float, float] | None = None
+        self._shift = 0.0
+        self._last: float | None = None
+        self._step = 0.0
+
+    def takes(self, line: str, number: int) -> bool:
+        """Return whether a line belongs to a header block and not to the data.
+
+        Raises
+        ------
+        InputError
+            The block names other columns than the first one.
+        """
+        if self._lines is None:
+            if split_cells(line, self.block.delimiter)[0] != self.block.first_word:
+                return False
+            self._lines = []
+        ended = bool(self._lines) and self._lines[-1].strip().startswith(END_OF_HEADER)
+        if ended and line.strip():
+            if line.strip() != self.block.names:
+                raise InputError(
+                    f"{self.place}:{number}: a header in the middle of the data names other columns than the "
+                    "first one (cut the log with `rows` A:B)"
+                )
+            self._start = _start(self._lines, self.block.delimiter)
+            self._lines, self._begins = None, True
+            self.count += 1
+        else:
+            self._lines.append(line)
+        return True
+
+    def continued(self, time: FloatArray) -> FloatArray:
+        """Return the time stamps (s) of rows that follow each other without a header between them."""
+        if not len(time):
+            return time
+        if self._begins:
+            self._begins = False
+            self._shift = self._shift_for(float(time[0]))
+        if self._shift:
+            time = time + self._shift
+        if len(time) > 1 or self._last is not None:
+            before = float(time[-2]) if len(time) > 1 else self._last
+            self._step = float(time[-1]) - before if before is not None else 0.0
+        self._last = float(time[-1])
+        return time
+
+    def _shift_for(self, first: float) -> float:
+        if self._last is None or first > self._last:
+            return 0.0  # this writer lets the time go on by itself
+        if self._start is not None and self.block.start is not None:
+            dates, clocks = zip(self._start, self.block.start, strict=True)
+            shift = dates[0] - dates[1] + clocks[0] - clocks[1]
+            if first + shift > self._last:
+                return shift
+        self.guessed += 1
+        return self._last + self._step - first
+
+    def note(self, timed: bool) -> str:
+        """Describe what was found; without a time column (``timed``) rows alone give the time."""
+        plural = "s" if self.count > 1 else ""
+        how = "their time goes on by the dates and times stated there"
+        if not timed:
+            how = "no column gives their time, so the rows go on as if there had been no pause"
+        elif self.guessed:
+            how = "the time goes on one step after the last row, for no date and time say more"
+        return f"{self.place}: {self.count} more header{plural} among the data: {how}"
+
+
+# --- blocks of whole lines ---------------------------------------------------------------------------
+
+
+class LineBlocks:
+    """Blocks of whole lines of a source; the first one can be looked at before it is taken.
+
+    ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
+    counts those that were left out at the start.
+    """
+
+    def __init__(self, source: ByteSource, block_bytes: int) -> None:
+        self.block_bytes = block_bytes
+        self._source = source
+        self.above = b""
+        self.empty_lines = 0
+        self._pending = b""
+        self._ended = False
+
+    def head(self, enough: Any) -> bytes:
+        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
+
+        ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
+        """
+        while not self._ended:
+            read = len(self._pending)
+            if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
+                break
+            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
+            self._leave_out_empty_lines()
+            if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
+                break
+        return self._pending
+
+    def longer_head(self) -> bytes | None:
+        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
+        wanted = 2 * len(self._pending)
+        if self._ended or wanted > LONGEST_LINE:
+            return None
+        while len(self._pending) < wanted and not self._ended:
+            self._fill(wanted - len(self._pending))
+        return self._pending
+
+    def _leave_out_empty_lines(self) -> None:
+        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
+        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
+            text = self._pending.lstrip()
+            above = self._pending[: len(self._pending) - len(text)]
+            end = above.rfind(b"\n") + 1
+            self.empty_lines += above.count(b"\n")
+            self._pending = self._pending[end:]
+
+    @property
+    def whole_in_head(self) -> bool:
+        """Whether the source ended inside what has been read."""
+        return self._ended
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
+        while True:
+            for start, end in self._cuts():  # at first what was read ahead
+                block = self._pending[start:end]
+                self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
+                yield block
+            self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
+            if self._ended:
+                break
+            self._fill(self.block_bytes)
+        if self._pending:
+            last, self._pending = self._pending, b""
+            yield last
+
+    def _cuts(self) -> list[tuple[int, int]]:
+        """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
+        text, start = self._pending, 0
+        last = text.rfind(b"\n") + 1
+        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
+            return [(0, last)] if last else []
+        cuts = []
+        while start < last:
+            limit = min(last, start + self.block_bytes)
+            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
+            cuts.append((start, end))
+            start = end
+        return cuts
+
+    def _fill(self, size: int) -> None:
+        data = self._source.read(size)
+        if not data:
+            self._ended = True
+        elif self._pending:
+            self._pending += data
+        else:
+            self._pending = data
+        if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
+            raise InputError(
+                f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
+            )
+
+
+def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Give the items of an iterator, each made in a thread while the one before is worked on.
+
+    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An
+    exception of the iterator is raised here, after the items before it.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        coming: Future[Item | None] = pool.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = pool.submit(next, items, None)
+            yield item

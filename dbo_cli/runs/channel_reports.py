@@ -1,0 +1,94 @@
+"""Reports over channels: a line a channel, and how their errors are spread."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.logs.addresses import Address, Given, check_document
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.whole_output import check_outputs, write_whole
+from dbo_cli.remarks import SILENT, Listener, Remarks
+from dbo_cli.reports.report import LogReport, Report, common_unit
+from dbo_cli.runs.channels import Columns, models_by_channel, opened_readers, sum_up_remarks
+from dbo_cli.runs.jobs import Outcome, Work, good_ones, run_jobs, spread_line
+from dbo_cli.runs.reporting import Written, add_file, report_form
+from dbo_cli.runs.roles import short_names
+from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
+
+
+def report_channels(
+    logs: Sequence[Address],
+    output: Address,
+    reading: ReadingOptions,
+    options: TrackingOptions,
+    *,
+    form: str | None = None,
+    figures: str | None = None,
+    work: Work = Work(),  # noqa: B008 - frozen
+    listener: Listener = SILENT,
+) -> Written:
+    """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
+    chosen = report_form(output, form)
+    check_document(output, "a report", chosen)
+    if figures is not None or chosen == "html":
+        raise UsageError(
+            "figures are drawn of one channel at a time: name its columns (text, JSON and CSV hold all)"
+        )
+    if options.trajectory is not None:
+        raise UsageError(
+            "`trajectory` holds one desired signal: a pattern takes `desired` from the log itself"
+        )
+    wanted = None if options.model is not None else options.desired or ""
+    drive = (options.voltage or "") if options.model is not None else options.voltage
+    columns = Columns.of(desired=wanted, measured=options.measured or "", voltage=drive)
+    inputs: list[Given] = [*logs, *([] if options.model is None else [options.model])]
+    check_outputs([output], inputs)
+    outcome = Outcome()
+    merits: list[LogReport] = []
+    units: list[tuple[str, str | None]] = []
+    texts: dict[str, Remarks] = {}
+    short = short_names(logs)
+    with opened_readers(logs, reading, columns) as readers:
+        channels = list(readers[0].channels)
+        models = None if options.model is None else models_by_channel(options.model, channels)
+
+        def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
+            for reader, address in zip(readers, logs, strict=True):
+                for channel in channels:
+                    name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
+                    own: dict[str, Any] = columns.of_channel(channel)
+                    own |= {"model": models(channel) if models else None}
+                    asked = dataclasses.replace(options, **own)
+                    yield name, functools.partial(_reported, reader.log(channel), name, reading, asked)
+
+        count = len(channels) * len(logs)
+        for one in good_ones(run_jobs(jobs(), work.processes), work, "channel", outcome, count, listener):
+            assert one.value is not None
+            found, texts[one.name] = one.value
+            merits += found.logs
+            units.append((one.name, found.unit))
+    report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
+    finished = TrackingReport(report, (), None, Remarks())
+    if merits:
+        write_whole(output, finished.rendered(chosen), protect=inputs)
+    sum_up_remarks(texts, columns.patterns["measured"], outcome.remarks)
+    percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
+    if percents:
+        outcome.remarks.notes.append(spread_line(percents, "channel", "RMSE of range", {}))
+    return Written(report, chosen, outcome.remarks, outcome.failure)
+
+
+def _reported(
+    log: Address, name: str, reading: ReadingOptions, options: TrackingOptions
+) -> tuple[Report, Remarks]:
+    """Compare one channel, in whichever process."""
+    model = None if options.model is None else read_model(options.model)
+    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
+    add_file(tracking, log, reading, options, name)
+    result = tracking.result()
+    return result.report, result.remarks

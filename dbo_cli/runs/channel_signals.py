@@ -1,0 +1,230 @@
+"""``simulate`` and ``compensate`` over channels: one table of all, matrices, or a file of each."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import json
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.addresses import Address, Given, parse_output
+from dbo_cli.logs.channels import PLACE, column_of, is_matrix
+from dbo_cli.logs.out_column import OutColumn
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.signal_writer import signal_writer
+from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, check_outputs, write_whole
+from dbo_cli.remarks import SILENT, Listener, Remarks
+from dbo_cli.runs.channels import (
+    CHANNEL,
+    Columns,
+    address_of,
+    in_name,
+    make_folder_of,
+    models_by_channel,
+    opened_readers,
+    sum_up_remarks,
+)
+from dbo_cli.runs.files import Destination, check_order
+from dbo_cli.runs.jobs import Done, Outcome, Work, good_ones, run_jobs
+
+_ROWS = 1 << 12  # of a table of channels, written at a time
+
+
+def signals_of_channels(
+    use_case: Callable[..., Remarks],
+    model_file: str,
+    log_file: Address,
+    destination: Destination,
+    reading: ReadingOptions,
+    columns: Columns,
+    *,
+    state: str = "auto",
+    work: Work = Work(),  # noqa: B008 - frozen
+    listener: Listener = SILENT,
+    **more: Any,
+) -> Outcome:
+    """Run ``simulate_log`` or ``compensate_trajectory`` for each channel; write a table or a file of each.
+
+    The first parameter of ``columns`` is the signal's. What is said of each channel is summed up.
+    """
+    if destination.live:
+        raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
+    check_order(model_file, log_file.text)
+    if CHANNEL not in destination.output.text:
+        if destination.save_state is not None and CHANNEL not in destination.save_state.text:
+            raise UsageError(
+                f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL}"
+                " into it)"
+            )
+        check_outputs([destination.output], destination.protect)
+    outcome = Outcome()
+    remarks: dict[str, Remarks] = {}
+    summaries: list[dict[str, Any]] = []
+    with opened_readers([log_file], reading, columns) as (reader,):
+        channels = list(reader.channels)
+        models = models_by_channel(model_file, channels)
+        (pattern,) = columns.patterns.values()
+
+        def jobs() -> Iterator[tuple[str, Callable[[], Remarks]]]:
+            for channel in channels:
+                yield (
+                    channel,
+                    functools.partial(
+                        use_case, models(channel), reader.log(channel), _of_channel(destination, channel),
+                        reading, column=column_of(pattern, channel), state=in_name(state, channel), **more,
+                    ),
+                )  # fmt: skip
+
+        with all_or_none():
+            table = ChannelTable(destination, channels, pattern)
+            if CHANNEL in destination.output.text:
+                make_folder_of(destination.output)
+            done = run_jobs(jobs(), work.processes)
+            for one in good_ones(done, work, "channel", outcome, len(channels), listener):
+                assert one.value is not None
+                remarks[one.name] = one.value
+                if CHANNEL in destination.output.text:
+                    write_kept(one.outputs, destination.protect)
+                else:
+                    table.add(one.name, one.outputs)
+                    summaries += _other_documents(one, destination)
+            table.finish()
+            if summaries and destination.summary is not None:
+                write_whole(
+                    destination.summary, (json.dumps(summaries, indent=2, ensure_ascii=False) + "\n").encode()
+                )
+    sum_up_remarks(remarks, pattern, outcome.remarks)
+    return outcome
+
+
+def _of_channel(destination: Destination, channel: str) -> Destination:
+    """Return where a channel's outputs go."""
+    names = (destination.output, destination.save_state, destination.summary)
+    output, save_state, summary = (None if one is None else address_of(one, channel) for one in names)
+    assert output is not None
+    return destination._replace(output=output, save_state=save_state, summary=summary)
+
+
+def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
+    """Write outputs that were kept, as they would have been written."""
+    for one in outputs.signals:
+        with signal_writer(
+            one.address,
+            one.columns,
+            format=one.format,
+            attributes=one.attributes,
+            protect=protect,
+            commented=one.commented,
+        ) as writer:
+            writer.write(*one.arrays)
+    for name, data in outputs.documents:
+        write_whole(name, data, protect=protect)
+
+
+def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[str, Any]]:
+    """Write a channel's state; return its summary, which goes into one list with the others'."""
+    found = []
+    for name, data in one.outputs.documents:
+        if destination.summary is not None and name == destination.summary.text:
+            found.append({"channel": one.name, **json.loads(data)})
+        else:
+            write_whole(name, data, protect=destination.protect)
+    return found
+
+
+def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))
+
+
+@dataclasses.dataclass
+class ChannelTable:
+    """One output of all channels: columns that carry a channel's name, or (in HDF5, of matrices) matrices.
+
+    Raises
+    ------
+    InputError
+        The channels' rows are at different times, so that one table cannot hold them.
+    """
+
+    destination: Destination
+    channels: Sequence[str]
+    pattern: str
+    _first: KeptSignal | None = None
+    _time: Any = None
+    _kept: dict[str, KeptSignal] = dataclasses.field(default_factory=dict)
+    _stack: contextlib.ExitStack = dataclasses.field(default_factory=contextlib.ExitStack)
+    _matrices: Any = None
+
+    def add(self, channel: str, outputs: KeptOutputs) -> None:
+        """Take the signal of a channel; matrices are written at once, columns wait for the others."""
+        (signal,) = outputs.signals
+        timed = signal.columns[0].header == "time_s"
+        time, arrays = (signal.arrays[0], signal.arrays[1:]) if timed else (None, signal.arrays)
+        if self._first is None:
+            self._first, self._time = signal, time
+        elif len(arrays[0]) != len(self._first.arrays[0]) or not _same(time, self._time):
+            raise InputError(
+                f"channel {channel}: its {len(arrays[0]):,} rows are not at the times of the first channel's"
+                f" {len(self._first.arrays[0]):,}: write a file a channel (-o 'out/{CHANNEL}.csv')"
+            )
+        if is_matrix(self.pattern) and parse_output(self.destination.output, signal.format).kind == "hdf5":
+            self._write_column(channel, signal, arrays)
+        else:
+            self._kept[channel] = dataclasses.replace(signal, arrays=arrays)
+
+    def finish(self) -> None:
+        """Write what waits."""
+        self._stack.close()
+        if not self._kept or self._first is None:
+            return
+        first = self._first
+        timed = self._time is not None
+        columns = list(first.columns[:1]) if timed else []
+        arrays = [self._time] if timed else []
+        for channel, one in self._kept.items():
+            columns += [self._column(column, channel) for column in one.columns[timed:]]
+            arrays += one.arrays
+        attributes = {key: value for key, value in first.attributes.items() if key != "model_sha256"}
+        with signal_writer(
+            first.address,
+            columns,
+            format=first.format,
+            attributes=attributes,
+            protect=self.destination.protect,
+            commented=first.commented,
+        ) as writer:
+            for row in range(0, len(arrays[0]), _ROWS):
+                writer.write(*(array[row : row + _ROWS] for array in arrays))
+
+    def _column(self, column: OutColumn, channel: str) -> OutColumn:
+        """Return a channel's column: an input keeps its own name, which holds the channel's."""
+        own = column_of(self.pattern, channel).removeprefix("name=")
+        if column.name.startswith(own):
+            return column
+        quantity = column.quantity or column.name
+        return dataclasses.replace(column, name=f"{column.name}_{channel}", quantity=quantity)
+
+    def _write_column(self, channel: str, signal: KeptSignal, arrays: Sequence[Any]) -> None:
+        if self._matrices is None:
+            from dbo_cli.logs.hdf5.store import matrix_writer
+
+            stem = PLACE.split(self.pattern)[0].removesuffix("[")
+            quantities = signal.columns[len(signal.columns) - len(arrays) :]
+            columns = [
+                dataclasses.replace(one, name=stem) if one.name.startswith(stem) else one
+                for one in quantities
+            ]
+            self._matrices = self._stack.enter_context(
+                matrix_writer(
+                    signal.address, columns, self.channels, self._time, len(arrays[0]),
+                    attributes={key: x for key, x in signal.attributes.items() if key != "model_sha256"},
+                    protect=self.destination.protect,
+                )
+            )  # fmt: skip
+        self._matrices(self.channels.index(channel), arrays)

@@ -1,0 +1,135 @@
+"""What runs over channels share: patterns of columns, logs read once for all, models and files by channel.
+
+A pattern (``V{}``) names the columns, a model set the models; ``{channel}`` in a file's name makes a file of
+each. Each channel is one run of the use case of one actuator: what comes out is what it would give alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.hysteresis.model_set import is_set, read_set
+from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.channels import ChannelReader, column_of, is_pattern
+from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.whole_output import make_folder
+from dbo_cli.remarks import Remarks
+from dbo_cli.runs.jobs import named, summed_up
+
+CHANNEL = "{channel}"
+
+
+class Columns(NamedTuple):
+    """The columns that were asked for, by parameter: patterns, of one log."""
+
+    patterns: Mapping[str, str]
+
+    @classmethod
+    def of(cls, **selectors: str | None) -> Columns:
+        """Return the patterns, or refuse a single column among them (UsageError).
+
+        A parameter of None takes no part; one of an empty text has to be given.
+        """
+        given = {option: one for option, one in selectors.items() if one is not None}
+        pattern = next(
+            (f"`{option}` '{one}'" for option, one in given.items() if is_pattern(one)), "a pattern"
+        )
+        for option, one in given.items():
+            if not is_pattern(one):
+                found = f"is one column, '{one}'," if one else "is not given"
+                raise UsageError(f"`{option}` {found} where {pattern} is many: give a pattern for both")
+        return cls(given)
+
+    def of_channel(self, channel: str) -> dict[str, str]:
+        """Return one channel's columns by parameter."""
+        return {option: column_of(one, channel) for option, one in self.patterns.items()}
+
+
+def wants_channels(output: Address | None, *selectors: str | None) -> bool:
+    """Tell whether columns are named by a pattern.
+
+    Raises
+    ------
+    UsageError
+        An output is to be written for each channel, and there is no pattern.
+    """
+    if any(map(is_pattern, selectors)):
+        return True
+    if output is not None and CHANNEL in output.text:
+        raise UsageError(
+            f"{output.text}: {CHANNEL} stands for a channel's name: name the columns by a pattern, 'V{{}}'"
+        )
+    return False
+
+
+def in_name(name: str, channel: str) -> str:
+    """Put a channel into the name of a file; a name that would lead to another folder is refused."""
+    if CHANNEL in name and (channel in (".", "..") or any(sign in channel for sign in "/\\\0")):
+        raise InputError(f"channel '{channel}' cannot be part of a file's name ('{name}')")
+    return name.replace(CHANNEL, channel)
+
+
+def address_of(address: Address, channel: str) -> Address:
+    """Put a channel into the address of a file; see ``in_name``."""
+    return parse_address(in_name(address.text, channel), address.format)
+
+
+@contextlib.contextmanager
+def opened_readers(
+    logs: Sequence[Address], reading: ReadingOptions, columns: Columns, digest: bool = False
+) -> Iterator[list[ChannelReader]]:
+    """Open logs that all have the same channels (InputError where one lacks some)."""
+    with contextlib.ExitStack() as stack:
+        readers = []
+        for address in logs:
+            reader = ChannelReader(address, reading, columns.patterns, digest)
+            stack.callback(reader.close)
+            readers.append(reader)
+            missing = [one for one in readers[0].channels if one not in reader.channels]
+            missing += [one for one in reader.channels if one not in readers[0].channels]
+            if missing:
+                raise InputError(
+                    f"{address.text}: has other channels than {logs[0].text}: {named(missing)} in one alone"
+                )
+        yield readers
+
+
+def models_by_channel(model_file: str, channels: Sequence[str]) -> Callable[[str], str]:
+    """Return how each channel's model is named: a file of its own, one of a set, or one model for all.
+
+    Raises
+    ------
+    InputError
+        The set lacks a channel.
+    """
+    if CHANNEL in model_file:
+        return lambda channel: in_name(model_file, channel)
+    if not is_set(model_file):
+        return lambda channel: model_file
+    there = read_set(model_file)
+    missing = [channel for channel in channels if channel not in there]
+    if missing:
+        raise InputError(
+            f"{model_file}: there is no model of channel {named(missing)} (it has {named(list(there))})"
+        )
+    return lambda channel: f"{model_file}::{channel}"
+
+
+def make_folder_of(output: Address) -> None:
+    """Make the folder that files of channels go to; it goes again where they are given up."""
+    folder = output.path.rpartition("/")[0]
+    if folder and CHANNEL not in folder:
+        make_folder(folder)
+
+
+def sum_up_remarks(found: Mapping[str, Remarks], pattern: str, remarks: Remarks) -> None:
+    """Sum up what is to be said of all channels."""
+    if not found:
+        return
+    first = next(iter(found.values()))
+    remarks.read += [f"{line}; {len(found):,} channels: '{pattern}'" for line in first.read]
+    remarks.notes += summed_up({channel: one.notes for channel, one in found.items()}, "channel")
+    remarks.warnings += summed_up({channel: one.warnings for channel, one in found.items()}, "channel")

@@ -1,0 +1,231 @@
+"""Many runs of one use case, for channels or files: in one process or several, with the same results.
+
+A job is a name and a call. Its outputs are kept and handed back with its value, so that whoever asked for the
+jobs writes them: in the order of the jobs, all or none, or those that went well.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from dbo_cli import errors
+from dbo_cli.errors import DboError
+from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs
+from dbo_cli.remarks import SILENT, Listener, Remarks
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Value = TypeVar("Value")
+Jobs = Iterable[tuple[str, Callable[[], Value]]]
+
+_AHEAD = 2  # jobs a process that are in memory at once: one is worked on while the next is read
+_NAMED = 8  # channels or files that a message names at most
+_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
+_BASES = (errors.UsageError, errors.InputError, errors.ModelError, errors.FitError, errors.OutputError,
+          errors.LimitError, DboError)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Work:
+    """How jobs are worked through.
+
+    Attributes
+    ----------
+    processes
+        How many at once; changes no bit of a result.
+    keep_going
+        Go on where a job fails, and write what the others gave.
+    """
+
+    processes: int = 1
+    keep_going: bool = False
+
+
+@dataclass(frozen=True)
+class Done(Generic[Value]):
+    """What came of a job: its value and outputs, or the error that ended it."""
+
+    name: str
+    value: Value | None
+    outputs: KeptOutputs
+    problem: DboError | None = None
+
+
+@dataclass
+class Outcome:
+    """What is to be said of all jobs, and the error to end with once their outputs are written."""
+
+    remarks: Remarks = field(default_factory=Remarks)
+    failure: DboError | None = None
+
+    def check(self) -> None:
+        """Raise the error, if there is one."""
+        if self.failure is not None:
+            raise self.failure
+
+
+def run_jobs(jobs: Jobs[Value], processes: int = 1, keep: bool = True) -> Iterator[Done[Value]]:
+    """Run jobs and give what came of them in their order; of several processes, each takes the next job.
+
+    Without ``keep`` each job writes its outputs itself. Calls must pickle where there is more than one
+    process. Errors that are no ``DboError`` come through.
+    """
+    if processes == 1:
+        for name, call in jobs:
+            yield run_job(name, call, keep)
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    # Not forked: a library's threads (polars has some) would be missing in the copy, their locks held.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(processes, context, initializer=_prepare_worker)
+    running: deque[Future[Done[Value]]] = deque()
+    try:
+        for name, call in jobs:
+            running.append(pool.submit(run_job, name, call, keep))
+            if len(running) >= _AHEAD * processes:
+                yield running.popleft().result()
+        while running:
+            yield running.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _prepare_worker() -> None:
+    """Leave interrupts to the process that was asked, and libraries' warnings unsaid."""
+    import signal
+    import warnings
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore")
+
+
+def run_job(name: str, call: Callable[[], Value], keep: bool) -> Done[Value]:
+    """Run one job, its outputs kept or written."""
+    with kept_outputs() if keep else contextlib.nullcontext(KeptOutputs()) as outputs:
+        try:
+            return Done(name, call(), outputs)
+        except DboError as problem:
+            kind = next(base for base in _BASES if isinstance(problem, base))
+            return Done(name, None, KeptOutputs(), kind(str(problem)))
+
+
+def good_ones(
+    done: Iterable[Done[Value]],
+    work: Work,
+    noun: str,
+    outcome: Outcome,
+    count: int,
+    listener: Listener = SILENT,
+) -> Iterator[Done[Value]]:
+    """Give the jobs that went well; the failures become warnings and the outcome's error, or end it all.
+
+    Parameters
+    ----------
+    done, work
+        What came of the jobs, and whether to go on where one failed.
+    noun
+        What a job is: ``channel`` or ``file``.
+    outcome
+        Gets what is to be said at the end.
+    count
+        How many jobs there are.
+
+    Raises
+    ------
+    DboError
+        The first failure, where it is not to be gone on or where all failed.
+    """
+    failed: dict[str, DboError] = {}
+    for number, one in enumerate(done, start=1):
+        listener.finished()
+        if one.problem is None:
+            yield one
+        else:
+            failed[one.name] = one.problem
+            text = str(one.problem)
+            if noun != "file" or not text.startswith(one.name):
+                text = f"{noun} {one.name}: {text}"
+            if not work.keep_going:
+                raise type(one.problem)(f"{text} (`keep_going` writes the other {noun}s)")
+            outcome.remarks.warn(text)
+        if number < count:
+            listener.working(f"{noun} {number + 1:,} of {count:,}")
+    if failed:
+        # What the others gave is written: exit code 1, whatever ended the ones that failed.
+        fate = "nothing is written" if len(failed) == count else "the others are written"
+        outcome.failure = DboError(
+            f"{len(failed):,} of {count:,} {noun}s failed ({named(list(failed))}): {fate}"
+        )
+
+
+def summed_up(texts: Mapping[str, Sequence[str]], noun: str) -> list[str]:
+    """Put messages of many channels or files together: those that differ in their numbers alone are one.
+
+    Parameters
+    ----------
+    texts
+        The messages by channel.
+    noun
+        ``channel`` or ``file``.
+    """
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for name, own in texts.items():
+        whole = re.compile(rf"(?<!\w){re.escape(name)}(?!\w)")
+        for text in dict.fromkeys(own):
+            shape = _NUMBER.sub("#", text if name.isdigit() else whole.sub("#", text))
+            groups.setdefault(shape, []).append((name, text))
+    lines = []
+    for group in groups.values():
+        names = list(dict.fromkeys(name for name, _ in group))
+        first = group[0][1]
+        if len(texts) == 1:
+            lines.append(first)
+        elif len(names) == 1:
+            lines.append(
+                first if noun == "file" and first.startswith(names[0]) else f"{noun} {names[0]}: {first}"
+            )
+        else:
+            which = f"all {len(texts):,} {noun}s" if len(names) == len(texts) else f"{noun}s {named(names)}"
+            own = "" if all(text == first for _, text in group) else f" ({noun} {names[0]}'s)"
+            lines.append(f"{which}: {first}{own}")
+    return lines
+
+
+def named(names: Sequence[str]) -> str:
+    """Name channels or files: all of a few, the first and the number of many."""
+    if len(names) <= _NAMED:
+        return ", ".join(names)
+    return f"{', '.join(names[: _NAMED - 1])}, … {len(names):,} in all"
+
+
+def spread_line(percents: Mapping[str, float], noun: str, what: str, why: Mapping[str, str]) -> str:
+    """Return in one line how a figure in % is spread: below which round one nine of ten are, and the worst.
+
+    Parameters
+    ----------
+    percents
+        The figure by channel.
+    noun, what
+        ``channel``, and what the figure is.
+    why
+        What is known about a channel's figure.
+    """
+    ordered = sorted(percents.values())
+    most = ordered[(9 * len(ordered) - 1) // 10]
+    steps = (digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5))
+    bound = next((step for step in steps if step > most), ordered[-1])
+    below = sum(value < bound for value in ordered)
+    worst = max(percents, key=lambda name: percents[name])
+    reason = f": {why[worst]}" if why.get(worst) else ""
+    return (
+        f"{what}: {below:,} of {len(ordered):,} {noun}s below {bound:g} %; worst: {worst}, "
+        f"{percents[worst]:.2g} %{reason}"
+    )

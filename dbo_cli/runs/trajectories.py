@@ -1,0 +1,201 @@
+"""Make a move within what models can follow, and write it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dbo_cli.drives.gate import Floats
+from dbo_cli.drives.learning import trusted_frequency
+from dbo_cli.drives.model_run import FAST_PART, FASTER
+from dbo_cli.drives.shapes import TrajectoryOptions, move
+from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.logs.addresses import Address, check_format, parse_output
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.whole_output import check_output
+from dbo_cli.runs.files import shown_name
+from dbo_cli.runs.model import Model, require_known
+
+if TYPE_CHECKING:
+    import os
+
+    import pandas
+
+REACH_SLACK = 1e-9  # of the range: rounding reaches no further
+ONE_AXIS, TWO_AXES = ("displacement",), ("x", "y")
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A move with its clock: seconds, a signal by the name of each axis, their unit, and notes on it."""
+
+    time: Floats
+    axes: dict[str, Floats]
+    unit: str
+    notes: list[str]
+
+
+def make_trajectory(
+    options: TrajectoryOptions, models: Sequence[tuple[str, ActuatorModel]] = (), unit: str | None = None
+) -> Trajectory:
+    """Return a move, its corners rounded to what the models can be trusted to.
+
+    Parameters
+    ----------
+    options
+        What is asked for; ``bandwidth`` goes before what the models say of themselves.
+    models
+        Name and forward model of each axis, the last one also for the axes after it; none, and neither reach
+        nor speed is checked.
+    unit
+        What the figures are in; the models' unit where not given.
+
+    Raises
+    ------
+    UsageError
+        The move is faster than its bandwidth, leaves what a model reaches, or has no unit.
+    """
+    for name, model in models:
+        model.require("forward", name)
+        if model.output.unit != (unit or models[0][1].output.unit):
+            raise UsageError(f"`unit`: {name} is in {model.output.unit or 'no unit'}: give that")
+    unit = unit or (models[0][1].output.unit if models else None)
+    if unit is None:
+        raise UsageError("`unit` UNIT: say what the figures are in (um, nm, mrad), or give `model`")
+    options, notes = _trusted(options, [model for _, model in models])
+    made = move(options)
+    axes = dict(zip(ONE_AXIS if len(made.axes) == 1 else TWO_AXES, made.axes, strict=True))
+    if len(models) > len(axes):
+        raise UsageError(
+            f"`model`: {len(models)} of them, and a {options.shape} has {len(axes)} (one an axis)"
+        )
+    for number, (axis, values) in enumerate(axes.items() if models else ()):
+        name, model = models[min(number, len(models) - 1)]
+        _require_reach(axis, values, name, model)
+        notes += _speed(axis, values * options.rate, name, model)
+    rows = made.axes[0].size
+    size = f"{rows:,} rows, {rows / options.rate:.6g} s"
+    reach = ", ".join(f"{axis} {v.min():.6g} to {v.max():.6g} {unit}" for axis, v in axes.items())
+    said = [f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]]
+    return Trajectory(np.arange(rows) / options.rate, axes, unit, said)
+
+
+def _trusted(
+    options: TrajectoryOptions, models: Sequence[ActuatorModel]
+) -> tuple[TrajectoryOptions, list[str]]:
+    """Return options with the bandwidth of the models, where none is given, and a note on it."""
+    if options.bandwidth is not None:
+        return options, []
+    known = [one for one in map(trusted_frequency, models) if one is not None]
+    trusted = min(known, default=None)
+    why = "the model does not know how fast it can be trusted: " if models else ""
+    note = f"{why}corners are not rounded (`bandwidth` HZ)"
+    if trusted is not None:
+        note = f"turns and steps take {1e3 / trusted:.4g} ms: the model can be trusted to {trusted:.4g} Hz"
+    cornered = options.shape not in ("sine", "spiral")
+    return dataclasses.replace(options, bandwidth=trusted), [note] if cornered else []
+
+
+def _require_reach(axis: str, values: Floats, name: str, model: ActuatorModel) -> None:
+    reach = model.output
+    slack = REACH_SLACK * reach.span
+    if values.min() < reach.minimum - slack or values.max() > reach.maximum + slack:
+        raise UsageError(
+            f"{axis} goes from {values.min():.6g} to {values.max():.6g} {reach.unit}, turns included, and "
+            f"{name} reaches {reach.minimum:.6g} to {reach.maximum:.6g} (another `range`, a lower "
+            "`frequency` or less `overscan`)"
+        )
+
+
+def _speed(axis: str, values: Floats, name: str, model: ActuatorModel) -> list[str]:
+    """Say where a move (``values`` times rows a second) is faster than what a model has seen."""
+    seen = model.fit.get("fastest_drive")
+    if not isinstance(seen, float) or model.dynamics is not None:
+        return []
+    speed = (
+        float(np.quantile(np.abs(np.diff(values)), 1.0 - FAST_PART)) * model.input.span / model.output.span
+    )
+    if speed <= FASTER * seen:
+        return []
+    return [
+        f"{axis} asks for some {speed:.3g} {model.input.unit or 'V'}/s, and {name} has seen {seen:.3g}: how "
+        f"late the actuator is then is a guess (not at {FASTER * seen / speed:.2g} times the speed)"
+    ]
+
+
+def write_trajectory(
+    output: Address,
+    options: TrajectoryOptions,
+    models: Sequence[str] = (),
+    unit: str | None = None,
+    form: str | None = None,
+) -> list[str]:
+    """Write a move, one column an axis, and return what is to be said of it."""
+    check_format(form, [output])
+    parse_output(output)
+    check_output(output, models)
+    made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
+    columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
+    attributes = {"sample_rate": options.rate}
+    with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
+        writer.write(made.time, *made.axes.values())
+    return made.notes
+
+
+def trajectory(
+    shape: str,
+    *,
+    model: Model | str | os.PathLike[str] | Sequence[Model | str | os.PathLike[str]] = (),
+    unit: str | None = None,
+    **options: Any,
+) -> pandas.DataFrame:
+    """Return a move as a table: ``time``, and ``displacement`` or ``x`` and ``y``.
+
+    Parameters
+    ----------
+    shape : {"raster", "spiral", "staircase", "sine", "triangle"}
+    model : Model or file, or one for each axis
+        Corners are rounded to what it can be trusted to; what it does not reach is refused.
+    unit : str, optional
+        What the figures are in; the model's unit where not given.
+    **options
+        What ``TrajectoryOptions`` knows: ``rate``, ``range``, ``slow_range``, ``frequency``, ``lines``,
+        ``pixels``, ``overscan``, ``one_way``, ``turns``, ``steps``, ``dwell``, ``cycles``, ``rest``,
+        ``loop``, ``bandwidth``.
+
+    Returns
+    -------
+    DataFrame
+        ``attrs``: ``units`` (by column), ``sample_rate`` (Hz), ``notes``.
+
+    Raises
+    ------
+    UsageError
+        An option is missing or senseless, or the model cannot follow.
+    """
+    import pandas as pd
+
+    require_known(TrajectoryOptions, options, "is no parameter of trajectory")
+    for name in ("rate", "range"):
+        if name not in options:
+            raise UsageError(f"a {shape} needs `{name}`")
+    given = [model] if isinstance(model, Model | str) or hasattr(model, "__fspath__") else list(model)
+    models = [_named_model(one) for one in given]
+    made = make_trajectory(TrajectoryOptions(shape, **options), models, unit)
+    frame = pd.DataFrame({"time": made.time, **made.axes})
+    frame.attrs |= {
+        "units": {"time": "s"} | dict.fromkeys(made.axes, made.unit),
+        "sample_rate": options["rate"],
+        "notes": list(made.notes),
+    }
+    return frame
+
+
+def _named_model(one: Any) -> tuple[str, ActuatorModel]:
+    return ("the model", one.actuator) if isinstance(one, Model) else (str(one), read_model(str(one)))

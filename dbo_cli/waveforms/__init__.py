@@ -1,0 +1,1 @@
+"""The files that generators, wave tables and converters take: volts to bytes, and back."""
