@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from conftest import SMALL_MODEL, folder_content
 
+from dbo_cli import read_model
+
 DRIVE = "time_s,voltage_V\n0,0\n0.1,5\n0.2,10\n0.3,3\n"
 RESPONSE = "time_s,voltage_V,displacement_um\n0.0,0.0,1.0\n0.1,5.0,4.2\n0.2,10.0,9.0\n0.3,3.0,4.0\n"
 
@@ -51,6 +53,26 @@ def test_simulate_to_a_file_says_nothing_and_leaves_nothing_else(dbo: Any, model
     assert dbo("simulate", "model.json", "drive.csv", "-o", "out.csv") == (0, "", "")
     assert Path("out.csv").read_text() == RESPONSE
     assert folder_content(Path()) == {"model.json", "drive.csv", "out.csv"}
+
+
+@pytest.mark.parametrize("command", ["simulate", "compensate"])
+def test_a_comment_says_where_a_text_comes_from_and_is_read_over(
+    dbo: Any, model_file: Path, command: str
+) -> None:
+    write("drive.csv", DRIVE if command == "simulate" else DRIVE.replace("voltage_V", "displacement_um"))
+    plain = dbo(command, "model.json", "drive.csv", "-q").out
+    assert dbo(command, "model.json", "drive.csv", "--header", "comment", "-q", "-o", "out.csv").code == 0
+    comment, _, rest = Path("out.csv").read_text().partition("\n")
+    assert rest == plain
+    assert comment == (
+        f"# dbo 0.2.0; model_sha256: {read_model('model.json').actuator.digest}; "
+        f"command: dbo {command} model.json drive.csv --header comment -q -o out.csv"
+    )
+    column = ("--input", "2") if command == "simulate" else ("--displacement", "2")
+    again = dbo(command, "model.json", "out.csv", *column, "-q").out.splitlines()
+    assert [line.split(",")[-1] for line in again[1:]] == [
+        line.split(",")[-1] for line in rest.splitlines()[1:]
+    ]
 
 
 def test_simulate_from_standard_input(dbo: Any, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

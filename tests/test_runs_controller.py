@@ -14,6 +14,7 @@ from test_hysteresis_model import build
 from test_runs_repeated import actuator, move, rms
 
 from dbo_cli import InputError, Model, ModelError, UsageError
+from dbo_cli.drives.bank import Bank
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 
 RATE = 200.0
@@ -278,3 +279,13 @@ def test_a_lookahead_that_is_none_is_refused() -> None:
     assert str(raised.value) == "`lookahead` soon: give seconds above 0, or auto"
     with pytest.raises(InputError, match="above half the sampling rate of 1000 Hz"):
         model.controller(1000.0, lookahead="auto")
+
+
+def test_a_bank_of_models_with_dynamics_gives_the_bits_of_each() -> None:
+    models = {"a": moving("plain").actuator, "b": moving("drive lag").actuator}
+    bank = Bank(models, LIVE, lookahead=0.002)
+    alone = [Model(one).controller(LIVE, lookahead=0.002) for one in models.values()]
+    for x in PATTERNS["noise"](np.random.default_rng(8))[:60]:
+        assert bank.step([x, x + 0.5]).tolist() == [alone[0].step(x), alone[1].step(x + 0.5)]
+    states = bank.states
+    assert [states[name] for name in models] == [one.state for one in alone]

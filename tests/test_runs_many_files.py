@@ -43,6 +43,16 @@ def test_each_file_is_what_it_would_be_alone(folder: Any) -> None:
         assert Path("one.json").read_bytes() == Path(f"out/{name}.state.json").read_bytes()
 
 
+def test_comments_are_written_by_every_process(folder: Any) -> None:
+    words = ("simulate", "model.json", "logs/a.csv", "logs/b.csv", "--header", "comment", "-q")
+    assert folder(*words, "-j", 2, "-o", "out/{file}.csv").code == 0
+    first = [Path(f"out/{name}.csv").read_text().partition("\n")[0] for name in "ab"]
+    assert first[0] == first[1]
+    assert first[0].endswith(
+        "; command: dbo simulate model.json logs/a.csv logs/b.csv --header comment -q -j 2 -o 'out/{file}.csv'"
+    )
+
+
 def test_processes_change_no_byte(folder: Any) -> None:
     words = (
         "compensate",

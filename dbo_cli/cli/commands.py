@@ -77,6 +77,7 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.METHOD,
     options.VALIDATE,
     options.PRIOR,
+    options.SHARED_SHAPE,
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
@@ -104,7 +105,7 @@ def identify(given: Given) -> None:
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR])
+    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR, options.SHARED_SHAPE])
     words = (given.log, given.validate or [], given.output, reading, asked)
     _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
     if not given.output.is_stream and "{" not in given.output.text:
@@ -149,6 +150,7 @@ def invert(given: Given) -> None:
     options.INPUT,
     options.FLUSH,
     options.SUMMARY,
+    options.HEADER,
     options.OUTPUT,
 )
 def simulate(given: Given) -> None:
@@ -190,6 +192,7 @@ def simulate(given: Given) -> None:
     options.DISPLACEMENT,
     options.FLUSH,
     options.SUMMARY,
+    options.HEADER,
     options.OUTPUT,
 )
 def compensate(given: Given) -> None:
@@ -378,8 +381,8 @@ def _destination(given: Given, inputs: list[Any]) -> Any:
     """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
     from dbo_cli.runs.files import Destination
 
-    command = shlex.join(["dbo", *given.typed])
-    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary)
+    command, commented = shlex.join(["dbo", *given.typed]), given.header == "comment"
+    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary, commented)
 
 
 def _summary_lines(summary: ExportSummary) -> list[str]:

@@ -112,6 +112,9 @@ DRIVE = _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is 
 OUTPUT = _common("-o, --output FILE", "Where the result goes; - is stdout.", "-", address)
 FOLDER = _common("-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED)
 FLUSH = _common("--flush", "Write each row as soon as it is there (live streams).")
+HEADER = _choice(
+    "--header plain|comment", "comment: text begins with a # line: program, model, command.", "plain"
+)._replace(heading=MESSAGES)
 SUMMARY = _common("--summary FILE", "Also write what was done as JSON (dbo-summary).", parse=address)
 OUTPUT_FORMAT = Option(
     "--format csv|tsv|hdf5", "Form of the output where no file name tells.", choice(FORMATS), None, MESSAGES
@@ -229,6 +232,10 @@ VALIDATE = Option(
 PRIOR = Option(
     "--prior MODEL",
     "Keep the shape of this model, and find its gain, offset and lag again from a short log.",
+)
+SHARED_SHAPE = Option(
+    "--shared-shape",
+    "Channels: one loop shape, gain, offset and lag of each; refused where channels left out speak against.",
 )
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number

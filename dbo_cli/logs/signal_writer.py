@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
 from dbo_cli.logs.output_files import is_replaceable
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened
+from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -38,7 +40,13 @@ class TextWriter:
     """
 
     def __init__(
-        self, stream: IO[bytes], columns: Sequence[OutColumn], delimiter: str, flush: bool, behind: bool
+        self,
+        stream: IO[bytes],
+        columns: Sequence[OutColumn],
+        delimiter: str,
+        flush: bool,
+        behind: bool,
+        comment: str = "",
     ) -> None:
         self._stream = stream
         self._delimiter = delimiter
@@ -48,7 +56,7 @@ class TextWriter:
         self._running: Future[None] | None = None
         self._columns, self._headers = columns, unique_headers(columns)
         cells = [header_cell(header, delimiter) for header in self._headers]
-        stream.write((delimiter.join(cells) + "\n").encode())
+        stream.write((comment + delimiter.join(cells) + "\n").encode())
         if flush:
             stream.flush()
 
@@ -116,6 +124,7 @@ def signal_writer(
     attributes: Mapping[str, str | float] | None = None,
     flush: bool = False,
     protect: Sequence[Given] = (),
+    commented: bool = False,
 ) -> Iterator[SignalWriter]:
     """Open an output for signals; it appears when the block is left without an error, and not otherwise.
 
@@ -128,12 +137,13 @@ def signal_writer(
     format
         ``csv``, ``tsv`` or ``hdf5``, where the name does not tell.
     attributes
-        What an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``); text
-        has no place for it.
+        What an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``).
     flush
         Hand every write on at once.
     protect
         The command's inputs, which must not be overwritten.
+    commented
+        Text begins with a comment line that has the attributes, too.
 
     Raises
     ------
@@ -147,7 +157,7 @@ def signal_writer(
     if kept is not None:
         keeper = _Keeper(columns)
         yield keeper
-        kept.signals.append(KeptSignal(target, columns, format, attributes or {}, keeper.arrays()))
+        kept.signals.append(KeptSignal(target, columns, format, attributes or {}, keeper.arrays(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":
@@ -156,12 +166,19 @@ def signal_writer(
         return
     with _text_stream(target) as stream:
         behind = not flush and is_replaceable(target.path)
-        writer = TextWriter(stream, columns, target.delimiter, flush, behind)
+        comment = _comment(attributes or {}) if commented else ""
+        writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
         try:
             yield writer
             writer.finish()
         finally:
             writer.close()
+
+
+def _comment(attributes: Mapping[str, str | float]) -> str:
+    """Return the comment line that says where a text output comes from."""
+    parts = [program_version_string(), *(f"{key}: {value}" for key, value in attributes.items())]
+    return f"# {cleaned('; '.join(parts))}\n"
 
 
 @contextlib.contextmanager

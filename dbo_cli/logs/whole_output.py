@@ -232,6 +232,7 @@ class KeptSignal:
     format: str | None
     attributes: Mapping[str, str | float]
     arrays: tuple[FloatArray, ...]
+    commented: bool = False
 
 
 @dataclass

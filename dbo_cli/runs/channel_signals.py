@@ -115,7 +115,12 @@ def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
     """Write outputs that were kept, as they would have been written."""
     for one in outputs.signals:
         with signal_writer(
-            one.address, one.columns, format=one.format, attributes=one.attributes, protect=protect
+            one.address,
+            one.columns,
+            format=one.format,
+            attributes=one.attributes,
+            protect=protect,
+            commented=one.commented,
         ) as writer:
             writer.write(*one.arrays)
     for name, data in outputs.documents:
@@ -192,6 +197,7 @@ class ChannelTable:
             format=first.format,
             attributes=attributes,
             protect=self.destination.protect,
+            commented=first.commented,
         ) as writer:
             for row in range(0, len(arrays[0]), _ROWS):
                 writer.write(*(array[row : row + _ROWS] for array in arrays))

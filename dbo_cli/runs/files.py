@@ -49,6 +49,7 @@ class Destination(NamedTuple):
     """Where a result goes: the file, the state after it, and the inputs that must not be overwritten.
 
     ``command`` is the command line that an HDF5 output names; ``summary`` a file for what was done, as JSON.
+    With ``commented`` text begins with a comment that names command and model, too.
     """
 
     output: Address
@@ -57,6 +58,7 @@ class Destination(NamedTuple):
     live: bool = False
     command: str = ""
     summary: Address | None = None
+    commented: bool = False
 
     def beside(self, *selectors: str | None) -> Destination:
         """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
@@ -225,6 +227,7 @@ def write_response(
                 attributes=_attributes(run, log, destination.command),
                 flush=destination.live,
                 protect=destination.protect,
+                commented=destination.commented,
             ) as writer:
                 for response in chain([first], responses):
                     writer.write(*(response if response.time is not None else response[1:]))

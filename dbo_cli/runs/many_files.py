@@ -74,7 +74,11 @@ def of_files(destination: Destination, logs: Sequence[Address]) -> list[Destinat
             of_file(one, log) for one in (destination.output, destination.save_state, destination.summary)
         )
         assert output is not None
-        found.append(Destination(output, save_state, [*others, log], False, destination.command, summary))
+        found.append(
+            destination._replace(
+                output=output, save_state=save_state, protect=[*others, log], live=False, summary=summary
+            )
+        )
     check_outputs([one.output for one in found], destination.protect)
     return found
 
