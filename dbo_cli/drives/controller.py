@@ -259,7 +259,7 @@ class Controller:
 
     @property
     def begun(self) -> tuple[BacklashStepper, MemoryFree, MemoryFree] | None:
-        """The gears' stepper and what stands before and behind it, for a bank; None before a commit, or beside a lag."""
+        """The gears' stepper and what stands beside it, for a bank; None before a commit, or with a lag."""
         alone = self._stepper is not None and self._ahead is None and self._lag is None
         return None if self._stepper is None or not alone else (self._stepper, self._head, self._after)
 
