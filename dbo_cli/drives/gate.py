@@ -15,14 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, LimitError
+from dbo_cli.hysteresis.bank import ROUNDING
 from dbo_cli.hysteresis.model_state import DriveLimits
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-ROUNDING = 8.0 * 2.0**-52
-"""Of the larger voltage: the last digits of a step between two rows, each rounded once or twice on its way
-through points and scales. A slew limit is kept to that, a range exactly."""
 
 
 class GateError(DboError):

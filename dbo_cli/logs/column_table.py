@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.reading_options import SKIP_REMEDY
+from dbo_cli.logs.reading_options import remedy_for
 from dbo_cli.logs.sample_block import (
     ColumnInfo,
     FloatArray,
@@ -282,7 +282,8 @@ class ColumnTable(Table):
                 if len(rows):
                     message = self._complaint(picks, block, int(rows[0]), int(np.argmax(bad[:, rows[0]])))
                     if not options.skip_bad:
-                        raise InputError(f"{message} {SKIP_REMEDY}")
+                        rest = bad.shape[1] - 1 - int(rows[0])
+                        raise InputError(f"{message} {remedy_for(len(rows) - 1, rest)}")
                     dropped, first = dropped + len(rows), first or message
                 kept = {role: array[good] for role, array in block.values.items()}
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
