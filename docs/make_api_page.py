@@ -83,7 +83,7 @@ def signature(called: Any, name: str) -> str:
         for one in inspect.signature(called).parameters.values()
         if one.name != "self"
     ]
-    line = name + str(inspect.Signature(bare))
+    line = name + str(inspect.Signature(bare)).replace("'", '"')
     if len(line) > 100:
         inner = line[len(name) + 1 : -1].split(", ")
         line = f"{name}(\n    " + ",\n    ".join(inner) + ",\n)"
