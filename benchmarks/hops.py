@@ -1,15 +1,18 @@
-"""How many calls one more block of samples costs on its way from CSV to CSV through ``dbo simulate``.
+"""How many calls one more block costs in ``dbo simulate`` and ``dbo compensate``, and what a command opens.
 
     python benchmarks/hops.py [--list] [FOLDER]
 
 The same command runs over k and over k + 1 blocks of 65,536 rows while the interpreter reports every call of
 a function of the package (``sys.setprofile``, in every thread); the difference is what a block costs. A
-generator counts each time a block is asked of it: that is a hop, too. FOLDER, a checkout of another version
-(run with that one's interpreter), tells what it was before; ``--list`` names the functions.
+generator counts each time a block is asked of it: that is a hop, too. Then a small ``compensate`` and a small
+``identify`` are run once: how many files and functions (comprehensions and the bodies of modules and classes
+aside) are called, that is, what a reader of that command opens. FOLDER, a checkout of another version, tells
+what it was before; ``--list`` names the functions.
 """
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 import tempfile
@@ -52,13 +55,13 @@ def model_file(folder: Path, stages: list[dict[str, Any]]) -> str:
     return str(path)
 
 
-def log_file(folder: Path, blocks: int) -> str:
-    """Write so many blocks of rows, all of one length, so that a block of text is a block of rows."""
-    path = folder / f"{blocks}.csv"
+def log_file(folder: Path, header: str, top: float, rows: int) -> str:
+    """Write so many rows, all of one length, so that a block of text is a block of rows."""
+    path = folder / f"{header.strip()}-{rows}.csv"
     with path.open("w") as file:
-        file.write("  time_s,voltage_V\n")
-        for k in range(blocks * BLOCK):
-            file.write(f"{k * 1e-4:8.4f},{50 + 45 * abs(k % 4000 / 2000 - 1):8.5f}\n")
+        file.write(f"  time_s,{header}\n")
+        for k in range(rows):
+            file.write(f"{k * 1e-4:8.4f},{top * (0.5 + 0.45 * abs(k % 4000 / 2000 - 1)):8.5f}\n")
     return str(path)
 
 
@@ -72,7 +75,8 @@ def calls(words: list[str]) -> Counter[str]:
 
     def note(frame: FrameType, event: str, _: object) -> None:
         code = frame.f_code
-        if event == "call" and code.co_filename.startswith(package):
+        function = code.co_flags & inspect.CO_OPTIMIZED  # a module's or a class's body is none
+        if event == "call" and function and code.co_filename.startswith(package):
             counted[f"{code.co_filename[len(package) + 1 :]}: {code.co_qualname}"] += 1
 
     threading.setprofile(note)
@@ -87,25 +91,44 @@ def calls(words: list[str]) -> Counter[str]:
     return counted
 
 
+def print_opened(words: list[str]) -> None:
+    """Print how many files and functions one command line takes."""
+    functions = {where for where in calls(words) if not where.endswith(">")}  # nor comprehensions
+    files = {where.partition(": ")[0] for where in functions}
+    print(f"{words[0]:48} {len(files):11d} files {len(functions):7d} functions")
+    if "--list" in sys.argv:
+        for file in sorted(files):
+            named = sorted(where.partition(": ")[2] for where in functions if where.startswith(f"{file}: "))
+            print(f"  {len(named):4d}  {file}: {', '.join(named)}")
+
+
 def main() -> None:
-    """Print the calls of one more block for several models."""
+    """Print the calls of one more block for several models, and what two commands open."""
     words = [word for word in sys.argv[1:] if word != "--list"]
     sys.path.insert(0, words[0] if words else str(ROOT))
-    print("model                                calls of one more block   functions")
+    print("command and model                                calls of one more block   functions")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        logs = [log_file(folder, blocks) for blocks in (BLOCKS, BLOCKS + 1)]
-        for what, stages in CASCADES.items():
-            model = model_file(folder, stages)
-            output = str(folder / "out.csv")
-            command = ["simulate", model, "--block-rows", str(BLOCK), "-o", output, "--quiet"]
-            calls([*command, logs[0]])  # what is imported and made once
-            few, many = (calls([*command, log]) for log in logs)
-            more = {where: many[where] - few[where] for where in many if many[where] != few[where]}
-            print(f"{what:36} {sum(more.values()):23d} {len(more):11d}")
-            if "--list" in sys.argv:
-                for where, count in sorted(more.items()):
-                    print(f"  {count:4d}  {where}")
+        output = ["-o", str(folder / "out.csv"), "--quiet"]
+        for command, (header, top) in {
+            "simulate": ("voltage_V", 100.0),
+            "compensate": (" displ_um", 11.0),
+        }.items():
+            logs = [log_file(folder, header, top, blocks * BLOCK) for blocks in (BLOCKS, BLOCKS + 1)]
+            more_words = ["--displacement", "2"] if command == "compensate" else []
+            for what, stages in CASCADES.items():
+                line = [command, model_file(folder, stages), "--block-rows", str(BLOCK), *more_words, *output]
+                calls([*line, logs[0]])  # what is imported and made once
+                few, many = (calls([*line, log]) for log in logs)
+                more = {where: many[where] - few[where] for where in many if many[where] != few[where]}
+                print(f"{f'{command}: {what}':48} {sum(more.values()):23d} {len(more):11d}")
+                if "--list" in sys.argv:
+                    for where, count in sorted(more.items()):
+                        print(f"  {count:4d}  {where}")
+        small = log_file(folder, " displ_um", 11.0, 4000)
+        print_opened(["compensate", model_file(folder, REMEMBERING), small, "--displacement", "2", *output])
+        recording = str(ROOT / "sample_data" / "identification.csv")
+        print_opened(["identify", recording, "--gears", "20", "-o", str(folder / "model.json"), "--quiet"])
 
 
 if __name__ == "__main__":

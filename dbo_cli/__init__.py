@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from dbo_cli.remarks import DboWarning
     from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
     from dbo_cli.runs.model import Model
+    from dbo_cli.runs.model_set import ModelSet
     from dbo_cli.runs.trajectories import trajectory
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "LimitError",
     "Model",
     "ModelError",
+    "ModelSet",
     "OutputError",
     "UsageError",
     "__version__",
@@ -44,7 +46,12 @@ __all__ = [
     "trajectory",
 ]
 
-_ROOMS = {"Model": "runs.model", "DboWarning": "remarks", "trajectory": "runs.trajectories"}
+_ROOMS = {
+    "Model": "runs.model",
+    "ModelSet": "runs.model_set",
+    "DboWarning": "remarks",
+    "trajectory": "runs.trajectories",
+}
 
 
 if not TYPE_CHECKING:  # else a type checker would believe in any name

@@ -7,6 +7,8 @@ import re
 import sys
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError
@@ -349,3 +351,27 @@ def test_a_row_that_counts_the_columns(first: str, row: str, asked: bool, tmp_pa
     for lines, count in ((0, 10), (1, 9)):
         with open_log(str(path), want, ReadingOptions(header_lines=lines)) as log:
             assert len(log.read()) == count
+
+
+@pytest.mark.parametrize(
+    ("bad", "remedy"),
+    [
+        (
+            range(30, 100),
+            "(and so on in 69 of the next 69 rows: name another column, or take good `rows` A:B)",
+        ),
+        (range(30, 100, 2), "(`skip_bad` drops such rows)"),
+        (range(90, 100), "(`skip_bad` drops such rows)"),
+    ],
+)
+def test_dropping_is_no_remedy_where_most_of_a_log_would_go(tmp_path: Path, bad: range, remedy: str) -> None:
+    rows = [f"{k / 100},{k},{'OVLD' if k in bad else k}" for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["time_s,voltage_V,displacement_um", *rows]) + "\n")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["time"], file["voltage"] = np.arange(100) / 100, np.arange(100.0)
+        file["displacement"] = np.where(np.isin(np.arange(100), bad), np.nan, np.arange(100.0))
+    want = {role: wish(role, option=role) for role in IDENTIFY}
+    for name in ("log.csv", "log.h5"):
+        with pytest.raises(InputError) as raised, open_log(str(tmp_path / name), want) as log:
+            log.read()
+        assert str(raised.value).endswith(remedy)

@@ -197,6 +197,7 @@ RASTER = "raster --rate 1000 --range 0:10 --unit um --lines 4 "
          "which dbo waveform writes: call this one .csv"),
         ("sine --rate 1000 --range 2:8 --frequency 1 --unit nm --model model.json", "--unit: model.json is in um: "
          "give that"),
+        ("sine --rate 1000 --range 2:8 --frequency 1 --model model.json --model model.json", "--model: 2 of them, and a sine has 1 (one an axis)"),
         ("triangle --rate 1000 --range 2:12 --frequency 1 --model model.json", "displacement goes from 2 to 12 um, "
          "turns included, and model.json reaches 1 to 9 (another --range, a lower --frequency or less --overscan)"),
     ],

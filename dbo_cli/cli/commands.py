@@ -205,7 +205,7 @@ def compensate(given: Given) -> None:
     from dbo_cli.drives.options import DriveOptions
 
     asked = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
-    from dbo_cli.runs.drive_files import compensate_trajectory
+    from dbo_cli.runs.files import compensate_trajectory
     from dbo_cli.runs.many import signals
 
     tracked = given.tracked or ()
@@ -301,7 +301,7 @@ def excite(given: Given) -> None:
     more, and longer below 60 Hz).
     """
     from dbo_cli.hysteresis.excitation import excitation_of
-    from dbo_cli.runs.drive_files import write_excitation
+    from dbo_cli.runs.files import write_excitation
 
     asked = excitation_of(**given.of(options.EXCITATION))
     rows = write_excitation(given.output, asked, given.format)

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.compensation import DriveFigures
-from dbo_cli.drives.gate import DriveGate, Floats
+from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.delay import interpolated
 from dbo_cli.hysteresis.model_state import DriveLimits
@@ -72,22 +71,9 @@ def check_drive(
     InputError
         A slew limit is to be checked and no time is known.
     """
-    steps: Floats | None = None
     checked = CheckedDrive(DriveFigures())
-    if time is not None and time.size > 1:
-        steps = np.diff(time)
-        forward = steps[steps > 0.0]
-        usual = median_step(forward) if forward.size else 0.0
-        steps = np.concatenate([[usual], steps])
-        for what, odd in (
-            ("time goes backwards", steps < 0.0),
-            ("the time stamp repeats", steps == 0.0),
-            ("a gap in time", steps > GAP_STEPS * usual),
-        ):
-            if odd.any():
-                checked.problems.append(_problem(place, odd, what))
-        steps = np.maximum(steps, 0.0)
-    elif limits.max_slew is not None:
+    steps = None if time is None or time.size < 2 else _check_clock(checked, time, place)
+    if steps is None and limits.max_slew is not None:
         raise InputError("there is no time, and `max_slew` depends on it (`time` COLUMN or `sample_rate` HZ)")
     checked.figures.see(drive, steps)
     gate = DriveGate(limits, from_)
@@ -109,6 +95,22 @@ def check_drive(
                 "not close"
             )
     return checked
+
+
+def _check_clock(checked: CheckedDrive, time: Floats, place: Callable[[int], str]) -> Floats:
+    """Note what is odd about time stamps; return the seconds before each row, none of them below 0."""
+    steps = np.diff(time)
+    forward = steps[steps > 0.0]
+    usual = median_step(forward) if forward.size else 0.0
+    steps = np.concatenate([[usual], steps])
+    for what, odd in (
+        ("time goes backwards", steps < 0.0),
+        ("the time stamp repeats", steps == 0.0),
+        ("a gap in time", steps > GAP_STEPS * usual),
+    ):
+        if odd.any():
+            checked.problems.append(_problem(place, odd, what))
+    return np.maximum(steps, 0.0)
 
 
 def _problem(place: Callable[[int], str], odd: Any, reason: str) -> str:

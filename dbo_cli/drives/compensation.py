@@ -8,21 +8,21 @@ gate.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dbo_cli.drives.gate import DriveGate
+from dbo_cli.drives.gate import DriveFigures, DriveGate, Extent
 from dbo_cli.drives.history import write_history
 from dbo_cli.drives.inputs import first_blocks
-from dbo_cli.drives.learning import Lesson
 from dbo_cli.drives.model_run import ModelRun, Response, Tally
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.pieces import ramp, require_rows, rest_samples, sweep, way
+from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
@@ -30,88 +30,12 @@ from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.remarks import Remarks
 
+if TYPE_CHECKING:
+    from dbo_cli.drives.learning import Lesson
+
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
 SAME_DRIVE = 1e-9  # of the range: a state and what the amplifier is said to stand at agree
-
-
-@dataclass
-class Extent:
-    """The least and the greatest of all values seen."""
-
-    low: float = math.inf
-    high: float = -math.inf
-
-    def add(self, values: FloatArray) -> None:
-        """See some values more."""
-        self.low = min(self.low, float(values.min(initial=math.inf)))
-        self.high = max(self.high, float(values.max(initial=-math.inf)))
-
-
-@dataclass
-class DriveFigures(Extent):
-    """What a drive asks of an amplifier, row by row.
-
-    Attributes
-    ----------
-    first, last : float, or None
-        The first row and the last one seen.
-    rows : int
-        How many rows were seen.
-    largest_step : float
-        Between two rows, that to the first one aside.
-    travel, work, seconds, fastest : float
-        Sums of |dv| and of |v dv|, the time they took (s), and the greatest |dv|/dt.
-    """
-
-    first: float | None = None
-    last: float | None = None
-    rows: int = 0
-    largest_step: float = 0.0
-    travel: float = 0.0
-    work: float = 0.0
-    seconds: float = 0.0
-    fastest: float = 0.0
-
-    def see(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
-        """See consecutive rows."""
-        if not drive.size:
-            return
-        self.add(drive)
-        change = np.abs(np.diff(drive, prepend=drive[0] if self.last is None else self.last))
-        if steps is not None:
-            time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
-            moved = change[int(self.last is None) :]
-            self.seconds += float(time.sum())
-            rates = moved[time > 0.0] / time[time > 0.0]
-            self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
-        self.largest_step = max(self.largest_step, float(change.max()))
-        self.travel += float(change.sum())
-        self.work += float(np.dot(np.abs(drive), change))
-        self.first = float(drive[0]) if self.first is None else self.first
-        self.last, self.rows = float(drive[-1]), self.rows + drive.size
-
-
-class Before(NamedTuple):
-    """The rows before a trajectory.
-
-    Attributes
-    ----------
-    voltage, expected : array
-        Played as they are, and the displacement that the model expects of them.
-    wanted : array
-        Displacements that the inverse follows, up to the trajectory's first value.
-    state : ModelState, or None
-        After the voltages; None where the run finds its start itself.
-    """
-
-    voltage: FloatArray
-    expected: FloatArray
-    wanted: FloatArray
-    state: ModelState | None
-
-
-NOTHING = np.zeros(0)
 
 
 @dataclass
@@ -156,6 +80,7 @@ class Compensation(ModelRun):
             self.why_time, self.bandwidth = "`tracked` depends on it", None
             self.remarks_before.add(self.lesson.remarks)
         super().__post_init__()
+        self._run = functools.partial(self.model.compensate, limits=self.limits)
         self.came_from = self._comes_from()
         self.gate = DriveGate(self.limits, self.came_from)
 
@@ -311,9 +236,6 @@ class Compensation(ModelRun):
         begun = self.model.start_compensation(first, self.start, self.limits)
         self._note_assumed(begun, first)
         return begun
-
-    def _run(self, x: FloatArray, state: ModelState, steps: float | FloatArray | None) -> Simulated:
-        return self.model.compensate(x, state, limits=self.limits, time_step=steps)
 
     def feed(self, block: SampleBlock, x: FloatArray) -> Simulated:
         """Run one block; count what the limits held back, and let the rows pass the gate."""

@@ -15,11 +15,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.drives.gate import ROUNDING, DriveGate, GateError
+from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import ramp
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.hysteresis.cascade import ScaleStage, memory_free, through
+from dbo_cli.hysteresis.bank import ROUNDING
+from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, memory_free, through
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
@@ -218,6 +219,22 @@ class Controller:
             return self._start if isinstance(self._start, ModelState) else None
         return ModelState(self._stepper.state, self._stepper.last, model=self._model.digest)
 
+    @property
+    def begun(self) -> tuple[BacklashStepper, MemoryFree, MemoryFree] | None:
+        """The gears' stepper and what stands before and behind it, for a bank; None before a commit."""
+        return None if self._stepper is None else (self._stepper, self._head, self._after)
+
+    @property
+    def converter(self) -> Converter | None:
+        """The converter, where there is one."""
+        return self._dac
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Range, largest change and the voltage that stands (NaN: none), for a bank."""
+        most, last = (math.nan if one is None else one for one in (self._most, self._last))
+        return self._limits.v_min, self._limits.v_max, most, last
+
     def _pass(self, volts: float) -> None:
         """Let one sample pass the gate; that of ``DriveGate`` for blocks, worked out here for speed."""
         low, high, last, most = self._limits.v_min, self._limits.v_max, self._last, self._most
@@ -312,7 +329,7 @@ class Converter:
             raise UsageError(
                 f"`dac`: no code lies within the limits of the drive, {limits.v_min:g} to {limits.v_max:g}"
             )
-        self._step, self._saved = most, 0.0
+        self.step, self.saved = most, 0.0
         gaps: list[float] = [b - a for a, b in itertools.pairwise(self.curve)]
         self._widest = max(gaps)
         self._gaps: list[float] = [max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])]
@@ -325,12 +342,12 @@ class Converter:
 
     def most(self, last: float | None) -> float | None:
         """Return the largest change that is allowed now, V; None where any is."""
-        step = self._step
+        step = self.step
         if step is None or last is None:
             return None
         if step < self._widest:
             gap = self._gaps[min(bisect.bisect_left(self.curve, last), len(self._gaps) - 1)]
-            return min(self._saved + step, max(step, gap))
+            return min(self.saved + step, max(step, gap))
         return step
 
     def code(self, volts: float, last: float | None, most: float | None) -> int:
@@ -350,4 +367,4 @@ class Converter:
     def commit(self, change: float, most: float | None) -> None:
         """Take what a change used off what was saved up."""
         if most is not None:
-            self._saved = max(most - change, 0.0)
+            self.saved = max(most - change, 0.0)

@@ -1,26 +1,25 @@
 """The gate: no row leaves for an amplifier that breaks a limit, wherever it was computed.
 
 Planning keeps the limits; the gate only looks. What it finds is a fault of this program (GateError), and
-nothing is written. ``dbo check`` asks the same gate about drives of other programs.
+nothing is written. ``dbo check`` asks the same gate about drives of other programs. What passes is measured
+(``DriveFigures``).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, LimitError
+from dbo_cli.hysteresis.bank import ROUNDING
 from dbo_cli.hysteresis.model_state import DriveLimits
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-ROUNDING = 8.0 * 2.0**-52
-"""Of the larger voltage: the last digits of a step between two rows, each rounded once or twice on its way
-through points and scales. A slew limit is kept to that, a range exactly."""
 
 
 class GateError(DboError):
@@ -154,3 +153,60 @@ def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
     way = np.concatenate([[last], drive[:count]])
     outwards = sign * np.diff(way) > 0.0
     return int(np.argmax(outwards)) if outwards.any() else count
+
+
+@dataclass
+class Extent:
+    """The least and the greatest of all values seen."""
+
+    low: float = math.inf
+    high: float = -math.inf
+
+    def add(self, values: Floats) -> None:
+        """See some values more."""
+        self.low = min(self.low, float(values.min(initial=math.inf)))
+        self.high = max(self.high, float(values.max(initial=-math.inf)))
+
+
+@dataclass
+class DriveFigures(Extent):
+    """What a drive asks of an amplifier, row by row.
+
+    Attributes
+    ----------
+    first, last : float, or None
+        The first row and the last one seen.
+    rows : int
+        How many rows were seen.
+    largest_step : float
+        Between two rows, that to the first one aside.
+    travel, work, seconds, fastest : float
+        Sums of |dv| and of |v dv|, the time they took (s), and the greatest |dv|/dt.
+    """
+
+    first: float | None = None
+    last: float | None = None
+    rows: int = 0
+    largest_step: float = 0.0
+    travel: float = 0.0
+    work: float = 0.0
+    seconds: float = 0.0
+    fastest: float = 0.0
+
+    def see(self, drive: Floats, steps: float | Floats | None) -> None:
+        """See consecutive rows."""
+        if not drive.size:
+            return
+        self.add(drive)
+        change = np.abs(np.diff(drive, prepend=drive[0] if self.last is None else self.last))
+        if steps is not None:
+            time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]
+            moved = change[int(self.last is None) :]
+            self.seconds += float(time.sum())
+            rates = moved[time > 0.0] / time[time > 0.0]
+            self.fastest = max(self.fastest, float(rates.max(initial=0.0)))
+        self.largest_step = max(self.largest_step, float(change.max()))
+        self.travel += float(change.sum())
+        self.work += float(np.dot(np.abs(drive), change))
+        self.first = float(drive[0]) if self.first is None else self.first
+        self.last, self.rows = float(drive[-1]), self.rows + drive.size

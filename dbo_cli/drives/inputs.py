@@ -91,6 +91,10 @@ class Inputs:
         role, last, dynamics = self.taken.quantity, self.last_row, self.dynamics
         self.start, step = begun or self.start, 0.0
         blocks = given if last is None else _split(given, last)
+        if last is None and dynamics is None and self.bandwidth is None and self.delay == 0.0:
+            for block in blocks:
+                yield block, block.values[role]
+            return
         if dynamics is not None or self.bandwidth is not None:
             why = EVEN_FOR_BANDWIDTH if dynamics is None else EVEN_FOR_DYNAMICS
             undoing = None if self.start is None else self.start.undoing

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dbo_cli.drives.compensation import NOTHING, Before, Compensation
+from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.learning import Tracked, learned_source
 from dbo_cli.drives.model_run import Response
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.pieces import ramp, require_rows, soft_rise
+from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.dynamics import undone
 from dbo_cli.hysteresis.kernel import towards

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -168,6 +169,7 @@ class ModelRun:
     displacement: Quantity = field(init=False)
     steps: TimeSteps = field(init=False)
     inputs: Inputs = field(init=False)
+    _run: Callable[..., Simulated] = field(init=False)
 
     remedies = ""
     """What brings an actuator into the start, in front of other ways."""
@@ -185,6 +187,7 @@ class ModelRun:
         needed = model.needs_time or (inverting and reads_ahead(model))
         why = LAG_DEPENDS if needed else self.why_time
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
+        self._run = functools.partial(model.simulate, outside=self.outside)
         delay, dynamics = (model.delay_seconds, model.dynamics) if inverting else (0.0, None)
         self.inputs = Inputs(self.source, self.taken, delay, dynamics, self.bandwidth, self.last_row, begun)
 
@@ -214,7 +217,7 @@ class ModelRun:
         if self.state is None:
             self.state = self._begun(float(x[0]))
         try:
-            done = self._run(x, self.state, steps)
+            done = self._run(x, self.state, time_step=steps)
         except OutsideError as problem:
             raise InputError(
                 f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
@@ -228,9 +231,6 @@ class ModelRun:
         if steps is not None and self.model.direction == "forward":
             self._watch_speed(done.y if self.compensates else x, steps, block)
         return done
-
-    def _run(self, x: FloatArray, state: ModelState, steps: float | FloatArray | None) -> Simulated:
-        return self.model.simulate(x, state, time_step=steps, outside=self.outside)
 
     def _watch_speed(self, drive: FloatArray, steps: float | FloatArray, block: SampleBlock) -> None:
         """Count the samples whose drive is faster than any that the model was identified from."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,28 @@ SLEW_SPARE = 0.9
 stamps take away (since 1970, 0.2 us each)."""
 SHORTEST_WAY = 0.1  # of the sweep's seconds: however short a way, what it excites stays small
 PLANS = 6  # tries to find how long a swing takes; the second is right where no memory matters
+
+
+NOTHING = np.zeros(0)
+
+
+class Before(NamedTuple):
+    """The rows before a trajectory.
+
+    Attributes
+    ----------
+    voltage, expected : array
+        Played as they are, and the displacement that the model expects of them.
+    wanted : array
+        Displacements that the inverse follows, up to the trajectory's first value.
+    state : ModelState, or None
+        After the voltages; None where the run finds its start itself.
+    """
+
+    voltage: Floats
+    expected: Floats
+    wanted: Floats
+    state: ModelState | None
 
 
 def ramp(name: str, begin: float, end: float, step: float, seconds: Seconds, limits: DriveLimits) -> Floats:

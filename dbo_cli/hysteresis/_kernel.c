@@ -2,12 +2,11 @@
  * only lengths are, so that no mistake there can read or write beyond a buffer. */
 #define Py_LIMITED_API 0x030b0000
 #define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include "_stepper.h"
 
 #include <string.h>
 
 #include "dbo_dynamics.h"
-#include "dbo_kernel.h"
 #include "dbo_plays.h"
 
 #define NUMBERS(view) ((size_t)(view).len / sizeof(double))
@@ -97,28 +96,12 @@ done:
                          (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
 }
 
-/* One operator, its limits and its state, held from one live sample to the next: see PythonStepper. */
-typedef struct {
-    PyObject_HEAD
-    Py_buffer gears;
-    dbo_backlash op;
-    dbo_limits limits;
-    double largest_change;
-    int limited;
-    double *decay;
-    size_t words; /* 64-bit words of a state */
-    dbo_backlash_state now;
-    dbo_backlash_state next;
-    int planned;
-    size_t clipped;
-    uint64_t *memory; /* all of it in one piece */
-} stepper;
-
 static void stepper_dealloc(PyObject *object) {
     stepper *self = (stepper *)object;
     PyTypeObject *type = Py_TYPE(object);
     PyBuffer_Release(&self->gears);
     PyMem_Free(self->memory);
+    PyMem_Free(self->table);
     PyObject_Free(object);
     Py_DECREF((PyObject *)type);
 }
@@ -143,6 +126,13 @@ static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *d
     self->op.terms = terms;
     self->op.gain = numbers + 2 * terms;
     self->decay = numbers + 3 * terms;
+    if (self->limited || (terms && self->op.memory_on_output)) {
+        const size_t rows = (size_t)self->gears.len / sizeof(dbo_gear);
+        self->table = PyMem_Malloc(rows * sizeof(dbo_fixed_gear) + terms * sizeof(double));
+        if (self->table) /* else the way without it, slower */
+            self->fixed =
+                dbo_prepare_fixed_step(&self->op, self->decay, (double *)(self->table + rows), self->table);
+    }
     return 1;
 }
 
@@ -166,6 +156,7 @@ static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywo
     if (NUMBERS(decay) != NUMBERS(gain) && too_short("decay")) goto done;
     if (!stepper_room(self, &gain, &decay)) goto done;
     dbo_backlash_load(&self->op, &self->now);
+    self->touched = (self->op.n + 63) / 64;
     ready = 1;
 done:
     PyBuffer_Release(&gain);
@@ -187,6 +178,7 @@ static PyObject *stepper_set(PyObject *object, PyObject *args) {
     memcpy(self->now.memory, memory.buf, self->op.terms * sizeof(double));
     self->now.last = last;
     dbo_backlash_load(&self->op, &self->now);
+    self->touched = (self->op.n + 63) / 64;
     self->planned = 0;
     ready = 1;
 done:
@@ -213,28 +205,37 @@ done:
     return PyFloat_FromDouble(self->now.last);
 }
 
-/* The state to go to, for now that of the present; its buffers stay its own. */
-static dbo_backlash_state *stepper_copy(stepper *self) {
-    uint64_t *words = self->next.words;
-    double *memory = self->next.memory;
-    memcpy(words, self->now.words, self->words * sizeof(uint64_t));
-    memcpy(memory, self->now.memory, self->op.terms * sizeof(double));
-    self->next = self->now;
-    self->next.words = words;
-    self->next.memory = memory;
+dbo_backlash_state *stepper_copy(stepper *self) {
+    dbo_backlash_copy(&self->op, &self->next, &self->now, self->touched);
     return &self->next;
 }
 
-static PyObject *stepper_plan(PyObject *object, PyObject *value) {
-    stepper *self = (stepper *)object;
+double stepper_step(stepper *self, double x) {
+    const dbo_limits *limits = self->limited ? &self->limits : NULL;
+    dbo_backlash_state *next = stepper_copy(self);
     dbo_counts counts = {0, 0, 0, 0};
-    const double x = PyFloat_AsDouble(value);
     double y;
-    if (PyErr_Occurred()) return NULL;
-    y = dbo_backlash_step(&self->op, stepper_copy(self), x, self->decay, self->limited ? &self->limits : NULL, &counts);
+    if (self->table)
+        y = dbo_backlash_step_fixed(&self->op, &self->fixed, next, x, limits, &counts);
+    else
+        y = dbo_backlash_step(&self->op, next, x, self->decay, limits, &counts);
     self->clipped = counts.clipped;
+    self->touched = dbo_backlash_touched(&self->op, next);
     self->planned = 1;
-    return PyFloat_FromDouble(y);
+    return y;
+}
+
+void stepper_goes_on(stepper *self, double y) {
+    dbo_backlash_apply(&self->op, &self->now, y, self->decay);
+    const size_t touched = dbo_backlash_touched(&self->op, &self->now);
+    if (touched > self->touched) self->touched = touched;
+    self->planned = 0;
+}
+
+static PyObject *stepper_plan(PyObject *object, PyObject *value) {
+    const double x = PyFloat_AsDouble(value);
+    if (PyErr_Occurred()) return NULL;
+    return PyFloat_FromDouble(stepper_step((stepper *)object, x));
 }
 
 static PyObject *stepper_commit(PyObject *object, PyObject *nothing) {
@@ -259,8 +260,7 @@ static PyObject *stepper_apply(PyObject *object, PyObject *value) {
         PyErr_SetString(PyExc_ValueError, "memory on the input: its output does not give the state");
         return NULL;
     }
-    dbo_backlash_apply(&self->op, &self->now, y, self->decay);
-    self->planned = 0;
+    stepper_goes_on(self, y);
     return Py_BuildValue("");
 }
 
@@ -564,11 +564,24 @@ static PyMethodDef methods[] = {
     {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
     {NULL, NULL, 0, NULL}};
 
+static PyTypeObject *stepper_type; /* the first module's; types of others are refused */
+
+int is_stepper(PyObject *object) { return Py_TYPE(object) == stepper_type; }
+
 static int add_types(PyObject *module) {
-    PyObject *type = PyType_FromModuleAndSpec(module, &stepper_spec, NULL);
-    const int failed = type == NULL || PyModule_AddType(module, (PyTypeObject *)type) < 0;
-    Py_XDECREF(type);
-    return failed ? -1 : 0;
+    PyType_Spec *specs[2] = {&stepper_spec, &bank_spec};
+    for (int k = 0; k < 2; k++) {
+        PyObject *type = PyType_FromModuleAndSpec(module, specs[k], NULL);
+        if (type == NULL || PyModule_AddType(module, (PyTypeObject *)type) < 0) {
+            Py_XDECREF(type);
+            return -1;
+        }
+        if (k == 0)
+            stepper_type = (PyTypeObject *)type; /* kept for good */
+        else
+            Py_DECREF(type);
+    }
+    return 0;
 }
 
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)add_types}, {0, NULL}};

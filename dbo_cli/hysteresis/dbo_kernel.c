@@ -747,6 +747,26 @@ void dbo_backlash_apply(const dbo_backlash *op, dbo_backlash_state *state, doubl
     finish(&w, state);
 }
 
+/* ---- two states that are nearly the same --------------------------------------------------------------- */
+
+size_t dbo_backlash_touched(const dbo_backlash *op, const dbo_backlash_state *state) {
+    const size_t words = (op->n + 63) / 64, gear = state->set > state->zero ? state->set : state->zero;
+    return gear / 64 + 1 < words ? gear / 64 + 1 : words;
+}
+
+void dbo_backlash_copy(const dbo_backlash *op, dbo_backlash_state *to, const dbo_backlash_state *from,
+                       size_t touched) {
+    const size_t words = (op->n + 63) / 64, indices = 2 * index_words(op->n);
+    uint64_t *held = to->words;
+    double *memory = to->memory;
+    for (size_t k = 0; k < touched; k++) held[k] = from->words[k];
+    for (size_t k = words; k < words + indices + SUMS * touched; k++) held[k] = from->words[k];
+    for (size_t j = 0; j < op->terms; j++) memory[j] = from->memory[j];
+    *to = *from;
+    to->words = held;
+    to->memory = memory;
+}
+
 /* ---- a state to begin with --------------------------------------------------------------------------- */
 
 /* The gears stop flipping from the highest to the lowest. With those up to k spanning [low, high], gear k

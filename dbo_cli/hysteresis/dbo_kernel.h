@@ -107,6 +107,13 @@ size_t dbo_backlash_words(size_t n);
 
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state);
 
+/* What lies beyond the words that a step can have changed need not be copied: `to` becomes `from`, where the two
+ * differ in the first `touched` words alone. A step goes one way, and leaves S or Z above every gear it crossed. */
+size_t dbo_backlash_touched(const dbo_backlash *op, const dbo_backlash_state *state);
+
+void dbo_backlash_copy(const dbo_backlash *op, dbo_backlash_state *to, const dbo_backlash_state *from,
+                       size_t touched);
+
 /* The state of an actuator that has been switched on and trimmed to `drive` and rests there: after an
  * oscillation of the drive that decays to it from the whole range of gears 0 to `covered` - 1, while others
  * stay as `spare` has them (words of bits; NULL: open). The drive is the input of a forward operator and the

@@ -132,33 +132,33 @@ class BacklashStepper:
         step = math.nan if bound.step is None else float(np.asarray(bound.step))
         make = PythonStepper if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Stepper
         self._operator = operator
-        self._inner = make(
+        self.inner = make(
             operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, gain,
             terms.reference if terms else 0.0, operator.memory_on == "output", decay, limits is not None,
             bound.low, bound.high, bound.slack, step,
         )  # fmt: skip
         self._words, self._memory = operator._words(state), np.zeros(gain.size)
-        self.plan, self.commit, self.apply = self._inner.plan, self._inner.commit, self._inner.apply
+        self.plan, self.commit, self.apply = self.inner.plan, self.inner.commit, self.inner.apply
         self.set(state, last)
 
     @property
     def clipped(self) -> int:
         """1 where the last plan met the limits, else 0."""
-        return int(self._inner.clipped)
+        return int(self.inner.clipped)
 
     @property
     def state(self) -> BacklashState:
         """The committed state."""
-        self._inner.get(self._words, self._memory)
+        self.inner.get(self._words, self._memory)
         held = tuple(self._memory.tolist()) if self._operator.relaxation is not None else None
         return BacklashState(self._operator._bits(self._words), held)
 
     @property
     def last(self) -> float:
         """The output of the last step committed."""
-        return float(self._inner.last)
+        return float(self.inner.last)
 
     def set(self, state: BacklashState, last: float) -> None:
         """Take a state over from this operator or the exchanged one: its bits and memory mean the same."""
         memory = np.array(state.memory or (), dtype=np.float64)
-        self._inner.set(self._operator._words(state), memory, last)
+        self.inner.set(self._operator._words(state), memory, last)

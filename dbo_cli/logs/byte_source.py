@@ -1,26 +1,23 @@
-"""Bytes in, lines out: files, gzip and standard input as blocks of whole lines, in constant memory."""
+"""Bytes in: what a reader is given, and files, gzip and standard input as plain text, in constant memory."""
 
 from __future__ import annotations
 
 import codecs
+import contextlib
 import io
 import os
 import stat
 import sys
 import zlib
-from collections.abc import Iterator
-from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import IO, Any, cast
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.libraries import GAVE_UP
+from dbo_cli.logs.reading_options import ReadingOptions
 
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-Item = TypeVar("Item")
-HEAD_BYTES = 1 << 18  # read ahead: longer than the header of any instrument, and some thousand rows
-LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
-NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
 _UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
 _GZIP_MAGIC = b"\x1f\x8b"  # RFC 1952, 2.3.1
@@ -95,6 +92,73 @@ def _state_of(path: str) -> tuple[int, int, int] | None:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
+@dataclass(frozen=True)
+class Request:
+    """What a reader of a format is given.
+
+    Attributes
+    ----------
+    address, options
+        Where the log is, and how it is to be read.
+    named
+        The columns that the user named.
+    live
+        Hand on what has arrived instead of waiting for a full block.
+    digest
+        Hash the bytes of a stream as they are read: it cannot be read again.
+    content
+        The text itself, where another format has been turned into text (a workbook's sheet).
+    watch
+        Of the file, from now on.
+    """
+
+    address: Address
+    options: ReadingOptions
+    named: Sequence[str] = ()
+    live: bool = False
+    digest: bool = False
+    content: bytes | None = None
+    watch: FileWatch = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Watch the file from now on."""
+        object.__setattr__(self, "watch", FileWatch(self.place, self.address.path))
+
+    @property
+    def place(self) -> str:
+        """How messages call the log."""
+        return self.address.text
+
+    @contextlib.contextmanager
+    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
+        """Turn whatever a library raises at damaged bytes into one line (InputError).
+
+        ``kind`` is what the file should be, as messages call it (``Parquet``).
+        """
+        try:
+            yield
+            self.watch.check()
+        except (DboError, KeyboardInterrupt, SystemExit):
+            raise
+        except errors as problem:
+            self.watch.check()
+            raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
+
+    def no_columns(self, held: Iterable[str], remedy: str = "") -> InputError:
+        """Return the error for a file without columns of numbers; ``held`` is what it has instead."""
+        return InputError(
+            f"{self.place}: no columns of numbers: it holds {', '.join(held) or 'nothing'}{remedy}"
+        )
+
+
+def brief(problem: BaseException) -> str:
+    """Keep the reason in brackets of a library's message, or its first line."""
+    if type(problem).__name__ == "PanicException":  # describes the library's own lines
+        return GAVE_UP
+    text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
+    return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text
+
+
 class _Hashing(io.RawIOBase):
     """A raw stream that hashes what passes through it."""
 
@@ -117,16 +181,8 @@ class ByteSource:
 
     Parameters
     ----------
-    address
-        Where to read from.
-    live
-        Hand on what has arrived instead of waiting for a full block.
-    digest
-        Hash the bytes of a stream as they are read: it cannot be read again.
-    encoding
-        A codec that the user forced; otherwise a byte-order mark decides, and UTF-8 is the default.
-    content
-        The text itself, where another format has been turned into text (a workbook's sheet).
+    request
+        What is to be read; without a codec forced by the user a byte-order mark decides, else it is UTF-8.
 
     Raises
     ------
@@ -134,32 +190,25 @@ class ByteSource:
         The file is missing, is a folder, cannot be read, or is plainly no text.
     """
 
-    def __init__(
-        self,
-        address: Address,
-        *,
-        live: bool = False,
-        digest: bool = False,
-        encoding: str | None = None,
-        content: bytes | None = None,
-    ) -> None:
+    def __init__(self, request: Request) -> None:
+        address = request.address
         self.name = address.name
-        self._content = content
+        self._content = request.content
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
         self._file: IO[bytes] | None = None
         self._begun: os.stat_result | None = None  # how a regular file was when it was opened
         self._largest = 0  # bytes that it has had since
-        self._live = live
+        self._live = request.live
         self._hash: Any = None
-        if digest and address.is_stream:
+        if request.digest and address.is_stream:
             import hashlib
 
             self._hash = hashlib.sha256()
         self._owned: list[IO[bytes]] = []
         try:
             self._stream = self._open(address)
-            self._decode = self._decoder(encoding)
+            self._decode = self._decoder(request.options.encoding)
         except BaseException:
             self.close()
             raise
@@ -316,114 +365,3 @@ def _open_file(address: Address) -> IO[bytes]:
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise InputError(f"{address.path}: cannot be read: {reason}") from None
-
-
-class LineBlocks:
-    """Blocks of whole lines of a source; the first one can be looked at before it is taken.
-
-    ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
-    counts those that were left out at the start.
-    """
-
-    def __init__(self, source: ByteSource, block_bytes: int) -> None:
-        self.block_bytes = block_bytes
-        self._source = source
-        self.above = b""
-        self.empty_lines = 0
-        self._pending = b""
-        self._ended = False
-
-    def head(self, enough: Any) -> bytes:
-        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
-
-        ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
-        """
-        while not self._ended:
-            read = len(self._pending)
-            if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
-                break
-            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
-            self._leave_out_empty_lines()
-            if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
-                break
-        return self._pending
-
-    def longer_head(self) -> bytes | None:
-        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
-        wanted = 2 * len(self._pending)
-        if self._ended or wanted > LONGEST_LINE:
-            return None
-        while len(self._pending) < wanted and not self._ended:
-            self._fill(wanted - len(self._pending))
-        return self._pending
-
-    def _leave_out_empty_lines(self) -> None:
-        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
-        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
-            text = self._pending.lstrip()
-            above = self._pending[: len(self._pending) - len(text)]
-            end = above.rfind(b"\n") + 1
-            self.empty_lines += above.count(b"\n")
-            self._pending = self._pending[end:]
-
-    @property
-    def whole_in_head(self) -> bool:
-        """Whether the source ended inside what has been read."""
-        return self._ended
-
-    def __iter__(self) -> Iterator[bytes]:
-        """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        while True:
-            for start, end in self._cuts():  # at first what was read ahead
-                block = self._pending[start:end]
-                self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
-                yield block
-            self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
-            if self._ended:
-                break
-            self._fill(self.block_bytes)
-        if self._pending:
-            last, self._pending = self._pending, b""
-            yield last
-
-    def _cuts(self) -> list[tuple[int, int]]:
-        """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
-        text, start = self._pending, 0
-        last = text.rfind(b"\n") + 1
-        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
-            return [(0, last)] if last else []
-        cuts = []
-        while start < last:
-            limit = min(last, start + self.block_bytes)
-            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
-            cuts.append((start, end))
-            start = end
-        return cuts
-
-    def _fill(self, size: int) -> None:
-        data = self._source.read(size)
-        if not data:
-            self._ended = True
-        elif self._pending:
-            self._pending += data
-        else:
-            self._pending = data
-        if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
-            raise InputError(
-                f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
-            )
-
-
-def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
-    """Give the items of an iterator, each made in a thread while the one before is worked on.
-
-    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An
-    exception of the iterator is raised here, after the items before it.
-    """
-    from concurrent.futures import ThreadPoolExecutor
-
-    with ThreadPoolExecutor(1) as pool:
-        coming: Future[Item | None] = pool.submit(next, items, None)
-        while (item := coming.result()) is not None:
-            coming = pool.submit(next, items, None)
-            yield item

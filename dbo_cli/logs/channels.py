@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import column_label, list_columns
 from dbo_cli.logs.reading_options import ReadingOptions
@@ -191,7 +192,7 @@ class ChannelReader:
         address = self.address.or_format(self.options.format)
         # Read to the end, whatever rows are asked for: a channel's log takes its own rows of what is held.
         whole = replace(self.options, rows=(self.options.rows[0], None), skip_bad=False)
-        return open_table(address, whole, False, self.digest, list(self.patterns.values()))
+        return open_table(Request(address, whole, list(self.patterns.values()), digest=self.digest))
 
     def _hold(self, channels: Sequence[str]) -> None:
         """Read channels together, or in two halves where a row is bad in one of them."""

@@ -6,20 +6,17 @@ A reader of a format finds the columns, their units, scales and the clock; every
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.byte_source import FileWatch
+from dbo_cli.errors import InputError
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.libraries import GAVE_UP
-from dbo_cli.logs.reading_options import SKIP_REMEDY, ReadingOptions
+from dbo_cli.logs.reading_options import remedy_for
 from dbo_cli.logs.sample_block import (
     ColumnInfo,
     FloatArray,
@@ -39,46 +36,6 @@ MATLAB_OBJECTS = (
     " (MATLAB objects (table, timetable, timeseries, string) can be taken apart by MATLAB only: save plain "
     "vectors, t, voltage and displacement, with save('run.mat', 't', 'voltage', 'displacement'))"
 )
-
-
-@dataclass(frozen=True)
-class Request:
-    """What a reader is given: the address, the columns that the user named, the options of reading."""
-
-    address: Address
-    named: Sequence[str]
-    options: ReadingOptions
-    watch: FileWatch = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Watch the file from now on."""
-        object.__setattr__(self, "watch", FileWatch(self.place, self.address.path))
-
-    @property
-    def place(self) -> str:
-        """How messages call the log."""
-        return self.address.text
-
-    @contextlib.contextmanager
-    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
-        """Turn whatever a library raises at damaged bytes into one line (InputError).
-
-        ``kind`` is what the file should be, as messages call it (``Parquet``).
-        """
-        try:
-            yield
-            self.watch.check()
-        except (DboError, KeyboardInterrupt, SystemExit):
-            raise
-        except errors as problem:
-            self.watch.check()
-            raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
-
-    def no_columns(self, held: Iterable[str], remedy: str = "") -> InputError:
-        """Return the error for a file without columns of numbers; ``held`` is what it has instead."""
-        return InputError(
-            f"{self.place}: no columns of numbers: it holds {', '.join(held) or 'nothing'}{remedy}"
-        )
 
 
 @dataclass(frozen=True)
@@ -325,7 +282,8 @@ class ColumnTable(Table):
                 if len(rows):
                     message = self._complaint(picks, block, int(rows[0]), int(np.argmax(bad[:, rows[0]])))
                     if not options.skip_bad:
-                        raise InputError(f"{message} {SKIP_REMEDY}")
+                        rest = bad.shape[1] - 1 - int(rows[0])
+                        raise InputError(f"{message} {remedy_for(len(rows) - 1, rest)}")
                     dropped, first = dropped + len(rows), first or message
                 kept = {role: array[good] for role, array in block.values.items()}
                 block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
@@ -360,11 +318,3 @@ def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:
     """Tell which values of a column are refused: NaN is none where the column may be blank."""
     bad = ~are_measured(values)
     return bad & ~np.isnan(values) if pick.may_be_blank else bad
-
-
-def brief(problem: BaseException) -> str:
-    """Keep the reason in brackets of a library's message, or its first line."""
-    if type(problem).__name__ == "PanicException":  # describes the library's own lines
-        return GAVE_UP
-    text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
-    return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text

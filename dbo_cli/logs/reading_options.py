@@ -23,7 +23,19 @@ ALL_ROWS: Rows = (1, None)
 BLOCK_ROWS = 1 << 16  # half a megabyte a column, so that some columns fit the cache
 _LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost in rounding, or the rows are
 
-SKIP_REMEDY = "(`skip_bad` drops such rows)"
+FEWEST_TO_JUDGE = 20  # rows after a bad one, from which on it is said how many of them are bad, too
+
+
+def remedy_for(bad: int, rows: int) -> str:
+    """Return what to do about a bad row, of whose next ``rows`` rows ``bad`` are bad, too.
+
+    To drop them is no remedy where most of a log would go.
+    """
+    if rows < FEWEST_TO_JUDGE or 2 * bad <= rows:
+        return "(`skip_bad` drops such rows)"
+    return f"(and so on in {bad:,} of the next {rows:,} rows: name another column, or take good `rows` A:B)"
+
+
 BLANKS = " "  # the delimiter that stands for any run of blanks and tabs
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS, "space": BLANKS, "pipe": "|"}
 DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}

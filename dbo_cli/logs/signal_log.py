@@ -16,6 +16,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, without_folder
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.clock import TimeCheck, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.plain_text import cleaned
@@ -277,7 +278,7 @@ def open_log(
         target = address.or_format(options.format)
     else:
         target = parse_address(address, options.format)
-    table = open_table(target, options, live, digest, named)
+    table = open_table(Request(target, options, named, live, digest))
     others: list[str] = []
     try:
         if any("::" in one for one in selectors):

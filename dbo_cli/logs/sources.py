@@ -89,6 +89,8 @@ class Source:
 
     def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return samples by role in the units that they are to be handed out in."""
+        if not self._factors:
+            return dict(values)
         return {role: self._factors.get(role, ONE).apply(array) for role, array in values.items()}
 
     def reading_line(self) -> str | None:

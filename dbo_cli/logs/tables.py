@@ -19,7 +19,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address, other_file, parse_address
-from dbo_cli.logs.byte_source import BINARY, ZIP
+from dbo_cli.logs.byte_source import BINARY, ZIP, Request
 from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
@@ -32,9 +32,7 @@ _ZIP_ENDINGS = {".npz": "binary.arrays.open_npz"} | dict.fromkeys((".xlsx", ".xl
 _USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
 
 
-def open_table(
-    address: Address, options: ReadingOptions, live: bool, digest: bool, named: Sequence[str]
-) -> Table:
+def open_table(request: Request) -> Table:
     """Open a log with the reader that its first bytes (or its name) ask for.
 
     Raises
@@ -42,16 +40,15 @@ def open_table(
     InputError
         The file cannot be read, or a library that reads it is not installed.
     """
+    address = request.address
     if isinstance(address, ReadLog) and address.table is not None:
-        return address.table.opened(options)
+        return address.table.opened(request.options)
     reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
     if not reader:
-        return TextTable(address, options, live=live, digest=digest)
-    from dbo_cli.logs.column_table import Request
-
+        return TextTable(request)
     module, _, function = reader.rpartition(".")
     read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
-    opened: Table = read(Request(address, named, options))
+    opened: Table = read(request)
     return opened
 
 
@@ -140,7 +137,7 @@ def join_files(
             return wish.selector
         address, selector = named
         if address not in others:
-            opened = open_table(parse_address(address), there, False, False, [selector])
+            opened = open_table(Request(parse_address(address), there, [selector]))
             others[address] = _File(opened, {})
         found = find_column(others[address].table.place, others[address].table.columns, selector, wish.option)
         _append(columns, others[address], found)

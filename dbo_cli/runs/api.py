@@ -10,16 +10,19 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import parse_address
+from dbo_cli.hysteresis.model_set import is_set
+from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.channels import is_pattern
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
 from dbo_cli.remarks import DboWarning, Remarks
-from dbo_cli.runs.model import Model, read_model, require_known
+from dbo_cli.runs.model import Model, record_of
+from dbo_cli.runs.model import read_model as read_single_model
 from dbo_cli.runs.roles import recording_wishes, short_names
 
 if TYPE_CHECKING:
@@ -105,16 +108,18 @@ def _frame(log: SignalLog) -> pandas.DataFrame:
 
 def identify(
     log: Any,
-    displacement: ArrayLike | None = None,
+    displacement: Any = None,
     *,
+    voltage: str | None = None,
     time: Any = None,
     sample_rate: float | None = None,
     validate: Any = (),
-    prior: Model | str | os.PathLike[str] | None = None,
+    prior: Any = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
+    jobs: int = 1,
     **options: Any,
-) -> Model:
+) -> Any:
     """Identify a model of an actuator from logs of its drive voltage and displacement.
 
     Parameters
@@ -123,15 +128,22 @@ def identify(
         The drive voltage of shape (samples,) beside ``displacement``; or one or more logs of one actuator.
     displacement : array_like of shape (samples,), optional
         The measured displacement, where ``log`` is the voltage.
+    voltage, displacement : str, optional
+        The columns of tables and files; guessed where not given. Patterns (``V{}`` and ``D{}``) name those of
+        many channels.
     time, sample_rate
         Seconds of shape (samples,), or samples a second (Hz), for arrays; for tables and files a column's
         name or number, or the rate of a log without time.
     validate
         Another log, or a list of logs, to say how well the model predicts.
     prior : Model or file name, optional
-        Keep the shape of this model, and find its gain, offset and lag again from a short log.
+        Keep the shape of this model, and find its gain, offset and lag again from a short log; for channels
+        a ``ModelSet`` or the file of one.
     voltage_unit, displacement_unit : str, optional
         Units of arrays, for the model to carry.
+    jobs : int
+        Processes, for channels; changes no result. A script that asks for several needs the usual
+        ``if __name__ == "__main__":``.
     **options
         What ``IdentificationOptions`` knows (``gears``, ``points``, ``relaxation``, ``delay``, ``slopes``,
         ``dynamics``, ``sensor_delay``, ``sensor_lag``, ``skip_seconds``, ``method``, ``zero``, ``rated``,
@@ -139,7 +151,7 @@ def identify(
 
     Returns
     -------
-    Model
+    Model, or of patterns a ModelSet
         With ``summary`` and ``warnings``; warnings also go the way of Python's own (``DboWarning``).
 
     Raises
@@ -154,19 +166,46 @@ def identify(
     from dbo_cli.hysteresis.identification import IdentificationOptions
     from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings
 
-    require_known(IdentificationOptions, options, "is no parameter of identify")
-    asked = IdentificationOptions(**options)
+    asked = record_of(IdentificationOptions, options, "is no parameter of identify")
+    by_name = voltage is not None or isinstance(displacement, str)
+    columns = (voltage, displacement) if by_name else (None, None)
+    if any(map(is_pattern, columns)):
+        from dbo_cli.runs.model_set import identify_set
+
+        words = (_listed(log), _listed(validate), columns, time, sample_rate, asked, prior, jobs)
+        return identify_set(*words, record=_recorded)
     kept = None if prior is None else _model(prior).actuator
     units = {"voltage": voltage_unit, "displacement": displacement_unit}
-    given = [(log, displacement)] if displacement is not None else [(one,) for one in _listed(log)]
-    logs = [_recorded(one, time, sample_rate, kept, units) for one in given]
-    checks = [_recorded((one,), time, sample_rate, kept) for one in _listed(validate)]
-    named = {"prior": os.path.basename(prior)} if isinstance(prior, str | os.PathLike) else {}
-    arguments = arguments_of(_names(logs), _names(checks), chosen_of(asked) | named)
+    arrays = displacement is not None and not by_name
+    given = [(log, displacement)] if arrays else [(one,) for one in _listed(log)]
+    logs = [_recorded(one, time, sample_rate, kept, units, columns) for one in given]
+    checks = [_recorded((one,), time, sample_rate, kept, columns=columns) for one in _listed(validate)]
+    chosen = chosen_of(asked) | ({"prior": os.path.basename(str(prior))} if is_file(prior) else {})
+    arguments = arguments_of(_names(logs), _names(checks), chosen)
     found = identify_recordings(logs, asked, checks, arguments, kept)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
     return Model(found.model, found.summary, found.remarks)
+
+
+def read_model(path: str | os.PathLike[str]) -> Any:
+    """Read a model file, or a set of models; ``-`` is standard input.
+
+    Returns
+    -------
+    Model, or of a set a ModelSet
+        ``FILE::CHANNEL`` is one model of a set.
+
+    Raises
+    ------
+    InputError, ModelError
+        The file cannot be read, is no model, or contradicts itself; the message names file and key.
+    """
+    if is_set(os.fspath(path)):
+        from dbo_cli.runs.model_set import read_model_set
+
+        return read_model_set(path)
+    return read_single_model(path)
 
 
 def simulate(model: Model | str | os.PathLike[str], x: Any, **options: Any) -> Any:
@@ -306,12 +345,12 @@ def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any
 
 
 def _model(model: Model | str | os.PathLike[str]) -> Model:
-    return model if isinstance(model, Model) else read_model(model)
+    return model if isinstance(model, Model) else read_single_model(model)
 
 
 def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    require_known(ReadingOptions, options, "says nothing about reading a log")
-    return ReadingOptions(time=time, rows=ALL_ROWS if rows is None else parse_rows(rows), **options)
+    given = options | {"time": time, "rows": ALL_ROWS if rows is None else parse_rows(rows)}
+    return record_of(ReadingOptions, given, "says nothing about reading a log")
 
 
 def _logs(given: Any) -> list[Any]:
@@ -335,6 +374,7 @@ def _recorded(
     sample_rate: float | None,
     prior: ActuatorModel | None,
     units: Mapping[str, str | None] = {},
+    columns: tuple[str | None, str | None] = (None, None),
 ) -> RecordedLog:
     """Return a table, a file, or voltage and displacement, ready to be identified from (see ``prior``)."""
     from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, read_recordings, recording_of
@@ -343,11 +383,11 @@ def _recorded(
     if len(signals) > 1:
         arrays = {"voltage": log, "displacement": signals[1]}
         source = ArraySource(arrays, time, sample_rate, units=units)
-    elif is_file(log):
+    elif is_file(log) or isinstance(log, Address):
         options = ReadingOptions(time=time, sample_rate=sample_rate)
-        return read_recordings([parse_address(log)], [], options, prior=prior)[0][0]
+        return read_recordings([parse_address(log)], [], options, *columns, prior=prior)[0][0]
     elif is_table(log):
-        source = table_source(log, recording_wishes(None, None), time, sample_rate)
+        source = table_source(log, recording_wishes(*columns), time, sample_rate)
     else:
         raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
     bring_to_prior(source, prior)

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,13 @@ from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.roles import bring_to, quantity_wish, source_of, start_of, tracked_of, tracked_wishes
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
     from dbo_cli.drives.controller import Controller
     from dbo_cli.drives.learning import Tracked
 
 Floats = NDArray[np.float64]
+Record = TypeVar("Record", bound="DataclassInstance")
 Start = StartName | ModelState | str | os.PathLike[str]
 
 
@@ -292,9 +295,8 @@ class Model:
         from dbo_cli.drives.loops import compensation
         from dbo_cli.drives.options import DriveOptions
 
-        require_known(DriveOptions, options, "is no parameter of compensate")
         state = start_of(options.get("state", "auto"), self.actuator)
-        asked = DriveOptions(**options | {"state": state})
+        asked = record_of(DriveOptions, options | {"state": state}, "is no parameter of compensate")
         self.actuator.require("forward")
         read, last = _rows_of(rows, not (asked.periodic or np.size(tracked)))
         want = {self.output.quantity: quantity_wish(self.output, option="wanted", trajectory=True)}
@@ -352,7 +354,13 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     return Model(actuator, remarks=Remarks(warnings=list(kept) if isinstance(kept, list) else []))
 
 
-def require_known(record: Any, given: Mapping[str, Any], what: str) -> None:
+def record_of(record: type[Record], given: Mapping[str, Any], what: str) -> Record:
+    """Return a record of options, made of keywords that it knows (see ``require_known``)."""
+    require_known(record, given, what)
+    return record(**given)
+
+
+def require_known(record: type[DataclassInstance], given: Mapping[str, Any], what: str) -> None:
     """Refuse keywords that are no fields of a record of options (UsageError, which lists the fields)."""
     known = {field.name for field in dataclasses.fields(record)}
     for name in given:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,30 +68,38 @@ def make_trajectory(
     unit = unit or (models[0][1].output.unit if models else None)
     if unit is None:
         raise UsageError("`unit` UNIT: say what the figures are in (um, nm, mrad), or give `model`")
-    notes = []
-    if options.bandwidth is None:
-        known = [trusted_frequency(model) for _, model in models]
-        trusted = min((one for one in known if one is not None), default=None)
-        options = dataclasses.replace(options, bandwidth=trusted)
-        notes.append(
-            f"turns and steps take {1e3 / trusted:.4g} ms: the model can be trusted to {trusted:.4g} Hz"
-            if trusted is not None
-            else ("the model does not know how fast it can be trusted: c" if models else "c")
-            + "orners are not rounded (`bandwidth` HZ)"
-        )
+    options, notes = _trusted(options, [model for _, model in models])
     made = move(options)
-    names = ONE_AXIS if len(made.axes) == 1 else TWO_AXES
-    axes = dict(zip(names, made.axes, strict=True))
-    for (axis, values), given in zip_longest(axes.items(), models[: len(axes)]):
-        if models:
-            name, model = given or models[-1]
-            _require_reach(axis, values, name, model)
-            notes += _speed(axis, values * options.rate, name, model)
+    axes = dict(zip(ONE_AXIS if len(made.axes) == 1 else TWO_AXES, made.axes, strict=True))
+    if len(models) > len(axes):
+        raise UsageError(
+            f"`model`: {len(models)} of them, and a {options.shape} has {len(axes)} (one an axis)"
+        )
+    for number, (axis, values) in enumerate(axes.items() if models else ()):
+        name, model = models[min(number, len(models) - 1)]
+        _require_reach(axis, values, name, model)
+        notes += _speed(axis, values * options.rate, name, model)
     rows = made.axes[0].size
     size = f"{rows:,} rows, {rows / options.rate:.6g} s"
     reach = ", ".join(f"{axis} {v.min():.6g} to {v.max():.6g} {unit}" for axis, v in axes.items())
     said = [f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]]
     return Trajectory(np.arange(rows) / options.rate, axes, unit, said)
+
+
+def _trusted(
+    options: TrajectoryOptions, models: Sequence[ActuatorModel]
+) -> tuple[TrajectoryOptions, list[str]]:
+    """Return options with the bandwidth of the models, where none is given, and a note on it."""
+    if options.bandwidth is not None:
+        return options, []
+    known = [one for one in map(trusted_frequency, models) if one is not None]
+    trusted = min(known, default=None)
+    why = "the model does not know how fast it can be trusted: " if models else ""
+    note = f"{why}corners are not rounded (`bandwidth` HZ)"
+    if trusted is not None:
+        note = f"turns and steps take {1e3 / trusted:.4g} ms: the model can be trusted to {trusted:.4g} Hz"
+    cornered = options.shape not in ("sine", "spiral")
+    return dataclasses.replace(options, bandwidth=trusted), [note] if cornered else []
 
 
 def _require_reach(axis: str, values: Floats, name: str, model: ActuatorModel) -> None:

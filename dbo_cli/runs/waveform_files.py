@@ -204,7 +204,8 @@ def _encoded(played: Points, names: Sequence[str], options: WaveformOptions) -> 
     data = written(options.to, Signals(content, rate, ends))
     slew = None if limits.max_slew is None else limits.max_slew / abs(options.gain) + coarse * rate
     for one in back:
-        DriveGate(DriveLimits(*within, slew)).admit(one, 1.0 / rate)
+        gate = DriveGate(DriveLimits(*within, slew))
+        gate.admit(np.append(one, one[0]) if options.loop else one, 1.0 / rate)
     rounding = float(np.abs(back - volts).max())
     codes = options.codes or form.codes or ((-1, 1) if form.normal else None)
     mean = "" if codes is None else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
     ColumnTable,
     Fetch,
-    Request,
     array_source,
     matrix_sources,
     number_in,

@@ -11,7 +11,8 @@ import numpy as np
 import polars
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, from_first_row, statements_in
+from dbo_cli.logs.byte_source import Request
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, from_first_row, statements_in
 from dbo_cli.logs.libraries import host, keep_interrupts
 
 _ROWS = 1 << 20  # read at once: a row group is decoded whole, and pandas writes a million rows into one

@@ -11,7 +11,7 @@ from typing import Any
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_table import Request
+from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.libraries import host, import_extra, keep_interrupts
 from dbo_cli.logs.text.lines import is_number
 from dbo_cli.logs.text.text_table import TextTable
@@ -37,7 +37,7 @@ def open_excel(request: Request) -> TextTable:
         book = fastexcel.read_excel(address.path)
         content = _as_text(book, _choose(place, address, book))
     plain = replace(request.options, delimiter="tab", encoding=None)
-    return TextTable(address, plain, content=content)
+    return TextTable(replace(request, options=plain, content=content))
 
 
 def _choose(place: str, address: Address, book: Any) -> str:

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.column_table import ColumnSource, ColumnTable, Request, array_source
+from dbo_cli.logs.byte_source import Request
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source
 from dbo_cli.logs.libraries import import_extra
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, read_statements

@@ -19,12 +19,11 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.byte_source import Request, brief
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
     ColumnTable,
-    Request,
-    brief,
     from_first_row,
     number_in,
     with_unit,

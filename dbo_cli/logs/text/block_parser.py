@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.plain_text import decoded
-from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, SKIP_REMEDY, Rows
+from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, Rows, remedy_for
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
 from dbo_cli.logs.text.dialect import Dialect, is_comment
 from dbo_cli.logs.text.lines import RepeatedHeader, complain, is_text, split_cells, to_number
@@ -49,6 +49,8 @@ class BlockParser:
     next_row: int = 1
     next_line: int = 1
     repeated: RepeatedHeader | None = None
+    block: Sequence[bytes] = ()  # the lines of the block that is taken line by line
+    block_begins: int = 1
 
     def __post_init__(self) -> None:
         """Prepare for headers among the data."""
@@ -128,7 +130,8 @@ class BlockParser:
         time = list(self.picks).index(TIME) if TIME in self.picks else None
         places: list[tuple[int, int]] = []
         values: list[list[float]] = []
-        for number, raw in enumerate(block.removesuffix(b"\n").split(b"\n"), start=self.next_line):
+        self.block, self.block_begins = block.removesuffix(b"\n").split(b"\n"), self.next_line
+        for number, raw in enumerate(self.block, start=self.next_line):
             self.next_line = number
             line = decoded(raw.removesuffix(b"\r"))
             if raw and self.repeated is not None and self.repeated.takes(line, number):
@@ -171,9 +174,19 @@ class BlockParser:
             return None if blank else row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
-            raise InputError(f"{message} {SKIP_REMEDY}")
+            raise InputError(f"{message} {self._remedy()}")
         self.drop(message)
         return None
+
+    def _remedy(self) -> str:
+        """Return what to do about the row being taken, by how many of the block's next rows are bad, too."""
+        twin = replace(self, skip_bad=True, rows=ALL_ROWS, dropped=0)
+        ahead = self.block[self.next_line - self.block_begins + 1 :]
+        texts = (decoded(raw.removesuffix(b"\r")) for raw in ahead if raw)
+        rows = [text for text in texts if not is_comment(text, self.dialect.comments)]
+        for text in rows:
+            twin._parse_row(text)
+        return remedy_for(twin.dropped, len(rows))
 
     def drop(self, message: str) -> None:
         """Count a row that is left out, and keep the first one's message."""

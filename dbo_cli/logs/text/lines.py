@@ -1,4 +1,4 @@
-"""What stands in the lines of a text: cells, which of them are numbers, and header blocks among the data.
+"""Lines of a text, in blocks: cells, which of them are numbers, and header blocks among the data.
 
 The fast parsers accept a subset of this grammar; whatever they refuse is decided here, so both always agree.
 """
@@ -7,13 +7,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.reading_options import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
 
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+Item = TypeVar("Item")
+HEAD_BYTES = 1 << 18  # read ahead: longer than the header of any instrument, and some thousand rows
+LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
+NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 # Numbers with either decimal sign; d is Fortran's exponent.
 _POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
@@ -215,3 +223,117 @@ class RepeatedHeader:
         elif self.guessed:
             how = "the time goes on one step after the last row, for no date and time say more"
         return f"{self.place}: {self.count} more header{plural} among the data: {how}"
+
+
+# --- blocks of whole lines ---------------------------------------------------------------------------
+
+
+class LineBlocks:
+    """Blocks of whole lines of a source; the first one can be looked at before it is taken.
+
+    ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
+    counts those that were left out at the start.
+    """
+
+    def __init__(self, source: ByteSource, block_bytes: int) -> None:
+        self.block_bytes = block_bytes
+        self._source = source
+        self.above = b""
+        self.empty_lines = 0
+        self._pending = b""
+        self._ended = False
+
+    def head(self, enough: Any) -> bytes:
+        """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
+
+        ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
+        """
+        while not self._ended:
+            read = len(self._pending)
+            if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
+                break
+            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
+            self._leave_out_empty_lines()
+            if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
+                break
+        return self._pending
+
+    def longer_head(self) -> bytes | None:
+        """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
+        wanted = 2 * len(self._pending)
+        if self._ended or wanted > LONGEST_LINE:
+            return None
+        while len(self._pending) < wanted and not self._ended:
+            self._fill(wanted - len(self._pending))
+        return self._pending
+
+    def _leave_out_empty_lines(self) -> None:
+        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
+        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
+            text = self._pending.lstrip()
+            above = self._pending[: len(self._pending) - len(text)]
+            end = above.rfind(b"\n") + 1
+            self.empty_lines += above.count(b"\n")
+            self._pending = self._pending[end:]
+
+    @property
+    def whole_in_head(self) -> bool:
+        """Whether the source ended inside what has been read."""
+        return self._ended
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
+        while True:
+            for start, end in self._cuts():  # at first what was read ahead
+                block = self._pending[start:end]
+                self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
+                yield block
+            self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
+            if self._ended:
+                break
+            self._fill(self.block_bytes)
+        if self._pending:
+            last, self._pending = self._pending, b""
+            yield last
+
+    def _cuts(self) -> list[tuple[int, int]]:
+        """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
+        text, start = self._pending, 0
+        last = text.rfind(b"\n") + 1
+        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
+            return [(0, last)] if last else []
+        cuts = []
+        while start < last:
+            limit = min(last, start + self.block_bytes)
+            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
+            cuts.append((start, end))
+            start = end
+        return cuts
+
+    def _fill(self, size: int) -> None:
+        data = self._source.read(size)
+        if not data:
+            self._ended = True
+        elif self._pending:
+            self._pending += data
+        else:
+            self._pending = data
+        if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
+            raise InputError(
+                f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
+            )
+
+
+def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Give the items of an iterator, each made in a thread while the one before is worked on.
+
+    Only for regular files: a thread that waits for a pipe could not be interrupted. None is no item. An
+    exception of the iterator is raised here, after the items before it.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        coming: Future[Item | None] = pool.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = pool.submit(next, items, None)
+            yield item

@@ -9,15 +9,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.byte_source import ByteSource, LineBlocks, one_ahead
+from dbo_cli.logs.byte_source import ByteSource, Request
 from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, SampleBlock, Table, dropped_note
 from dbo_cli.logs.text.block_parser import PLAIN_BYTES, BlockParser
 from dbo_cli.logs.text.dialect import COMMENTS, Dialect, detect, is_comment
-from dbo_cli.logs.text.lines import is_number, split_cells, to_number
+from dbo_cli.logs.text.lines import LineBlocks, is_number, one_ahead, split_cells, to_number
 
 if TYPE_CHECKING:
     from dbo_cli.logs.text.instruments import InstrumentHeader
@@ -36,16 +35,8 @@ class TextTable(Table):
 
     Parameters
     ----------
-    address
-        Where to read from.
-    options
-        What the user forces about the dialect.
-    live
-        Give each row as it arrives.
-    digest
-        Hash what is read.
-    content
-        The text itself, where another format has been turned into text (a workbook's sheet).
+    request
+        What is to be read; its options force parts of the dialect.
 
     Raises
     ------
@@ -53,20 +44,11 @@ class TextTable(Table):
         The log cannot be read, is empty, or holds no numbers.
     """
 
-    def __init__(
-        self,
-        address: Address,
-        options: ReadingOptions,
-        *,
-        live: bool = False,
-        digest: bool = False,
-        content: bytes | None = None,
-    ) -> None:
-        self.place, self._options = address.name, options
+    def __init__(self, request: Request) -> None:
+        options, live = request.options, request.live
+        self.place, self._options = request.address.name, options
         self.notes: list[str] = []
-        self.source = ByteSource(
-            address, live=live, digest=digest, encoding=options.encoding, content=content
-        )
+        self.source = ByteSource(request)
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and _has_data(text, options))
