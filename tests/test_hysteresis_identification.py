@@ -223,7 +223,11 @@ def test_no_better_than_a_line_is_refused_unless_forced() -> None:
     rng = np.random.default_rng(2)
     voltage = nested()
     line = Recording("line", voltage, 3.0 * voltage + rng.normal(size=len(voltage)), sample_period=PERIOD)
-    with pytest.raises(FitError, match=r"no better than a straight line .* \(`force` keeps the model\)$"):
+    with pytest.raises(
+        FitError,
+        match=r"no better than a straight line .*; the next candidates: \w+ slopes with \d+ segments "
+        r"[\d.e-]+, \w+ slopes with \d+ segments [\d.e-]+ on data left out; .* \(`force` keeps the model\)$",
+    ):
         identify([line])
     kept = identify([line], IdentificationOptions(force=True))
     assert any("no better than a straight line" in warning for warning in kept.warnings)

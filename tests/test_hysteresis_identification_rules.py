@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,13 @@ from test_hysteresis_identification_parts import sine
 from virtual_actuator import PRESETS, VirtualActuator
 
 from dbo_cli.hysteresis.excitation import Excitation
-from dbo_cli.hysteresis.identification.evaluation import log_warnings, predict, validation_of
+from dbo_cli.hysteresis.identification.evaluation import (
+    Residual,
+    _slew_warnings,
+    log_warnings,
+    predict,
+    validation_of,
+)
 from dbo_cli.hysteresis.identification.normal_equations import (
     MAX_STEEPNESS,
     SLOPE_FLOOR,
@@ -54,6 +61,26 @@ def fitted_with(basis: Basis, gains: list[float] | None = None) -> tuple[Fitted,
     knots, drift = np.array([0.0, 0.4, 1.0]), np.array([0.25])
     ready = Prepared((), (), basis.low, basis.high, 3.0, 7.0, (), (), ())
     return Fitted(basis, heights, np.array(gains or []), 0.05, knots, drift), ready
+
+
+def test_a_greatest_speed_that_the_model_does_not_know_is_a_slew_limit() -> None:
+    phase = np.linspace(0.0, 20.0 * np.pi, 4001)
+    free = (5.0 - 5.0 * np.cos(phase)) * np.linspace(1.0, 0.4, 4001)
+    limited, at = np.empty(len(free)), 0.0
+    for row, wanted in enumerate(free):
+        at = max(wanted, at - 0.05)
+        limited[row] = at
+
+    def said(moved: Any) -> list[str]:
+        log = Recording("run.csv", free, moved, None, 0.01, "V", "um")
+        return _slew_warnings([log], [Residual("run.csv", moved - free, np.arange(len(free)), 0.0)])
+
+    assert said(free) == []
+    assert said(0.99 * free) == []
+    [warning] = said(limited)
+    assert warning.startswith(
+        "run.csv: the displacement falls at one greatest speed (40 % of the rows are near it, 5 % of "
+    )
 
 
 # --- from numbers to stages ---

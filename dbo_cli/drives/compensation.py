@@ -26,6 +26,7 @@ from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samp
 from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
+from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.remarks import Remarks
@@ -64,6 +65,7 @@ class Compensation(ModelRun):
     rows_before: int = 0
     move: Extent = field(default_factory=Extent)
     drive: DriveFigures = field(default_factory=DriveFigures)
+    kept: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
@@ -253,7 +255,15 @@ class Compensation(ModelRun):
         self.missed = self.missed or done.first_missed
         self.gate.admit(done.y, steps)
         self.drive.see(done.y, steps)
+        self._keep(done.y, steps)
         return done
+
+    def _keep(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
+        """Keep the first rows, on which the error to expect is looked at in the end."""
+        kept = sum(one.size for one, _ in self.kept)
+        if kept < MOST_ROWS:
+            every = None if steps is None else np.broadcast_to(steps, drive.shape)[: MOST_ROWS - kept]
+            self.kept.append((drive[: MOST_ROWS - kept], every))
 
     def _clip(self, done: Simulated, block: SampleBlock | None) -> None:
         """Count what the limits held back, or refuse it (LimitError); rows before a loop are in no block."""
@@ -299,6 +309,8 @@ class Compensation(ModelRun):
             self._load(),
         )
         remarks.note(text for text in texts if text)
+        if warning := self._no_better():
+            remarks.warn(warning)
         return remarks
 
     def _whose_volts(self) -> str:
@@ -380,8 +392,30 @@ class Compensation(ModelRun):
         beyond = self.drive.low < covered.minimum - slack or self.drive.high > covered.maximum + slack
         if self.lesson is not None or not isinstance(rmse, float) or beyond:
             return None, None
+        found = self._move_error()
+        rmse = rmse if found is None else found.rmse
         span = self.move.high - self.move.low
         return rmse, 100.0 * rmse / span if span > 0.0 else None
+
+    def _move_error(self) -> MoveError | None:
+        """Return what to expect of the rows that were kept."""
+        if not self.kept:
+            return None
+        drive = np.concatenate([one for one, _ in self.kept])
+        steps = [one for _, one in self.kept if one is not None]
+        begin = min(self.rows_before, drive.size - 1)
+        return move_error(self.model, drive, np.concatenate(steps) if steps else None, begin)
+
+    def _no_better(self) -> str:
+        """Warn where the expected error is no better than a straight line's."""
+        found = None if self.expected_rmse()[0] is None else self._move_error()
+        if found is None or found.rmse < found.straight_line:
+            return ""
+        unit = self.model.output.suffix
+        return (
+            f"{self.source.name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than "
+            f"that of a straight line, {found.straight_line:.3g}{unit}: the logs do not tell what it asks"
+        )
 
     def _clipping(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""

@@ -339,12 +339,7 @@ def model_of(root: Node) -> ActuatorModel:
     direction = root.text("direction")
     if direction not in {"forward", "inverse"}:
         raise root.refuse("direction", f"{direction!r} is neither 'forward' nor 'inverse'")
-    stages = root.values["stages"]
-    if not isinstance(stages, list):
-        raise root.refuse("stages", "is not a list")
-    if len(stages) > MOST_STAGES:
-        raise root.refuse("stages", f"has {len(stages):,} entries, more than {MOST_STAGES}")
-    cascade = tuple(_stage(root.below(f"stages[{i}]", stage)) for i, stage in enumerate(stages))
+    cascade = _stages(root, "stages")
     notes = {key: root.node(key) for key in ("fit", "provenance") if key in root.values}
     for note in notes.values():
         note.check_notes(_NOTE_DEPTH)
@@ -435,6 +430,20 @@ def _stage(node: Node) -> Stage:
     return stage
 
 
+def _stages(node: Node, key: str) -> tuple[Stage, ...]:
+    stages = node.values[key]
+    if not isinstance(stages, list):
+        raise node.refuse(key, "is not a list")
+    if len(stages) > MOST_STAGES:
+        raise node.refuse(key, f"has {len(stages):,} entries, more than {MOST_STAGES}")
+    return tuple(_stage(node.below(f"{key}[{i}]", stage)) for i, stage in enumerate(stages))
+
+
+def read_stages(values: object, key: str) -> tuple[Stage, ...]:
+    """Return the stages that plain values describe (ModelError, with the place below ``key``)."""
+    return _stages(Node("the model", "", {key: values}), key)
+
+
 def model_to_bytes(model: ActuatorModel) -> bytes:
     """Return the model file of a model: the same model gives the same bytes."""
     return document_bytes(model_values(model))
@@ -448,7 +457,7 @@ def model_values(model: ActuatorModel) -> Json:
         "direction": model.direction,
         "input": _written(model.input, QUANTITY),
         "output": _written(model.output, QUANTITY),
-        "stages": [_stage_values(stage) for stage in model.stages],
+        "stages": [stage_values(stage) for stage in model.stages],
     }
     for key, notes in (("fit", model.fit), ("provenance", model.provenance)):
         if notes:
@@ -456,7 +465,8 @@ def model_values(model: ActuatorModel) -> Json:
     return values
 
 
-def _stage_values(stage: Stage) -> Json:
+def stage_values(stage: Stage) -> Json:
+    """Return a stage as plain values."""
     if isinstance(stage, OtherHysteresis):
         return stage.file_values()
     kind, fields = next((name, kind.fields) for name, kind in STAGES.items() if isinstance(stage, kind.stage))

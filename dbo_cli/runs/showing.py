@@ -102,7 +102,9 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "delay_seconds": delay,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
         "drive_lag_seconds": _drive_lag(model),
-        "fit": {key: fit[key] for key in fit if key not in ("warnings", "logs", "validation")},
+        "fit": {
+            key: fit[key] for key in fit if key not in ("warnings", "logs", "validation", "alternatives")
+        },
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
         "warnings": fit.get("warnings", []),

@@ -39,6 +39,7 @@ from dbo_cli.hysteresis.identification.regressors import drift_columns
 from dbo_cli.hysteresis.identification.search import LONGEST_DELAY
 from dbo_cli.hysteresis.identification.static import Identification
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
+from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
@@ -161,6 +162,7 @@ def refresh(
     found, lines = validated(checks, model.output.span, unit)
     figures |= found
     summary += lines
+    figures["alternatives"] = [_moved_along(one, moved).values() for one in alternatives_of(prior)]
     if sensor:
         figures["sensor"] = {"delay": sensor.delay, "lag": sensor.lag}
     figures["warnings"] = list(warnings)
@@ -276,6 +278,13 @@ def _with_delay(model: ActuatorModel, seconds: float) -> ActuatorModel:
     return dataclasses.replace(model, stages=stages + ((DelayStage(seconds),) if seconds > 0.0 else ()))
 
 
+def _moved_along(other: Alternative, moved: _Moved) -> Alternative:
+    """Return another model that explained the prior's logs, with the same gain, offset and change of lag."""
+    bare = _scaled(_with_delay(other.model, 0.0), moved.gain, moved.offset)
+    delay = max(other.model.delay_seconds + moved.lag, 0.0)
+    return dataclasses.replace(other, model=_with_delay(bare, delay))
+
+
 def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: float) -> dict[str, object]:
     """Return what the prior's file says of its fit, brought up to date; what no longer holds is left out."""
     span = moved.gain * prior.output.span
@@ -287,6 +296,9 @@ def _figures(prior: ActuatorModel, moved: _Moved, logs: Sequence[_Log], delay: f
     expected = _expected(prior, moved.gain)
     if expected is not None:
         expected = max(expected, rmse)  # no new move is followed better than this log
+        known = prior.fit.get("left_out_rmse")
+        if isinstance(known, float):
+            figures["left_out_rmse"] = max(moved.gain * known, rmse)
         figures["expected_from"] = "the prior's expectation, or what is left on these logs where that is more"
     figures |= {
         "method": "prior",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.expectation import groups_left_out
+from dbo_cli.hysteresis.identification.left_out import groups_left_out
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     quadratic,
@@ -124,10 +124,15 @@ def time_constant_grid(prepared: Prepared, period: float, cycle: float) -> tuple
     tau = period
     longest = max(float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None)
     while tau <= longest / 2.0:
-        if tau <= cycle / (2.0 * np.pi) or _moves_slowly(prepared, tau, cycle):
+        if tau <= slowest_lag(cycle) or _moves_slowly(prepared, tau, cycle):
             grid.append(tau)
         tau *= TIME_CONSTANT_RATIO
     return tuple(grid)
+
+
+def slowest_lag(cycle: float | None) -> float:
+    """Return the time constant in seconds from which a memory is creep: slower than a cycle turns."""
+    return np.inf if cycle is None else cycle / (2.0 * np.pi)
 
 
 def _moves_slowly(prepared: Prepared, tau: float, cycle: float) -> bool:
@@ -188,6 +193,25 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
     basis = again
     basis, structure, score = search.gears(basis, rule, memories)
     return Choice(basis, structure, score, interval, clockwise)
+
+
+def runners_up(prepared: Prepared, choice: Choice) -> list[tuple[str, float]]:
+    """Return the two best candidates that were not chosen, in words, and their RMSE on data left out.
+
+    The RMSE is in the displacement's unit, on the wrong side of the asymmetry like all equation errors.
+    """
+    statistics = gather(fewer_rows(prepared.logs), choice.basis, SEGMENTS[SEGMENTS_ONE_AMPLITUDE - 1][0])
+    found = []
+    for slopes in ("growing", "falling", "free"):
+        for segments, kinks in SEGMENTS[:SEGMENTS_ONE_AMPLITUDE]:
+            other = replace(choice.structure, slopes=slopes, segments=segments, knot_smoothness=kinks)
+            if (slopes, segments) != (choice.structure.slopes, choice.structure.segments):
+                try:
+                    left = cross_validate(statistics, other).rmse
+                except FitError:
+                    continue
+                found.append((f"{slopes} slopes with {segments} segments", abs(prepared.scale) * left))
+    return sorted(found, key=lambda one: one[1])[:2]
 
 
 class _Search:

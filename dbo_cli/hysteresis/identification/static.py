@@ -32,11 +32,14 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.refinement import Fitted, fit, model_of
-from dbo_cli.hysteresis.identification.search import Choice, Orders, choose
+from dbo_cli.hysteresis.identification.search import Choice, Orders, choose, runners_up, slowest_lag
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.move_error import rms
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
+
+BROKEN = 2.0  # times the expected error: what could make a move err by more is warned of
 
 FASTEST = 98.0  # percentile of a log's rates: its few fastest steps are jumps and noise
 
@@ -92,6 +95,8 @@ def identify_static(
         [straight_line(log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)], residuals
     )
     rmse = pooled([one.rmse for one in residuals], residuals)
+    if not any(tau > slowest_lag(cycle) for tau in fitted.basis.time_constants):
+        prepared = dataclasses.replace(prepared, doubtful_drift=0.0)  # no creep was taken in its place
     warnings = [
         *warned,
         *log_warnings(recordings, prepared),
@@ -106,13 +111,15 @@ def identify_static(
     if rmse > NO_BETTER * line:
         message = (
             f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows "
-            "no loop that this class of models can follow; check the columns and the sensor"
+            "no loop that this class of models can follow; the next candidates: "
+            + ", ".join(f"{words} {left:.4g}" for words, left in runners_up(prepared, choice))
+            + " on data left out; check the columns and the sensor"
         )
         if not options.force:
             raise FitError(f"{message} (`force` keeps the model)")
         warnings.append(message)
     checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
-    expected = expect(prepared.logs, choice.basis, choice.structure, choice.score.rmse, choice.delay_interval)
+    expected = expect(prepared, choice, model, rmse)
     figures = _figures(
         prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
     )
@@ -122,9 +129,17 @@ def identify_static(
             f"what is expected on new moves ({new_moves:.4g}) is no better than a straight line's error on "
             f"the logs ({line:.4g}): record more amplitudes and cycles before using the model"
         )
+    warnings += _late_warnings(figures, prepared, expected, options)
     summary = said + prepared.notes + _summary(figures, model, prepared, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
+    if expected.gain_trend is not None:
+        figures["gain_trend"] = expected.gain_trend
+        warnings.append(
+            f"the gain changes by {100.0 * expected.gain_trend:+.1f} % along the log, and this makes most of "
+            "the error: let the actuator warm up, or settle, before recording"
+        )
+    figures["alternatives"] = [one.values() for one in expected.alternatives]
     figures["warnings"] = list(warnings)
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
 
@@ -148,7 +163,7 @@ def _figures(
     """
     span = abs(prepared.scale)
     cross = rmse * choice.score.rmse / expected.fitted
-    new_moves = expected.rmse(rmse / span)
+    new_moves = expected.rmse
     gears = fitted.basis
     figures: dict[str, object] = {
         "method": "least-squares",
@@ -156,9 +171,10 @@ def _figures(
         "rmse_percent": 100.0 * rmse / span,
         "cross_validated_rmse": cross,
         "cross_validated_percent": 100.0 * cross / span,
-        "expected_rmse": None if new_moves is None else span * new_moves,
-        "expected_percent": None if new_moves is None else 100.0 * new_moves,
+        "expected_rmse": new_moves,
+        "expected_percent": None if new_moves is None else 100.0 * new_moves / span,
         "expected_from": expected.words(),
+        "left_out_rmse": expected.known,
         "straight_line_rmse": line,
         "fastest_drive": fastest_drive(prepared.logs),
     }
@@ -194,6 +210,40 @@ def _figures(
         ],
     }
     return figures
+
+
+def _late_warnings(
+    figures: dict[str, object], prepared: Prepared, expected_of: Expectation, options: IdentificationOptions
+) -> list[str]:
+    """Warn of a pure delay that would break the expected error if it were the sensor's or the logger's.
+
+    A stage and its amplifier lag; what comes late as a whole has mostly been delayed by a filter or a bus.
+    Where a first-order lag explains the logs about as well, it need not be one.
+    """
+    if any(one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected_of.alternatives):
+        return []
+    delay, expected = figures["delay_seconds"], figures["expected_rmse"]
+    assert isinstance(delay, float)
+    if not isinstance(expected, float) or options.sensor or options.delay is not None:
+        return []
+    cost = delay * abs(prepared.scale) / prepared.span * max(map(_usual_rate, prepared.logs))
+    if cost <= BROKEN * expected:
+        return []
+    return [
+        f"the displacement is late by a pure delay of {1e3 * delay:.3g} ms, more often a sensor's or a "
+        "logger's than an actuator's: if so, compensating it costs "
+        f"{100.0 * cost / abs(prepared.scale):.2g} % of a move at the logs' speed (`sensor_delay` takes it "
+        "off)"
+    ]
+
+
+def _usual_rate(log: PreparedLog) -> float:
+    """Return the RMS rate of the voltage a second, 0 without a clock."""
+    if log.seconds is None:
+        return 0.0
+    steps = np.diff(log.seconds)
+    forward = steps > 0.0
+    return rms(np.diff(log.voltage)[forward] / steps[forward])
 
 
 def fastest_drive(logs: Sequence[PreparedLog]) -> float | None:

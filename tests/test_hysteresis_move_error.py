@@ -1,0 +1,148 @@
+"""The error to expect of a move: other models played over it, kept with the model."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dbo_cli.errors import ModelError
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Quantity, ScaleStage
+from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.hysteresis.move_error import Alternative, alternatives_of, move_error, spread
+
+STEP = 0.01
+
+
+def model(gain: float = 2.0, delay: float = 0.0, **fit: Any) -> ActuatorModel:
+    """Return a straight model of 0 to 10 V, ``gain`` um a volt."""
+    stages: tuple[Any, ...] = (BacklashStage([5.0, 5.0], [5.0, 5.0]), ScaleStage(gain, 0.0))
+    return ActuatorModel(
+        "forward",
+        Quantity("voltage", "V", 0.0, 10.0),
+        Quantity("displacement", "um", 0.0, 10.0 * gain),
+        (*stages, DelayStage(delay)) if delay else stages,
+        fit,
+    )
+
+
+def with_others(*others: Alternative, **fit: Any) -> ActuatorModel:
+    known = {"expected_rmse": 9.0, "left_out_rmse": 0.3, "alternatives": [one.values() for one in others]}
+    return model(**known | fit)
+
+
+def ramp(rate: float, top: float = 8.0) -> Any:
+    """Return a drive from 0 to ``top`` volt and back, ``rate`` volts a second."""
+    up = np.linspace(0.0, top, round(top / rate / STEP) + 1)
+    return np.concatenate((up, up[-2::-1]))
+
+
+def test_what_other_models_say_of_the_very_move_is_added() -> None:
+    other = Alternative("bend", 0.5, model(2.2))
+    drive = ramp(4.0)
+    found = move_error(with_others(other), drive, STEP)
+    assert found is not None
+    apart = 0.5 * 0.2 * float(np.sqrt(np.mean(drive**2)))
+    assert found.rmse == pytest.approx(np.hypot(0.3, apart), rel=1e-3)
+    small = move_error(with_others(other), ramp(4.0, 1.0), STEP)
+    assert small is not None
+    assert small.rmse < 0.31
+
+
+def test_a_lag_costs_as_much_as_the_move_is_fast() -> None:
+    doubtful = with_others(Alternative("lag", 1.0, model(delay=0.05)), left_out_rmse=0.0)
+    slow, fast = (move_error(doubtful, ramp(rate), STEP) for rate in (0.5, 5.0))
+    assert slow is not None
+    assert fast is not None
+    assert slow.rmse == pytest.approx(2.0 * 0.5 * 0.05, rel=0.03)
+    assert fast.rmse == pytest.approx(2.0 * 5.0 * 0.05, rel=0.08)
+
+
+def test_of_each_kind_the_farthest_counts() -> None:
+    own, ones = np.zeros(4), np.ones(4)
+    others = [
+        (Alternative("bend", 1.0, model()), 3.0 * ones),
+        (Alternative("bend", 1.0, model()), 2.0 * ones),
+        (Alternative("lag", 0.5, model()), -8.0 * ones),
+    ]
+    assert spread(own, others) == pytest.approx(5.0)
+
+
+def test_a_gain_that_changes_adds_its_part_of_the_move() -> None:
+    drive = ramp(4.0)
+    found = move_error(with_others(left_out_rmse=0.0, gain_trend=-0.02), drive, STEP)
+    assert found is not None
+    assert found.rmse == pytest.approx(0.02 * 2.0 * float(np.sqrt(np.mean(drive**2))), rel=1e-9)
+
+
+def test_rows_before_the_move_do_not_count_and_a_straight_line_is_judged_alike() -> None:
+    drive = np.concatenate((ramp(4.0), np.zeros(50)))
+    found = move_error(with_others(Alternative("bend", 1.0, model(2.2))), drive, STEP, len(drive) - 50)
+    assert found is not None
+    assert found.rmse == pytest.approx(0.3)
+    assert found.straight_line == pytest.approx(0.0, abs=1e-12)
+
+
+def test_models_without_others_keep_their_figure_and_without_any_none() -> None:
+    assert move_error(model(expected_rmse=0.7), ramp(4.0), None).rmse == 0.7  # type: ignore[union-attr]
+    assert move_error(model(expected_rmse=None), ramp(4.0), None) is None
+    late = with_others(Alternative("lag", 1.0, model(delay=0.05)))
+    assert move_error(late, ramp(4.0), None).rmse == 0.3  # type: ignore[union-attr]  # no clock, no lag
+
+
+def test_others_come_back_from_the_file_to_four_digits(tmp_path: Path) -> None:
+    from dbo_cli.hysteresis.model_file import read_model
+
+    path = tmp_path / "model.json"
+    path.write_bytes(model_to_bytes(with_others(Alternative("lag", 0.25, model(2.123456789, 0.05)))))
+    [other] = alternatives_of(read_model(str(path)))
+    assert (other.kind, other.weight) == ("lag", 0.25)
+    assert other.model.stages[1:] == (ScaleStage(2.123, 0.0), DelayStage(0.05))
+
+
+def test_dynamics_that_were_found_besides_are_put_behind_the_others() -> None:
+    from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance
+
+    moving = DynamicsStage((Resonance(100.0, 0.1),))
+    bare = with_others(Alternative("lag", 1.0, model(2.2, 0.05)))
+    own = dataclasses.replace(bare, stages=(*bare.stages, moving, DelayStage(0.02)))
+    [other] = alternatives_of(own)
+    assert other.model.stages[1:] == (ScaleStage(2.2, 0.0), moving, DelayStage(0.02))
+
+
+@pytest.mark.parametrize(
+    ("kept", "said"),
+    [
+        ([{"weight": 1.0, "stages": []}], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
+        (["bend"], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
+        (
+            [{"changed": "bend", "weight": 1.0, "stages": 3}],
+            "the model: fit.alternatives[0].stages: is not a list",
+        ),
+    ],
+)
+def test_malformed_others_are_refused(kept: Any, said: str) -> None:
+    with pytest.raises(ModelError) as refused:
+        alternatives_of(model(alternatives=kept))
+    assert str(refused.value) == said
+
+
+def test_compensate_says_what_to_expect_of_the_very_move(dbo: Any) -> None:
+    Path("model.json").write_bytes(model_to_bytes(with_others(Alternative("bend", 1.0, model(2.2)))))
+    stated = []
+    for top in (1.0, 16.0):
+        wanted = 2.0 * ramp(4.0, top / 2.0)
+        rows = "".join(f"{STEP * k!r},{value!r}\n" for k, value in enumerate(wanted.tolist()))
+        Path("move.csv").write_text(f"time_s,displacement_um\n{rows}")
+        for block in ("7", "65536"):
+            call = ("compensate", "model.json", "move.csv", "-o", "drive.csv", "--summary", "s.json")
+            done = dbo(*call, "--block-rows", block)
+            assert done.code == 0, done.err
+            assert "is no better than that of a straight line, " in done.err
+            stated.append(json.loads(Path("s.json").read_text())["expected_rmse"])
+    assert stated[0] == stated[1] == pytest.approx(0.305, abs=0.002)
+    assert stated[2] == stated[3] == pytest.approx(np.hypot(0.3, 0.1 * 2.0 * 8.0 / np.sqrt(3.0)), rel=0.01)
