@@ -134,7 +134,7 @@ def page() -> str:
     """Return the page."""
     parts = [HEAD, "## Functions\n"]
     parts += [function_part(getattr(dbo_cli, name), f"dbo.{name}") for name in FUNCTIONS]
-    parts += ["## Objects\n", class_part(dbo_cli.Model)]
+    parts += ["## Objects\n", class_part(dbo_cli.Model), class_part(dbo_cli.ModelSet)]
     parts += [class_part(one) for one in RETURNED]
     parts += ["## Further keywords\n", *map(record_part, RECORDS)]
     parts += ["## Errors and warnings\n", error_rows()]

@@ -20,7 +20,7 @@ spec.loader.exec_module(make_api_page)
 
 CALLED = {name: getattr(dbo_cli, name) for name in make_api_page.FUNCTIONS} | {
     f"{one.__name__}.{key}": value
-    for one in (dbo_cli.Model, *make_api_page.RETURNED)
+    for one in (dbo_cli.Model, dbo_cli.ModelSet, *make_api_page.RETURNED)
     for key, value in vars(one).items()
     if inspect.isfunction(value) and not key.startswith("_")
 }

@@ -189,7 +189,12 @@ def identify(
 
 
 def read_model(path: str | os.PathLike[str]) -> Any:
-    """Read a model file, or a set of models; ``-`` is standard input.
+    """Read a model file, or a set of models.
+
+    Parameters
+    ----------
+    path
+        The file, ``FILE::CHANNEL`` of a set, or ``-`` for standard input.
 
     Returns
     -------
