@@ -159,7 +159,12 @@ class Controller:
         return self.planned
 
     def commit(self, applied: float | int | None = None) -> None:
-        """Go on from what was planned, or from what was ``applied`` instead (volts, or a code).
+        """Go on from what was planned, or from what was applied instead.
+
+        Parameters
+        ----------
+        applied : float or int, optional
+            Volts, or with a converter a code, where that is not what was planned.
 
         Raises
         ------
@@ -195,7 +200,13 @@ class Controller:
         self.planned = None
 
     def step(self, displacement: float) -> float | int:
-        """Plan and commit at once, where the hardware takes what it is given."""
+        """Plan and commit at once, where the hardware takes what it is given.
+
+        Parameters
+        ----------
+        displacement : float
+            As in ``plan``.
+        """
         volts = self.plan(displacement)
         self.commit()
         return volts
