@@ -2,6 +2,7 @@
 # make test    ruff, mypy and pytest
 # make paper DATA=FOLDER   Section V of the publication from the authors' recordings, into paper/
 # make compare DATA=FOLDER   the DBO beside its relatives on all recordings: the tables of docs/comparison.md
+# make figures   every picture in docs/, the one in README.md, the man pages and docs/api.md
 # make fuzz    100,000 malformed inputs, 20,000 changed headers;  make clean
 # make attack  killed runs, full disks, mutated models, random command lines and drives (ATTACK=10: ten times as many)
 # make mutants plants faults in the mathematics and says which no test finds (an hour on one core)
@@ -17,11 +18,11 @@ DBO := $(BIN)/dbo
 BENCH := $(BIN)/python sample_data/virtual_actuator.py
 KERNEL := $(wildcard dbo_cli/hysteresis/*.c dbo_cli/hysteresis/*.h)
 
-.PHONY: help demo test paper compare fuzz attack mutants bench clean
+.PHONY: help demo picture figures test paper compare fuzz attack mutants bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,11p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,12p'
 
 # --- the environment ---
 
@@ -74,6 +75,10 @@ demo/report.txt: demo/uncompensated.csv demo/compensated.csv
 demo/report.html: demo/uncompensated.csv demo/compensated.csv demo/report.txt
 	$(DBO) report demo/uncompensated.csv demo/compensated.csv --figures demo/figures -o $@
 
+# the picture at the top of README.md
+picture: demo/picture.png
+	cp demo/picture.png docs/demo.png
+
 demo/picture.png: demo/uncompensated.csv demo/compensated.csv sample_data/draw_demo.py
 	$(BIN)/python sample_data/draw_demo.py demo/uncompensated.csv demo/compensated.csv $@
 
@@ -84,6 +89,13 @@ test: $(VENV)/installed-test
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q -n auto
+
+# --- what is drawn and written from the program ---
+
+figures: picture | $(VENV)/installed
+	for name in make_figures make_dynamics_figures draw_imports make_man_pages make_api_page; do \
+	  $(BIN)/python docs/$$name.py || exit 1; \
+	done
 
 # --- the rest ---
 

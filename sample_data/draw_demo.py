@@ -3,7 +3,8 @@
 
     python draw_demo.py uncompensated.csv compensated.csv picture.png
 
-Above, what was desired and what came out; below, the error of both. The logs are the virtual actuator's.
+Above, what was desired and what came out; below, the error of both. The logs are the virtual actuator's. The
+errors stand in the file's description, too, so that a test can hold them.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
         with open(path, encoding="utf-8") as file:
             logs.append(read_drive(file))
     time, desired = logs[0]["time"], logs[0]["desired"]
+    labels = []
     looks = [("straight-line drive", style.DASHED), ("compensated by dbo", style.SOLID)]
     with rc_context(rc_params_from_file(style.STYLE_FILE, use_default_template=False)):
         figure = Figure(figsize=(8.0, 4.2), layout="constrained")
@@ -36,13 +38,14 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
             error = log["displacement"] - log["desired"]
             rmse = float(np.sqrt(np.mean(error**2)))
             above.plot(time, log["displacement"], label=label, **look)
-            below.plot(time, error, label=f"{label}: {rmse:.3f} µm RMSE", **look)
+            labels.append(f"{label}: {rmse:.2g} µm RMSE")
+            below.plot(time, error, label=labels[-1], **look)
         above.set_ylabel("Displacement (µm)")
         below.set_ylabel("Error (µm)")
         below.set_xlabel("Time (s)")
         above.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.22))
         below.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.2))
-        figure.savefig(picture, dpi=160, metadata={"Software": None})
+        figure.savefig(picture, dpi=160, metadata={"Software": None, "Description": "; ".join(labels)})
 
 
 if __name__ == "__main__":

@@ -6,13 +6,17 @@ import contextlib
 import io
 import re
 import shutil
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import dbo_cli as dbo
 from dbo_cli import __version__
+from dbo_cli.cli.app import main
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -108,3 +112,28 @@ def test_files_that_the_architecture_names_are_there() -> None:
     places = [ROOT, DOCS, ROOT / "dbo_cli", *(one for one in (ROOT / "dbo_cli").rglob("*") if one.is_dir())]
     assert len(named) >= 15
     assert {name for name in named if not any((place / name).exists() for place in places)} == set()
+
+
+def test_the_readme_is_read_in_five_minutes() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 1500
+
+
+def test_the_picture_shows_the_numbers_of_the_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``make picture`` draws docs/demo.png; its description holds the errors that stand in it."""
+    data = ROOT / "sample_data"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stderr", io.StringIO())
+    assert main(["identify", str(data / "identification.csv"), "-o", "model.json"]) == 0
+    assert main(["compensate", "model.json", str(data / "trajectory.csv"), "-o", "drive.csv"]) == 0
+    straight_line = (str(data / "identification.csv"), str(data / "trajectory.csv"))
+    subprocess.run([sys.executable, data / "straight_line.py", *straight_line, "-o", "line.csv"], check=True)
+    drives = (("line.csv", "1", "before.csv"), ("drive.csv", "2", "after.csv"))
+    for drive, seed, log in drives:
+        bench = [sys.executable, data / "virtual_actuator.py", drive, "--seed", seed, "-o", log]
+        subprocess.run(bench, check=True)
+    errors = dbo.report(["before.csv", "after.csv"]).to_frame()["rmse"]
+    before, after = (f"{one:.2g} µm RMSE" for one in errors)
+    picture = (ROOT / "docs" / "demo.png").read_bytes()
+    shown = re.search(rb"tEXtDescription\0(.*?RMSE; .*? RMSE)", picture)
+    assert shown is not None
+    assert shown[1].decode("latin-1") == f"straight-line drive: {before}; compensated by dbo: {after}"

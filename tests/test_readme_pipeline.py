@@ -1,10 +1,9 @@
-"""The README's Makefile of a real day, run as it stands there, over several logs at once."""
+"""The Makefiles of workflow/ for a real day and for a move that is learned, over several logs at once."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -24,18 +23,14 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def makefile_of_the_readme(variable: str = "NAMES") -> str:
-    """Return the indented block of the README that defines a variable."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"(?:^(?:    .*)?\n)+", text, re.MULTILINE)
-    [block] = [block for block in blocks if f"{variable} :=" in block]
-    return re.sub(r"^    ", "", block, flags=re.MULTILINE)
+def makefile(name: str) -> str:
+    return (ROOT / "workflow" / name).read_text(encoding="utf-8")
 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Path:
-    """Return a folder with three logs and trajectories, the README's Makefile, and ``dbo`` on the path."""
-    (tmp_path / "Makefile").write_text(makefile_of_the_readme())
+    """Return a folder with three logs and trajectories, the day's Makefile, and ``dbo`` on the path."""
+    (tmp_path / "Makefile").write_text(makefile("day.mk"))
     shim = tmp_path / "bin" / "dbo"
     shim.parent.mkdir()
     shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m dbo_cli "$@"\n')
@@ -110,7 +105,7 @@ def test_a_bad_log_stops_its_own_branch_only_and_leaves_no_output(bench: Path) -
 
 
 def test_five_passes_learn_a_move(bench: Path) -> None:
-    (bench / "Makefile").write_text(makefile_of_the_readme("PLAY"))
+    (bench / "Makefile").write_text(makefile("learning.mk"))
     plant, wrong = actuator(loop=0.45), actuator(loop=0.36)
     (bench / "plant.json").write_bytes(model_to_bytes(plant))
     (bench / "model.json").write_bytes(model_to_bytes(wrong))

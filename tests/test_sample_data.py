@@ -121,3 +121,29 @@ def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
     before, after = json.loads(done.out)["logs"]
     assert before["rmse"] > 0.4
     assert after["ratio_to_first"] <= 0.06
+
+
+def test_the_bench_of_the_closed_loop_is_the_actuator_a_sample_at_a_time() -> None:
+    import closed_loop
+
+    drive = 50.0 - 45.0 * np.cos(np.arange(2000) * 0.005) * np.exp(-np.arange(2000) / 1500.0)
+    parameters = PRESETS["stack"]
+    whole = VirtualActuator(parameters).displacement(np.arange(2000) / closed_loop.RATE, drive)
+    bench = closed_loop.Bench(parameters)
+    assert [bench.step(one)[0] for one in drive] == pytest.approx(whole.tolist(), abs=1e-9)
+
+
+def test_the_page_about_closed_loops_shows_what_is_printed() -> None:
+    import closed_loop
+
+    page = (SAMPLES.parent / "docs" / "closed-loop.md").read_text(encoding="utf-8")
+    shown = page.partition("```text\n")[2].partition("```")[0].splitlines()
+    printed = closed_loop.table().splitlines()
+    assert shown[0] == printed[0]
+    for one, other in zip(shown[1:], printed[1:], strict=True):
+        assert one[:24] == other[:24]
+        assert np.array(one[24:].split(), float) == pytest.approx(
+            np.array(other[24:].split(), float), abs=2e-4
+        )
+        alone, both = np.array(other[24:].split(), float)[[0, 1, 2]].min(), float(other.split()[-1])
+        assert both < alone

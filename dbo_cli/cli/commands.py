@@ -77,6 +77,7 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.METHOD,
     options.VALIDATE,
     options.PRIOR,
+    options.SHARED_SHAPE,
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
@@ -104,7 +105,7 @@ def identify(given: Given) -> None:
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR])
+    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR, options.SHARED_SHAPE])
     words = (given.log, given.validate or [], given.output, reading, asked)
     _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
     if not given.output.is_stream and "{" not in given.output.text:

@@ -233,6 +233,10 @@ PRIOR = Option(
     "--prior MODEL",
     "Keep the shape of this model, and find its gain, offset and lag again from a short log.",
 )
+SHARED_SHAPE = Option(
+    "--shared-shape",
+    "Channels: one loop shape, gain, offset and lag of each; refused where channels left out speak against.",
+)
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number
 )

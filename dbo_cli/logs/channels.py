@@ -182,7 +182,7 @@ class ChannelReader:
         if isinstance(self._table, TextTable):
             if not self._held:
                 self._hold(list(self.channels))
-            table = self._held.pop(channel, None)
+            table = self._held.get(channel)
         else:
             self._table.notes[:] = self._first_notes
             table = self._read([channel])[channel]

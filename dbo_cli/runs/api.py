@@ -146,7 +146,8 @@ def identify(
         ``if __name__ == "__main__":``.
     **options
         What ``IdentificationOptions`` knows (``gears``, ``points``, ``relaxation``, ``delay``, ``slopes``,
-        ``skip_seconds``, ``method``, ``zero``, ``rated``, ``force``); all else is found on data left out.
+        ``dynamics``, ``sensor_delay``, ``sensor_lag``, ``skip_seconds``, ``method``, ``zero``, ``rated``,
+        ``force``); all else is found on data left out.
 
     Returns
     -------
@@ -188,7 +189,12 @@ def identify(
 
 
 def read_model(path: str | os.PathLike[str]) -> Any:
-    """Read a model file, or a set of models; ``-`` is standard input.
+    """Read a model file, or a set of models.
+
+    Parameters
+    ----------
+    path
+        The file, ``FILE::CHANNEL`` of a set, or ``-`` for standard input.
 
     Returns
     -------
@@ -208,12 +214,28 @@ def read_model(path: str | os.PathLike[str]) -> Any:
 
 
 def simulate(model: Model | str | os.PathLike[str], x: Any, **options: Any) -> Any:
-    """Run a model, or the model in a file, over its input signal: ``Model.simulate``."""
+    """Run a model over its input signal.
+
+    Parameters
+    ----------
+    model : Model or file name
+        What is run.
+    x, **options
+        As in ``Model.simulate``.
+    """
     return _model(model).simulate(x, **options)
 
 
 def compensate(model: Model | str | os.PathLike[str], wanted: Any, **options: Any) -> Any:
-    """Return the drive that makes an actuator follow a trajectory: ``Model.compensate``."""
+    """Return the drive that makes an actuator follow a trajectory.
+
+    Parameters
+    ----------
+    model : Model or file name
+        The forward model of the actuator.
+    wanted, **options
+        As in ``Model.compensate``.
+    """
     return _model(model).compensate(wanted, **options)
 
 

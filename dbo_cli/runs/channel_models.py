@@ -9,11 +9,13 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model, set_to_bytes
 from dbo_cli.logs.addresses import Address, Given, check_document
+from dbo_cli.logs.channels import ChannelReader
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.tables import ReadLog
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
@@ -28,6 +30,7 @@ from dbo_cli.runs.channels import (
 )
 from dbo_cli.runs.identifying import (
     Identified,
+    RecordedLog,
     arguments_of,
     chosen_of,
     identify_logs,
@@ -36,6 +39,7 @@ from dbo_cli.runs.identifying import (
 )
 from dbo_cli.runs.jobs import Outcome, Work, good_ones, named, run_jobs, spread_line, summed_up
 from dbo_cli.runs.many_files import check_names, each_file, of_file
+from dbo_cli.runs.shared_shape import SharedShape, options_of_channel, shared_shape
 
 
 def identify_channels(
@@ -48,17 +52,20 @@ def identify_channels(
     voltage: str | None,
     displacement: str | None,
     prior: str | None = None,
+    shared_shape: bool = False,
     work: Work = Work(),  # noqa: B008 - frozen
     listener: Listener = SILENT,
 ) -> Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
     columns = Columns.of(voltage=voltage or "", displacement=displacement or "")
+    if shared_shape and prior is not None:
+        raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
     check_document(output, "a model", "json")
     if CHANNEL not in output.text:
         check_outputs([output], [*logs, *validation])
     outcome, found = Outcome(), {}
     for channel, one in models_of_channels(
-        logs, validation, reading, options, columns, prior, work, outcome, listener
+        logs, validation, reading, options, columns, prior, work, outcome, listener, shared_shape
     ):
         found[channel] = one
     with all_or_none():
@@ -111,6 +118,7 @@ def models_of_channels(
     work: Work,
     outcome: Outcome,
     listener: Listener = SILENT,
+    shared: bool = False,
 ) -> Iterator[tuple[str, Identified]]:
     """Identify a model of each channel, in the order of the log."""
     seen: dict[bytes, list[str]] = {}
@@ -121,19 +129,25 @@ def models_of_channels(
     ):
         channels = list(readers[0].channels)
         priors = models_by_channel(prior, channels) if prior is not None else None
+        given = chosen_of(options) | reading.chosen()
+        shape = None
+        if shared:
+            given["shared_shape"] = True
+            listener.working("the shape that the channels share")
+            found = _shape_of(readers, reading, options, columns, given, work)
+            listener.finished()
+            outcome.remarks.notes.append(found.note)
+            shape, options = found.model, options_of_channel(options)
 
         def jobs() -> Iterator[tuple[str, Callable[[], Identified]]]:
             for channel in channels:
                 read = [reader.log(channel) for reader in readers]
                 _note_twin(read[0], readers[0].channels[channel]["displacement"].number, channel, seen)
                 judged = [reader.log(channel) for reader in checks]
-                kept = priors(channel) if priors else None
-                yield (
-                    channel,
-                    functools.partial(
-                        _identified, read, judged, reading, options, columns.of_channel(channel), kept
-                    ),
-                )
+                kept = priors(channel) if priors else shape
+                own = columns.of_channel(channel)
+                words = (read, judged, reading, options, own, given, kept)
+                yield channel, functools.partial(_identified, *words)
 
         done = run_jobs(jobs(), work.processes)
         for one in good_ones(done, work, "channel", outcome, len(channels), listener):
@@ -153,18 +167,39 @@ def _identified(
     reading: ReadingOptions,
     options: IdentificationOptions,
     columns: Mapping[str, str],
-    prior: str | None,
+    given: Mapping[str, object],
+    prior: str | ActuatorModel | None,
 ) -> Identified:
-    """Identify one channel, in whichever process."""
-    kept = None if prior is None else read_model(prior)
+    """Identify one channel, in whichever process; ``given`` is how the identification was called."""
+    kept = read_model(prior) if isinstance(prior, str) else prior
     fitted, checks = read_recordings(
         logs, validation, reading, columns["voltage"], columns["displacement"], prior=kept
     )
-    chosen = chosen_of(options) | reading.chosen() | dict(columns)
-    if prior is not None:
+    chosen = dict(given) | dict(columns)
+    if isinstance(prior, str):
         chosen["prior"] = os.path.basename(prior)
     fit, checked = ([one.text for one in some] for some in (logs, validation))
     return identify_recordings(fitted, options, checks, arguments_of(fit, checked, chosen), kept)
+
+
+def _shape_of(
+    readers: Sequence[ChannelReader],
+    reading: ReadingOptions,
+    options: IdentificationOptions,
+    columns: Columns,
+    given: Mapping[str, object],
+    work: Work,
+) -> SharedShape:
+    """Return the shape that the channels share."""
+
+    def read(channel: str) -> list[RecordedLog]:
+        logs = [reader.log(channel) for reader in readers]
+        own = columns.of_channel(channel)
+        return read_recordings(logs, [], reading, own["voltage"], own["displacement"])[0]
+
+    names = [reader.address.text for reader in readers]
+    arguments = arguments_of(names, [], dict(given) | dict(columns.patterns))
+    return shared_shape(list(readers[0].channels), read, options, arguments, work.processes)
 
 
 def _note_twin(log: Address, number: int, channel: str, seen: dict[bytes, list[str]]) -> None:

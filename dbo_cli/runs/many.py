@@ -80,6 +80,7 @@ def identified(
     *,
     work: Work,
     listener: Listener,
+    shared_shape: bool = False,
     **columns: Any,
 ) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
@@ -89,8 +90,13 @@ def identified(
         from dbo_cli.runs.channels import wants_channels
 
         channels = wants_channels(output, columns["voltage"], columns["displacement"])
-        several = identify_channels if channels else identify_files
-        return several(*words, work=work, listener=listener, **columns)
+        if channels:
+            more = columns | {"shared_shape": shared_shape}
+            return identify_channels(*words, work=work, listener=listener, **more)
+        if not shared_shape:
+            return identify_files(*words, work=work, listener=listener, **columns)
+    if shared_shape:
+        raise UsageError("`shared_shape` is for channels: name their columns by patterns, 'V{}' and 'D{}'")
     from dbo_cli.runs.identifying import identify_logs
 
     found = identify_logs(*words, **columns, listener=listener)

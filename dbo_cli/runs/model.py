@@ -126,6 +126,11 @@ class Model:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model file, whole or not at all.
 
+        Parameters
+        ----------
+        path
+            Where to, ``model.json``.
+
         Raises
         ------
         UsageError
@@ -137,12 +142,23 @@ class Model:
         write_whole(path, self.to_json())
 
     def save_state(self, state: ModelState, path: str | os.PathLike[str]) -> None:
-        """Write a state of this model, for a later run to go on from."""
+        """Write a state of this model, for a later run to go on from.
+
+        Parameters
+        ----------
+        state, path
+            What a run returned or ``Controller.state`` holds, and where to, ``state.json``.
+        """
         check_document(path, "a state", "json")
         write_whole(path, state_to_bytes(state, self.actuator))
 
     def read_state(self, path: str | os.PathLike[str]) -> ModelState:
         """Read a state file of this model or its inverse.
+
+        Parameters
+        ----------
+        path
+            A file of ``save_state`` or of ``dbo --save-state``.
 
         Raises
         ------
@@ -153,20 +169,17 @@ class Model:
         return dataclasses.replace(state, model=self.actuator.digest)
 
     @overload
-    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ...,
-                 rows: str | None = ..., state: Start = ...,
-                 outside: Outside = ..., return_state: Literal[False] = ..., details: Literal[False] = ...,
-                 ) -> Floats: ...  # fmt: skip
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., rows: str | None = ...,
+                 state: Start = ..., outside: Outside = ..., return_state: Literal[False] = ...,
+                 details: Literal[False] = ...) -> Floats: ...  # fmt: skip
     @overload
-    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ...,
-                 rows: str | None = ..., state: Start = ...,
-                 outside: Outside = ..., return_state: Literal[True], details: Literal[False] = ...,
-                 ) -> tuple[Floats, ModelState]: ...  # fmt: skip
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., rows: str | None = ...,
+                 state: Start = ..., outside: Outside = ..., return_state: Literal[True],
+                 details: Literal[False] = ...) -> tuple[Floats, ModelState]: ...  # fmt: skip
     @overload
-    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ...,
-                 rows: str | None = ..., state: Start = ...,
-                 outside: Outside = ..., return_state: bool = ..., details: Literal[True],
-                 ) -> Result: ...  # fmt: skip
+    def simulate(self, x: Any, *, time: Any = ..., sample_rate: float | None = ..., rows: str | None = ...,
+                 state: Start = ..., outside: Outside = ..., return_state: bool = ...,
+                 details: Literal[True]) -> Result: ...  # fmt: skip
     def simulate(
         self,
         x: Any,
@@ -185,8 +198,9 @@ class Model:
         ----------
         x : array_like of shape (samples,), DataFrame or file name
             The input, in the unit of ``input``; an inverse model reads it ahead by its delay.
-        time : array_like of shape (samples,), or a column's name
-            Seconds; needed (or ``sample_rate``, Hz) by a model with lag, creep or delay.
+        time, sample_rate
+            Seconds of shape (samples,) or a column's name, or samples a second (Hz); needed by a model with
+            lag, creep or delay.
         rows : str
             ``A:B``: the rows to answer, from 1; an inverse model reads what stands after them ahead.
         state
@@ -224,8 +238,7 @@ class Model:
     @overload
     def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
                    rows: str | None = ..., tracked: Any = ..., return_state: Literal[False] = ...,
-                   details: Literal[False] = ..., **options: Any,
-                   ) -> Floats: ...  # fmt: skip
+                   details: Literal[False] = ..., **options: Any) -> Floats: ...  # fmt: skip
     @overload
     def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
                    rows: str | None = ..., tracked: Any = ..., return_state: Literal[True],
@@ -234,8 +247,7 @@ class Model:
     @overload
     def compensate(self, wanted: Any, *, time: Any = ..., sample_rate: float | None = ...,
                    rows: str | None = ..., tracked: Any = ..., return_state: bool = ...,
-                   details: Literal[True], **options: Any,
-                   ) -> Result: ...  # fmt: skip
+                   details: Literal[True], **options: Any) -> Result: ...  # fmt: skip
     def compensate(
         self,
         wanted: Any,
@@ -256,8 +268,8 @@ class Model:
         ----------
         wanted : array_like of shape (samples,), DataFrame or file name
             The desired displacement, in the unit of ``output``.
-        time : array_like of shape (samples,), or a column's name
-            Seconds; needed (or ``sample_rate``, Hz) by a model with lag, creep or delay and by ``max_slew``.
+        time, sample_rate
+            As in ``simulate``; needed by ``max_slew``, too.
         rows : str
             ``A:B``: the rows to answer, from 1; what stands after them is only read ahead.
         tracked : table, file name, or pair of arrays (voltage, measured); or a list of these
@@ -266,10 +278,8 @@ class Model:
         return_state, details
             As in ``simulate``.
         **options
-            What ``DriveOptions`` knows: ``v_min``, ``v_max``, ``max_slew``, ``max_current``, ``capacitance``,
-            ``on_limit``, ``state``, ``from_``, ``approach``, ``condition``, ``lead``, ``return_``,
-            ``bandwidth``, ``absolute``, ``history``, ``settle``, ``periodic``, ``passes``. With rows before
-            or after the trajectory the drive is longer than it, and ``details`` has the times.
+            What ``DriveOptions`` knows: ``v_min``, ``v_max``, ``max_slew``, ``state``, ``periodic``, … With
+            rows before or after the trajectory the drive is longer than it, and ``details`` has the times.
 
         Returns
         -------
@@ -309,13 +319,17 @@ class Model:
             planned, and the state follows the voltage of the code.
         ahead : bool
             A model with a delay needs what is wanted later; with ``ahead`` the caller passes that.
+        lookahead : float or "auto"
+            Seconds by which what is passed is wanted later, no less than the model needs (auto): dynamics
+            and delay are undone from it. The controller's ``lookahead`` has the samples.
 
         Raises
         ------
         ModelError
-            The model is an inverse one, or has a delay and ``ahead`` is not given.
+            The model is an inverse one, or has a delay or dynamics and ``lookahead`` is not given.
         UsageError
-            The rate is missing, or the limits or the converter's curve are not in order.
+            The rate is missing, the limits or the converter's curve are not in order, or ``lookahead`` is
+            shorter than the model needs.
         """
         from dbo_cli.drives.controller import Controller
 
@@ -327,7 +341,12 @@ OUTSIDE = ("extend", "hold", "error")
 
 
 def read_model(path: str | os.PathLike[str]) -> Model:
-    """Read a model file; ``-`` is standard input.
+    """Read a model file.
+
+    Parameters
+    ----------
+    path
+        The file, ``FILE::CHANNEL`` of a set, or ``-`` for standard input.
 
     Raises
     ------

@@ -69,6 +69,11 @@ class ModelSet(Mapping[str, Model]):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file of the set, whole or not at all.
 
+        Parameters
+        ----------
+        path
+            Where to, ``mirror.json``.
+
         Raises
         ------
         UsageError

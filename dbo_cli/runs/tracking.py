@@ -293,11 +293,22 @@ class TrackingReport:
         )
 
     def rendered(self, form: str) -> bytes:
-        """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
+        """Return the report in a form.
+
+        Parameters
+        ----------
+        form : {"text", "json", "csv", "html"}
+            Which one; as bytes of UTF-8.
+        """
         return str(getattr(self, f"to_{form}")()).encode()
 
     def figures(self, folder: str | Path) -> None:
-        """Draw every figure into a folder, PNG and SVG.
+        """Draw every figure, PNG and SVG.
+
+        Parameters
+        ----------
+        folder
+            Where to; made where it is not there.
 
         Raises
         ------

@@ -160,6 +160,7 @@ def trajectory(
     Parameters
     ----------
     shape : {"raster", "spiral", "staircase", "sine", "triangle"}
+        What is moved along.
     model : Model or file, or one for each axis
         Corners are rounded to what it can be trusted to; what it does not reach is refused.
     unit : str, optional
