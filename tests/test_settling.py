@@ -137,6 +137,18 @@ def test_a_run_in_beyond_the_limits_counts_its_own_rows() -> None:
     assert re.search(r": [\d,]+ of 800 samples \(first in the rows before row 1\) beyond", str(raised.value))
 
 
+def test_a_run_in_says_what_it_costs() -> None:
+    period = 6.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(400) / 400.0)
+    done = Model(actuator(frequency=None)).compensate(
+        period, sample_rate=RATE, periodic=True, passes=2, state="empty", details=True
+    )
+    assert done.values.size == 1200
+    assert (
+        "`wanted`: before the first period stand 800 rows, 0.04 s, 2 passes of run-in among them"
+        in done.notes
+    )
+
+
 def test_a_voltage_array_beside_a_log_is_refused(tmp_path: Any) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time_s,desired_um,measured_um\n0,1,1\n1,2,2\n")

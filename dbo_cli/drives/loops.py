@@ -110,6 +110,10 @@ class LoopCompensation(Compensation):
             self.gate.require_start(step, None if run_in.size else float(settled.done.y[0]))
         if run_in.size:
             yield self._response(times[played:], wanted, run_in, step)
+            self.remarks_before.notes.append(
+                f"{self.source.name}: before the first period stand {count:,} rows, {step * count:.3g} s, "
+                f"{passes} pass{'es' if passes > 1 else ''} of run-in among them"
+            )
         drive = self._closed(settled.done.y)
         self._count(settled)
         if begun is None:
