@@ -560,3 +560,25 @@ def test_a_spread_names_a_round_bound_and_the_worst() -> None:
         spread_line(percents, "channel", "fit", {"47": "hum"})
         == "fit: 117 of 119 channels below 0.1 %; worst: 47, 0.9 %: hum"
     )
+
+
+def test_a_matrix_that_is_wider_than_long_is_read_by_its_time_stamps(mirror: Any) -> None:
+    models = json.loads(Path("set.json").read_text())
+    models["models"] = {str(k): models["models"]["a"] for k in range(1, 6)}
+    Path("five.json").write_text(json.dumps(models))
+    wanted = 2.0 + np.arange(15.0).reshape(3, 5) / 10.0
+    with h5py.File("frames.h5", "w") as file:
+        file["time_s"], file["wanted"] = [0.0, 0.1, 0.2], wanted
+    words = ("compensate", "five.json", "frames.h5", "--displacement", "wanted[{}]", "-q", "-o", "drive.h5")
+    assert mirror(*words).code == 0
+    with h5py.File("drive.h5") as file:
+        assert file["voltage"].shape == (3, 5)
+        assert file["desired"][()].tolist() == wanted.tolist()
+    assert mirror("simulate", "five.json", "drive.h5", "--input", "voltage[{}]", "-q", "-o", "b.h5").code == 0
+    with h5py.File("frames.h5", "r+") as file:
+        del file["time_s"]
+    said = mirror(*words)
+    assert (said.code, said.err) == (
+        1,
+        "dbo: error: five.json: has 5 models, and the matrix 3 columns; the longer axis of a matrix is taken for time where no time stamps stand beside it\n",
+    )

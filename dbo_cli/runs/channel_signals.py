@@ -68,8 +68,8 @@ def signals_of_channels(
     summaries: list[dict[str, Any]] = []
     with opened_readers([log_file], reading, columns) as (reader,):
         channels = list(reader.channels)
-        models = models_by_channel(model_file, channels)
         (pattern,) = columns.patterns.values()
+        models = models_by_channel(model_file, channels, is_matrix(pattern))
 
         def jobs() -> Iterator[tuple[str, Callable[[], Remarks]]]:
             for channel in channels:

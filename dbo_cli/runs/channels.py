@@ -97,13 +97,13 @@ def opened_readers(
         yield readers
 
 
-def models_by_channel(model_file: str, channels: Sequence[str]) -> Callable[[str], str]:
+def models_by_channel(model_file: str, channels: Sequence[str], matrix: bool = False) -> Callable[[str], str]:
     """Return how each channel's model is named: a file of its own, one of a set, or one model for all.
 
     Raises
     ------
     InputError
-        The set lacks a channel.
+        The set lacks a channel, or a matrix (``matrix``) has fewer columns than the set has models.
     """
     if CHANNEL in model_file:
         return lambda channel: in_name(model_file, channel)
@@ -111,6 +111,11 @@ def models_by_channel(model_file: str, channels: Sequence[str]) -> Callable[[str
         return lambda channel: model_file
     there = read_set(model_file)
     missing = [channel for channel in channels if channel not in there]
+    if matrix and len(channels) < len(there):
+        raise InputError(
+            f"{model_file}: has {len(there):,} models, and the matrix {len(channels):,} columns; the longer"
+            " axis of a matrix is taken for time where no time stamps stand beside it"
+        )
     if missing:
         raise InputError(
             f"{model_file}: there is no model of channel {named(missing)} (it has {named(list(there))})"

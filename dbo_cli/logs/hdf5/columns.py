@@ -55,8 +55,8 @@ def matlab_class(node: Any) -> str:
     return attribute_text(node, "MATLAB_class")
 
 
-def columns_of(dataset: Any, name: str) -> list[ColumnSource]:
-    """Take a dataset apart into columns; the longer axis of a matrix is time.
+def columns_of(dataset: Any, name: str, stamps: frozenset[int] = frozenset()) -> list[ColumnSource]:
+    """Take a dataset apart into columns; the longer axis of a matrix is time, or the one that has stamps.
 
     Parameters
     ----------
@@ -64,6 +64,8 @@ def columns_of(dataset: Any, name: str) -> list[ColumnSource]:
         Any dataset; what holds no numbers gives no columns.
     name
         What the columns are called, or empty for the dataset's own name.
+    stamps
+        How many time stamps stand beside the dataset: 100 frames of 128 channels are wider than long.
     """
     shape, kind = dataset.shape, dataset.dtype
     if shape is None or not dataset.size or not _holds_measurements(dataset):
@@ -73,7 +75,7 @@ def columns_of(dataset: Any, name: str) -> list[ColumnSource]:
     if kind.kind not in "fiub" or len(shape) not in (1, 2) or 0 in shape:
         return []
     own = name or clean_text(dataset.name.rsplit("/", 1)[-1])
-    axis = _time_axis(dataset)
+    axis = _time_axis(dataset, stamps)
     width = 1 if len(shape) == 1 else shape[1 - axis]
     names = _column_names(dataset, width) if width > 1 else None
     labels = names or ([own] if width == 1 else [f"{own}[{number}]" for number in range(1, width + 1)])
@@ -93,10 +95,12 @@ def _holds_measurements(dataset: Any) -> bool:
     return attribute(dataset, "MATLAB_empty") is None
 
 
-def _time_axis(dataset: Any) -> int:
+def _time_axis(dataset: Any, stamps: frozenset[int]) -> int:
     shape = dataset.shape
     if len(shape) == 1:
         return 0
+    if len(stamps & set(shape)) == 1 and shape[0] != shape[1]:
+        return 0 if shape[0] in stamps else 1
     # MATLAB stores every matrix transposed, so a square one runs the other way.
     return 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not matlab_class(dataset)) else 1
 

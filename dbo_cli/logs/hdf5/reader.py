@@ -20,6 +20,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.byte_source import Request, brief
+from dbo_cli.logs.column_names import TIME_NAMES
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -29,6 +30,7 @@ from dbo_cli.logs.column_table import (
     with_unit,
     without_scalars,
 )
+from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,
@@ -206,9 +208,11 @@ def _members(group: Any) -> Iterator[tuple[str, Any]]:
 
 def _plain_columns(group: Any) -> list[ColumnSource]:
     sources: list[ColumnSource] = []
-    for name, node in _members(group):
-        if is_dataset(node) and not (node.size == 1 and is_clock_name(clean_text(name))):
-            sources += columns_of(node, clean_text(name))
+    nodes = [(clean_text(name), node) for name, node in _members(group) if is_dataset(node)]
+    stamps = frozenset(node.size for name, node in nodes if split_header(name)[0].lower() in TIME_NAMES)
+    for name, node in nodes:
+        if not (node.size == 1 and is_clock_name(name)):
+            sources += columns_of(node, name, stamps)
     sources = [
         with_unit(source, lambda name: stored_text(group.get(name))) for source in without_scalars(sources)
     ]
