@@ -154,6 +154,8 @@ class Bank:
         """Put the channels that have begun into one bank of the kernel."""
         begun = [one.begun for one in self._controllers]
         parts = [one for one in begun if one is not None]
+        if len(parts) < len(begun):  # what looks ahead, or has a lag before its gears, goes on one by one
+            return
         limits = np.array([one.bounds for one in self._controllers]).T
         steppers, before, after = zip(*parts, strict=True)
         self._live = make_bank(steppers, before, after, limits)
@@ -182,7 +184,7 @@ class Bank:
 
 
 class Codes:
-    """One converter's curve for all channels; the rules of ``controller.Converter``, on arrays.
+    """One converter's curve for all channels; the rules of ``converter.Converter``, on arrays.
 
     Parameters
     ----------

@@ -6,16 +6,16 @@ hardware, and calls ``commit`` once the hardware has acknowledged it. A plan nev
 
 from __future__ import annotations
 
-import bisect
 import dataclasses
-import itertools
 import math
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dbo_cli.drives.converter import Converter
 from dbo_cli.drives.gate import DriveGate, GateError
+from dbo_cli.drives.lookahead import DriveLag, LookAhead
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import ramp
 from dbo_cli.errors import InputError, ModelError, UsageError
@@ -26,7 +26,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 from dbo_cli.hysteresis.stepper import BacklashStepper
 from dbo_cli.logs.reading_options import checked_rate
-from dbo_cli.logs.sources import samples
+
+UPDATE = 128
+"""Samples after which dynamics follow the drive: so many take hardly longer than one of them alone."""
 
 
 class Controller:
@@ -40,6 +42,8 @@ class Controller:
         Committed samples in which the limits of the drive were met.
     planned : float, int or None
         What was planned and is not committed yet.
+    lookahead : int
+        How many samples later is wanted what is passed; 0 without ``lookahead``.
     """
 
     def __init__(
@@ -54,20 +58,24 @@ class Controller:
         from_: float | None = None,
         dac: ArrayLike | None = None,
         ahead: bool = False,
+        lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
-        if model.delay_seconds > 0.0 and not ahead:
+        if ahead and lookahead is not None:
+            raise UsageError("`ahead` and `lookahead` exclude each other: the latter undoes the delay, too")
+        if model.delay_seconds > 0.0 and not ahead and lookahead is None:
             raise ModelError(
                 f"the model has a delay of {model.delay_seconds:g} s, so the drive depends on what is wanted "
-                "that much later, which a controller does not know (with `ahead` the caller passes it)"
+                "that much later, which a controller does not know (with `ahead` or `lookahead` the caller "
+                "passes it)"
             )
-        if model.dynamics is not None or model.drive_lag is not None:
+        if model.dynamics is not None and lookahead is None:
             raise ModelError(
                 "the model has dynamics, so the drive depends on what is wanted after the present sample, "
-                "which a controller does not know (compensate the whole trajectory)"
+                "which a controller does not know (with `lookahead` the caller passes it)"
             )
         sample_rate = checked_rate(sample_rate)
-        needs = model.needs_time or max_slew is not None
+        needs = model.needs_time or max_slew is not None or lookahead is not None
         if needs and sample_rate is None:
             raise UsageError("this model and these limits need the time between samples (`sample_rate` HZ)")
         self._model = model
@@ -86,6 +94,17 @@ class Controller:
             self._start = model.simulate([from_], begun, time_step=self._step_seconds).state
         self._gate = DriveGate(self._limits, self._last)
         self._dac = None if dac is None else Converter(dac, self._limits, self._most)
+        self._ahead: LookAhead | None = None
+        if lookahead is not None and sample_rate is not None:
+            self._ahead = LookAhead(model, sample_rate, lookahead)
+        self._lag: DriveLag | None = None
+        if model.drive_lag is not None and self._step_seconds is not None:
+            self._lag = DriveLag(model, self._planning, self._step_seconds)
+        self.lookahead = 0 if self._ahead is None else self._ahead.samples
+        # What is behind the gears takes no part in the drive: it follows now and then, for the state alone.
+        self._behind = model.dynamics is not None or (model.delay_seconds > 0.0 and not ahead)
+        self._past: ModelState | None = None
+        self._since: list[float] = []
         self._stepper: BacklashStepper | None = None
         self._begun: ModelState | None = None
         self._prepare()
@@ -101,7 +120,7 @@ class Controller:
         ----------
         displacement : float
             What is wanted at this sample, in the unit of the model's output; with ``ahead`` what is wanted
-            the model's delay later.
+            the model's delay later, with ``lookahead`` so much later.
 
         Raises
         ------
@@ -113,6 +132,8 @@ class Controller:
         if not -math.inf < displacement < math.inf:
             raise InputError(f"what is wanted is not a finite number: {displacement!r}")
         stepper = self._stepper
+        if self._ahead is not None:
+            displacement = self._ahead.plan(displacement, None if self._ahead.begun else self.state)
         if stepper is None:
             volts = self._plan_first(displacement)
         else:
@@ -125,6 +146,8 @@ class Controller:
             self._clipped_now = bool(stepper.clipped)
             if self._after:
                 volts = self._bent(volts)
+            if self._lag is not None:
+                volts, self._clipped_now = self._lag.plan(volts, displacement, stepper)
         if self._dac is not None:
             self._most = self._dac.most(self._last)
             code = self._dac.code(volts, self._last, self._most)
@@ -150,17 +173,25 @@ class Controller:
         """
         if applied is None and self.planned is None:
             raise UsageError("nothing was planned to be committed: call plan first")
-        volts = self._planned_volts
+        volts, first = self._planned_volts, self._stepper is None
         if applied is None and self._dac is None:
             if self._stepper is None:
                 assert self._begun is not None
                 self._begin(self._begun)
+            elif self._lag is not None:
+                self._lag.commit(self._stepper)
             else:
                 self._stepper.commit()
         else:
             if applied is not None:
                 volts = self._dac.volts(applied) if self._dac is not None else float(applied)
             self._apply(volts)
+        if self._ahead is not None:
+            self._ahead.commit()
+        if self._behind and not first:
+            self._since.append(volts)
+            if len(self._since) >= UPDATE:
+                self._update()
         if self._dac is not None and self._last is not None:
             self._dac.commit(abs(volts - self._last), self._most)
         self._last = volts
@@ -210,6 +241,8 @@ class Controller:
             self._pass(volts)
             way.append(volts if code is None else code)
             self.commit(way[-1])
+        if self._ahead is not None:
+            self._ahead.forget()
         return way
 
     @property
@@ -217,12 +250,29 @@ class Controller:
         """The committed state, for ``simulate`` or ``compensate`` to go on from; None before the first."""
         if self._stepper is None:
             return self._start if isinstance(self._start, ModelState) else None
-        return ModelState(self._stepper.state, self._stepper.last, model=self._model.digest)
+        undoing = None if self._ahead is None else self._ahead.memory
+        return dataclasses.replace(self._update(), undoing=undoing, model=self._model.digest)
+
+    def _update(self) -> ModelState:
+        """Return the committed state; let what is behind the gears follow the drive up to now."""
+        assert self._stepper is not None
+        held = ModelState(self._stepper.state, self._stepper.last)
+        if self._lag is not None:
+            late, last = self._lag.held
+            held = dataclasses.replace(held, drive_lag=((late, 0.0, last),))
+        past = self._past
+        if past is not None:
+            if self._since:
+                past = self._model.simulate(self._since, past, time_step=self._step_seconds).state
+            held = dataclasses.replace(held, dynamics=past.dynamics, history=past.history)
+            self._past, self._since = held, []
+        return held
 
     @property
     def begun(self) -> tuple[BacklashStepper, MemoryFree, MemoryFree] | None:
-        """The gears' stepper and what stands before and behind it, for a bank; None before a commit."""
-        return None if self._stepper is None else (self._stepper, self._head, self._after)
+        """The gears' stepper and what stands beside it, for a bank; None before a commit, or with a lag."""
+        alone = self._stepper is not None and self._ahead is None and self._lag is None
+        return None if self._stepper is None or not alone else (self._stepper, self._head, self._after)
 
     @property
     def converter(self) -> Converter | None:
@@ -276,8 +326,12 @@ class Controller:
         return float(done.y[0])
 
     def _begin(self, state: ModelState) -> None:
-        inverse = self._inverse
-        bound = inverse.output_limits(inverse.inner_limits(self._planning), self._step_seconds)
+        self._past, self._since = state if self._behind else None, []
+        inverse, limits = self._inverse, self._planning
+        if self._lag is not None:  # the slew is limited before the lag
+            self._lag.begin(state)
+            limits = DriveLimits(limits.v_min, limits.v_max)
+        bound = inverse.output_limits(inverse.inner_limits(limits), self._step_seconds)
         last = math.nan if state.drive is None else state.drive
         self._stepper = BacklashStepper(inverse.backlash, state.backlash, last, self._step_seconds, bound)
 
@@ -290,81 +344,7 @@ class Controller:
             begun = dataclasses.replace(begun, history=None)
             self._begin(self._model.simulate([volts], begun, time_step=self._step_seconds).state)
             return
-        inner = volts
+        inner = volts if self._lag is None else self._lag.apply(volts)
         for stage in self._drive_side:
             inner = float(stage.run(np.array([inner]))[0])
         self._stepper.apply(inner)
-
-
-class Converter:
-    """A digital-to-analogue converter within the limits of a drive.
-
-    One step between codes may be larger than the slew limit allows in a sample. Then the allowance of several
-    samples is saved up for it: over any time the drive changes by no more than the slew limit allows in that
-    time and one code, and in one sample by no more than the larger of the two.
-
-    Parameters
-    ----------
-    volts : array_like
-        The voltage of every code from 0 on, rising.
-    limits : DriveLimits
-        Of the drive; codes outside the range are never planned.
-    most : float, optional
-        Largest change in one sample, V.
-
-    Raises
-    ------
-    UsageError
-        The curve does not rise, or no code lies within the limits.
-    """
-
-    def __init__(self, volts: ArrayLike, limits: DriveLimits, most: float | None) -> None:
-        curve = samples("dac", volts)
-        if curve.size < 2 or not (np.diff(curve) > 0.0).all():
-            raise UsageError("`dac`: give the voltage of every code from 0 on, rising from code to code")
-        self.curve: list[float] = curve.tolist()
-        self._low = bisect.bisect_left(self.curve, limits.v_min)
-        self._high = bisect.bisect_right(self.curve, limits.v_max) - 1
-        if self._low > self._high:
-            raise UsageError(
-                f"`dac`: no code lies within the limits of the drive, {limits.v_min:g} to {limits.v_max:g}"
-            )
-        self.step, self.saved = most, 0.0
-        gaps: list[float] = [b - a for a, b in itertools.pairwise(self.curve)]
-        self._widest = max(gaps)
-        self._gaps: list[float] = [max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])]
-
-    def volts(self, code: int | float) -> float:
-        """Return the voltage of a code (InputError where there is none)."""
-        if code != int(code) or not 0 <= code < len(self.curve):
-            raise InputError(f"code {code} is not one of the converter's, 0 to {len(self.curve) - 1}")
-        return self.curve[int(code)]
-
-    def most(self, last: float | None) -> float | None:
-        """Return the largest change that is allowed now, V; None where any is."""
-        step = self.step
-        if step is None or last is None:
-            return None
-        if step < self._widest:
-            gap = self._gaps[min(bisect.bisect_left(self.curve, last), len(self._gaps) - 1)]
-            return min(self.saved + step, max(step, gap))
-        return step
-
-    def code(self, volts: float, last: float | None, most: float | None) -> int:
-        """Return the code nearest to a voltage, of those within range and slew; the last one, if none is."""
-        curve, low, high = self.curve, self._low, self._high
-        after = bisect.bisect_left(curve, volts)
-        near = after - (0 < after < len(curve) and curve[after] - volts >= volts - curve[after - 1])
-        near = low if near < low else high if near > high else near
-        if most is None or last is None or -most <= curve[near] - last <= most:
-            return near
-        low = max(low, bisect.bisect_left(curve, last - most))
-        high = min(high, bisect.bisect_right(curve, last + most) - 1)
-        if low > high:  # from outside the range, or between two codes
-            return min(max(bisect.bisect_left(curve, last), self._low), self._high)
-        return low if near < low else high
-
-    def commit(self, change: float, most: float | None) -> None:
-        """Take what a change used off what was saved up."""
-        if most is not None:
-            self.saved = max(most - change, 0.0)

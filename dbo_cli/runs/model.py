@@ -319,13 +319,17 @@ class Model:
             planned, and the state follows the voltage of the code.
         ahead : bool
             A model with a delay needs what is wanted later; with ``ahead`` the caller passes that.
+        lookahead : float or "auto"
+            Seconds by which what is passed is wanted later, no less than the model needs (auto): dynamics
+            and delay are undone from it. The controller's ``lookahead`` has the samples.
 
         Raises
         ------
         ModelError
-            The model is an inverse one, or has a delay and ``ahead`` is not given.
+            The model is an inverse one, or has a delay or dynamics and ``lookahead`` is not given.
         UsageError
-            The rate is missing, or the limits or the converter's curve are not in order.
+            The rate is missing, the limits or the converter's curve are not in order, or ``lookahead`` is
+            shorter than the model needs.
         """
         from dbo_cli.drives.controller import Controller
 
