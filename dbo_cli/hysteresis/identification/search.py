@@ -64,7 +64,7 @@ ORDER_INDIFFERENCE = 0.01  # a kink in the asymmetry is worth having for less th
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 START_SMOOTHNESS = 1e-8
 BEND_STEP = 0.1
-BEND_TRIALS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
+BEND_TRIALS = 4  # steps to either side, outwards while the fit gets better
 BEND_GAIN = 0.1  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
 TIME_CONSTANT_RATIO = 3.0
 LONGEST_DELAY = 0.125  # of a cycle
@@ -349,24 +349,28 @@ class _Search:
         if self._orders.segments is not None:
             return found[0][:2]
         needed = (1.0 - BEND_GAIN) * found[0][2].rmse
-        trial = found[0][1]
+        trials = found[0][1], listed[-1]
 
-        def attempt(bend: float) -> None:
+        def error(bent: Basis) -> float:
+            return min(fitted_rmse(self._statistics(bent), one) for one in trials)
+
+        def attempt(bend: float) -> float:
             bent = replace(basis, bend=bend)
-            if min(fitted_rmse(self._statistics(bent), one) for one in (trial, listed[-1])) <= needed:
+            if error(bent) <= needed:
                 found.append((bent, *self._best(bent, listed)))
+            return error(bent)
 
-        for bend in BEND_TRIALS:
-            attempt(bend)
+        for side in (-BEND_STEP, BEND_STEP):
+            errors = [error(basis)]
+            while len(errors) <= BEND_TRIALS and errors[-1] <= min(errors):
+                errors.append(attempt(side * len(errors)))
         best = min(found, key=lambda item: item[2].rmse)
         if best[0].bend:
             for bend in (best[0].bend - BEND_STEP / 2.0, best[0].bend + BEND_STEP / 2.0):
-                if abs(bend) < max(BEND_TRIALS):
+                if abs(bend) < BEND_TRIALS * BEND_STEP:
                     attempt(bend)
             best = min(found, key=lambda item: item[2].rmse)
-        if best[2].rmse > needed or no_worse(found[0][2], best[2]):
-            best = found[0]
-        return best[:2]
+        return found[0][:2] if best[2].rmse > needed or no_worse(found[0][2], best[2]) else best[:2]
 
     def bend_again(self, basis: Basis, structure: Structure) -> Basis:
         """Return the bend, or one of its neighbours, that does best beside the lag."""

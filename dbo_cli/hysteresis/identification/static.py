@@ -80,14 +80,7 @@ def identify_static(
     recordings = [one.recording for one in logs]
     said += [note for one in logs for note in one.notes]
     prepared = prepare(recordings, options.skip_seconds, [one.bad for one in logs])
-    orders = Orders(
-        options.gears,
-        None if options.points is None else max(options.points, 1),
-        None if options.relaxation is None else tuple(options.relaxation),
-        options.delay,
-        options.slopes,
-    )
-    choice = choose(prepared, orders, cycle)
+    choice = choose(prepared, _orders(options), cycle)
     fitted = fit(prepared.logs, choice.basis, choice.structure)
     model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
     residuals = [residual_of(model, log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)]
@@ -109,39 +102,61 @@ def identify_static(
             "`sample_rate`"
         )
     if rmse > NO_BETTER * line:
-        message = (
-            f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows "
-            "no loop that this class of models can follow; the next candidates: "
-            + ", ".join(f"{words} {left:.4g}" for words, left in runners_up(prepared, choice))
-            + " on data left out; check the columns and the sensor"
-        )
-        if not options.force:
-            raise FitError(f"{message} (`force` keeps the model)")
-        warnings.append(message)
+        warnings.append(_no_loop(prepared, choice, rmse, line, options.force))
     checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     expected = expect(prepared, choice, model, rmse)
     figures = _figures(
         prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
     )
-    new_moves = figures["expected_rmse"]
-    if isinstance(new_moves, float) and new_moves >= line:
-        warnings.append(
-            f"what is expected on new moves ({new_moves:.4g}) is no better than a straight line's error on "
-            f"the logs ({line:.4g}): record more amplitudes and cycles before using the model"
-        )
-    warnings += _late_warnings(figures, prepared, expected, options)
+    warnings += _expected_warnings(expected, line) + _late_warnings(choice, prepared, expected, options)
     summary = said + prepared.notes + _summary(figures, model, prepared, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
     if expected.gain_trend is not None:
         figures["gain_trend"] = expected.gain_trend
+    figures["alternatives"] = [one.values() for one in expected.alternatives]
+    figures["warnings"] = list(warnings)
+    return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+
+
+def _orders(options: IdentificationOptions) -> Orders:
+    """Return what the user fixed of the structure."""
+    return Orders(
+        options.gears,
+        None if options.points is None else max(options.points, 1),
+        None if options.relaxation is None else tuple(options.relaxation),
+        options.delay,
+        options.slopes,
+    )
+
+
+def _no_loop(prepared: Prepared, choice: Choice, rmse: float, line: float, force: bool) -> str:
+    """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
+    message = (
+        f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows "
+        "no loop that this class of models can follow; the next candidates: "
+        + ", ".join(f"{words} {left:.4g}" for words, left in runners_up(prepared, choice))
+        + " on data left out; check the columns and the sensor"
+    )
+    if not force:
+        raise FitError(f"{message} (`force` keeps the model)")
+    return message
+
+
+def _expected_warnings(expected: Expectation, line: float) -> list[str]:
+    """Warn of what is expected on new moves."""
+    warnings = []
+    if expected.rmse is not None and expected.rmse >= line:
+        warnings.append(
+            f"what is expected on new moves ({expected.rmse:.4g}) is no better than a straight line's error "
+            f"on the logs ({line:.4g}): record more amplitudes and cycles before using the model"
+        )
+    if expected.gain_trend is not None:
         warnings.append(
             f"the gain changes by {100.0 * expected.gain_trend:+.1f} % along the log, and this makes most of "
             "the error: let the actuator warm up, or settle, before recording"
         )
-    figures["alternatives"] = [one.values() for one in expected.alternatives]
-    figures["warnings"] = list(warnings)
-    return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+    return warnings
 
 
 def _figures(
@@ -213,21 +228,20 @@ def _figures(
 
 
 def _late_warnings(
-    figures: dict[str, object], prepared: Prepared, expected_of: Expectation, options: IdentificationOptions
+    choice: Choice, prepared: Prepared, expected: Expectation, options: IdentificationOptions
 ) -> list[str]:
     """Warn of a pure delay that would break the expected error if it were the sensor's or the logger's.
 
     A stage and its amplifier lag; what comes late as a whole has mostly been delayed by a filter or a bus.
     Where a first-order lag explains the logs about as well, it need not be one.
     """
-    if any(one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected_of.alternatives):
+    if any(one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected.alternatives):
         return []
-    delay, expected = figures["delay_seconds"], figures["expected_rmse"]
-    assert isinstance(delay, float)
-    if not isinstance(expected, float) or options.sensor or options.delay is not None:
+    delay = choice.basis.delay
+    if expected.rmse is None or options.sensor or options.delay is not None:
         return []
     cost = delay * abs(prepared.scale) / prepared.span * max(map(_usual_rate, prepared.logs))
-    if cost <= BROKEN * expected:
+    if cost <= BROKEN * expected.rmse:
         return []
     return [
         f"the displacement is late by a pure delay of {1e3 * delay:.3g} ms, more often a sensor's or a "
