@@ -115,12 +115,19 @@ def identify(given: Given) -> None:
         )
 
 
-@_command(options.MODEL, *options.REPORTING, options.SHOW_FORMAT, options.MODEL_FIGURES, options.OUTPUT)
+@_command(
+    options.MODEL,
+    *options.REPORTING,
+    options.SHOW_FORMAT,
+    options.MODEL_FIGURES,
+    options.SETTLE,
+    options.OUTPUT,
+)
 def show(given: Given) -> None:
     """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings."""
     from dbo_cli.runs.showing import show_model
 
-    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures))
+    given.reporter.notes(show_model(given.model, given.output, given.format, given.figures, given.settle))
 
 
 @_command(options.MODEL, *options.REPORTING, options.OUTPUT)

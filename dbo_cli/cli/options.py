@@ -302,8 +302,7 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     ),
     Option(
         "--settle DISTANCE",
-        "Say how long after a step over the move creep and ringing stay within it (the model's unit).",
-        positive,
+        "Say how long creep and ringing take to stay within it after a step (5nm; plain: the model's unit).",
     ),
     Option("--periodic", "The trajectory is one period of a loop: write the settled loop's drive."),
     Option("-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", whole(0), "0"),
@@ -340,6 +339,11 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
     Option("--lag N|auto", "Samples by which measured is taken later than desired.", lag, "0"),
     Option("--remove-offset", "Take the mean of the error off before anything else."),
     Option("--segment cycles|SECONDS", "Also report every cycle, or every so many seconds.", segment),
+    Option(
+        "--dwell SECONDS",
+        "Score only the rows at which the desired signal has been held so long: pixels, stairs.",
+        not_negative,
+    ),
     Option("--model MODEL", "Compare this model's prediction with the measurement."),
     Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves.", address),
     _choice(
@@ -361,6 +365,9 @@ FIGURES = Option("--figures DIR", "Draw the figures, PNG and SVG, into this fold
 REPORT_FORMAT = _choice("--format text|json|csv|html", "Form of the report [default: by the output's name].")
 SHOW_FORMAT = _choice(
     "--format text|json", "Form of what is shown [default: by the output's name, else text]."
+)
+SETTLE = Option(
+    "--settle DISTANCE", "Say how long a step over the whole drive takes to stay within it (5nm, 0.005)."
 )
 MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 

@@ -23,7 +23,7 @@ from dbo_cli.drives.inputs import first_blocks
 from dbo_cli.drives.model_run import ModelRun, Response, Tally
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
-from dbo_cli.drives.settling import settling_seconds
+from dbo_cli.drives.settling import HeldLevels, distance_in, settling_notes
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
@@ -69,6 +69,8 @@ class Compensation(ModelRun):
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
+    settle: float | None = field(init=False)
+    held: HeldLevels = field(default_factory=HeldLevels)
 
     compensates = True
     remedies = "`condition` sweeps it there, "
@@ -76,6 +78,8 @@ class Compensation(ModelRun):
     def __post_init__(self) -> None:
         """Take the options apart."""
         options = self.options
+        unit = self.model.output.unit
+        self.settle = None if options.settle is None else distance_in(options.settle, unit)
         self.limits, self.start = options.limits(self.model), options.state
         self.why_time, self.bandwidth = options.why_time, options.bandwidth
         if self.lesson is not None:
@@ -119,7 +123,7 @@ class Compensation(ModelRun):
                 if self.lesson is not None:
                     end = self.rows - self.rows_before
                     given = self.lesson.desired[end - drive.size : end]
-                self.move.add(given)
+                self._see(given, drive)
             yield Response(block.time, given, drive)
         if self.rows and self.unreachable >= self.rows - self.rows_before > 0:
             raise InputError(
@@ -128,6 +132,11 @@ class Compensation(ModelRun):
             )
         if self.options.return_ is not None and self.state is not None and self.state.time is not None:
             yield self._return(self.state, self.state.time, step)
+
+    def _see(self, given: FloatArray, drive: FloatArray) -> None:
+        self.move.add(given)
+        if self.settle is not None:
+            self.held.add(given, drive)
 
     def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
@@ -305,7 +314,7 @@ class Compensation(ModelRun):
             self._first_row(),
             self._whose_volts(),
             self.expected_error(),
-            self._settling_time(),
+            *self._settling_times(),
             self._load(),
         )
         remarks.note(text for text in texts if text)
@@ -340,19 +349,12 @@ class Compensation(ModelRun):
             )
         return ""
 
-    def _settling_time(self) -> str:
-        """Say how long a step over the whole move has to be held, where that is asked for."""
-        distance, drive, unit = self.options.settle, self.drive, self.model.output.suffix
-        if distance is None or not drive.rows:
-            return ""
-        seconds = settling_seconds(self.model, drive.low, drive.high, distance)
-        rmse = self.model.fit.get("expected_rmse")
-        below = isinstance(rmse, float) and distance < rmse
-        hint = f" (below the model's expected error of {rmse:.3g}{unit})" if below else ""
-        return (
-            f"{self.source.name}: after a step from {drive.low:.6g} to {drive.high:.6g}{self.given.suffix} "
-            f"that is held, creep and ringing stay within {distance:.6g}{unit} after {seconds:.3g} s{hint}"
-        )
+    def _settling_times(self) -> list[str]:
+        """Say how long a step over the whole move, and each between levels, has to be held, if asked for."""
+        if self.settle is None or not self.drive.rows:
+            return []
+        whole = (self.drive.low, self.drive.high)
+        return settling_notes(self.source.name, self.model, whole, self.held.finished().steps, self.settle)
 
     def _load(self) -> str:
         """Say what the drive asks of the amplifier, where its load is known."""

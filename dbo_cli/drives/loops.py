@@ -190,6 +190,8 @@ class LoopCompensation(Compensation):
         start = begun or model.start_compensation(float(signal[0]), self.start, limits)
         time_step = self.step if model.needs_time or limits.max_slew is not None else None
         followed = model.compensate(signal[: wanted.size], start, limits=limits, time_step=time_step)
+        self.rows += followed.y.size
+        self.rows_before += followed.y.size
         self._clip(followed, None)
         forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
         aim = settled

@@ -55,7 +55,7 @@ class DriveOptions:
         A file that keeps the error of each pass, so that growth is seen.
     settle : float, optional
         Say how long the drive has to be held, after a step over the whole move, until creep and ringing stay
-        within this distance (in the displacement's unit).
+        within this distance (in the displacement's unit, or with its own: ``5nm``).
     periodic : bool
         The trajectory is one period of a loop; the drive is that of the settled loop.
     passes : int
@@ -82,7 +82,7 @@ class DriveOptions:
     bandwidth: float | None = None
     absolute: bool = False
     history: str | None = None
-    settle: float | None = None
+    settle: float | str | None = None
     periodic: bool = False
     passes: int = 0
 
@@ -94,7 +94,7 @@ class DriveOptions:
             raise UsageError(f"`bandwidth` {self.bandwidth:g}: give a positive number of Hz")
         for name in ("max_slew", "max_current", "capacitance", "settle"):
             value = getattr(self, name)
-            if value is not None and not value > 0.0:
+            if value is not None and not isinstance(value, str) and not value > 0.0:
                 raise UsageError(f"`{name}` {value:g}: give a number above 0")
         for name in ("v_min", "v_max"):
             if getattr(self, name) is not None and math.isnan(getattr(self, name)):

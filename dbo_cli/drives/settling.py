@@ -2,25 +2,136 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
 
+from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.linear_sections import Lag, Section
 from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.units import is_known_unit, normalise_unit, unit_factor
 
 FOR_EVER = 50.0  # of the longest time constant: what creeps is over to 2e-22
 SHORTEST = 1e-9  # s: shorter than any converter's row
 HALVINGS = 60  # of the logarithm of time: 20 decades to the last digits
+FEW_PERIODS = 10.0  # of a resonance, in which half a period is more than 5 %
+ROWS_A_PERIOD = 64.0
+FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
+_DISTANCE = re.compile(r"\s*(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*([^\s\d].*?)?\s*")
+
+
+def distance_in(given: float | str, unit: str | None) -> float:
+    """Return a distance in a unit, from a number that is in it already or a text such as ``5nm``.
+
+    Raises
+    ------
+    UsageError
+        It is no distance above 0, or its unit is no known one or of another kind.
+    """
+    found = _DISTANCE.fullmatch(str(given)) if isinstance(given, str) else None
+    value, own = (found[1], found[2]) if found else (given, None)
+    try:
+        size = float(value)
+    except ValueError:
+        size = math.nan
+    if not 0.0 < size < math.inf:
+        raise UsageError(f"`settle` {given}: give a distance above 0, such as 0.005 or 5nm")
+    if own is None:
+        return size
+    factor = unit_factor(normalise_unit(own), unit) if is_known_unit(own) and unit is not None else None
+    if factor is None:
+        raise UsageError(f"`settle` {given}: {own} is not to be had in the model's {unit or 'output'}")
+    return float(factor.apply(np.array([size]))[0])
+
+
+class HeldLevels:
+    """The steps between levels that a trajectory holds, and the drive at either end of each.
+
+    Attributes
+    ----------
+    steps : list of (float, float)
+        Drive of a level and of the next one, each at its tenth row; the last rows may lead to the next level.
+    """
+
+    def __init__(self) -> None:
+        self.steps: list[tuple[float, float]] = []
+        self.shortest = math.inf  # rows
+        self._level, self._rows, self._drive = math.nan, 0, math.nan
+        self._before: tuple[float, float] | None = None
+
+    def add(self, given: FloatArray, drive: FloatArray) -> None:
+        """Take a block of what is wanted and of its drive."""
+        if not given.size:
+            return
+        begins = np.concatenate([[0], np.flatnonzero(np.diff(given) != 0.0) + 1])
+        rows = np.diff(begins, append=given.size)
+        carried = self._rows if given[0] == self._level else 0
+        if not carried:
+            self._close()
+        for k in np.flatnonzero((rows >= FEWEST_HELD) | (begins == 0) | (begins == begins[-1])).tolist():
+            before = carried if k == 0 else 0
+            held = before + int(rows[k])
+            if before < FEWEST_HELD <= held:
+                self._drive = float(drive[begins[k] + FEWEST_HELD - before - 1])
+            self._level, self._rows = float(given[begins[k]]), held
+            if k < rows.size - 1:
+                self._close()
+
+    def finished(self) -> HeldLevels:
+        """Return the same with the level that it ends on."""
+        self._close()
+        return self
+
+    def _close(self) -> None:
+        if self._rows >= FEWEST_HELD:
+            if self._before is not None and self._before[0] != self._level:
+                self.steps.append((self._before[1], self._drive))
+                self.shortest = min(self.shortest, self._rows)
+            self._before = self._level, self._drive
+        self._rows = 0
+
+
+def settling_notes(
+    name: str,
+    model: ActuatorModel,
+    whole: tuple[float, float],
+    steps: Sequence[tuple[float, float]],
+    distance: float,
+) -> list[str]:
+    """Return how long a step over the whole drive has to be held, and the steps between held levels."""
+    unit, volts = model.output.suffix, model.input.suffix
+    rmse = model.fit.get("expected_rmse")
+    below = isinstance(rmse, float) and distance < rmse
+    hint = f" (below the model's expected error of {rmse:.3g}{unit})" if below else ""
+    begin, end = whole
+    seconds = settling_seconds(model, begin, end, distance)
+    notes = [
+        f"{name}: after a step from {begin:.6g} to {end:.6g}{volts} that is held, creep and ringing stay "
+        f"within {distance:.6g}{unit} after {seconds:.3g} s{hint}"
+    ]
+    sizes = sorted(steps, key=lambda step: abs(step[1] - step[0]))
+    times = [
+        f"{settling_seconds(model, begin, end, distance):.3g} s ({begin:.6g} to {end:.6g}{volts})"
+        for begin, end in (sizes[:1] + sizes[-1:])
+    ]
+    if sizes:
+        notes.append(
+            f"{name}: within {distance:.6g}{unit}, the smallest of {len(sizes):,} steps between held levels "
+            f"takes {times[0]}, the largest {times[1]}"
+        )
+    return notes
 
 
 def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: float) -> float:
     """Return the seconds after which a held step of the drive stays within a distance of where it ends.
 
     Creep is the model's own, from a rest at ``begin``; rings and lags count with their envelopes, so that the
-    time is an upper bound, by up to half a period of the resonance.
+    time is an upper bound, by up to half a period of the resonance. The first periods are simulated instead.
 
     Parameters
     ----------
@@ -56,7 +167,14 @@ def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: f
     for _ in range(HALVINGS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if left(middle) > distance else (low, middle)
-    return high
+    modes = [one.frequency for one in model.dynamics.resonances] if model.dynamics is not None else []
+    if not modes or high * min(modes) > FEW_PERIODS:
+        return high
+    step = 1.0 / (ROWS_A_PERIOD * max(modes))
+    whole = dataclasses.replace(model, stages=tuple(one for one in model.stages if one is not model.delay))
+    begun = whole.simulate([begin], rest, time_step=step).state
+    y = whole.simulate(np.full(math.ceil(high / step), end), begun, time_step=step).y
+    return step * (int(np.flatnonzero(np.abs(y - aim) > distance).max(initial=-1)) + 1)
 
 
 def _fades(sections: Sequence[Section]) -> list[tuple[float, float]]:

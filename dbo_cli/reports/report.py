@@ -21,6 +21,7 @@ import numpy as np
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import Rows
+from dbo_cli.reports.dwells import Dwells
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
 from dbo_cli.reports.loop_and_lag import monotone_ends
 from dbo_cli.reports.running_statistics import Floats
@@ -49,12 +50,15 @@ class ReportOptions:
         Also report every cycle of the desired signal, or every so many seconds.
     labels : pair of str
         What is compared with what: ``("desired", "measured")`` or ``("model", "measured")``.
+    dwell : float, optional
+        Only rows at which what is desired has been held for so many seconds count.
     """
 
     lag: int | Literal["auto"] = 0
     remove_offset: bool = False
     segment: float | Literal["cycles"] | None = None
     labels: tuple[str, str] = ("desired", "measured")
+    dwell: float | None = None
 
 
 @dataclass(frozen=True)
@@ -263,6 +267,9 @@ class _Evaluation:
         """Take all blocks and return the figures."""
         name, options, figure_data = self.name, self.options, self.figure_data
         blocks, lag, notes = self._paired(blocks)
+        dwells = None if options.dwell is None else Dwells(name, options.dwell, self.sample_rate)
+        if dwells is not None:
+            blocks = dwells.of(blocks)
         if figure_data is not None:
             figure_data.begin(options.labels)
         whole, current = _Running(self), _Running(self)
@@ -282,6 +289,7 @@ class _Evaluation:
             raise InputError(_nothing(name, options.labels, whole.metrics.missing))
         if figure_data is not None:
             figure_data.finish(figures, whole.metrics.distribution)
+        notes += [dwells.note()] if dwells is not None else []
         notes += _notes(name, options.labels, figures)
         return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
 

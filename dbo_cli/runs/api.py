@@ -269,9 +269,9 @@ def report(
     unit, name : str, optional
         Unit of arrays, and what the report calls them.
     **options
-        What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``, ``trajectory``, ``match``,
-        ``count_sweep``, ``desired``; and how tables and files are to be read. ``rows`` are the desired rows
-        that count; a model is run from the first row on.
+        What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``, ``dwell``, ``trajectory``,
+        ``match``, ``count_sweep``, ``desired``; and how tables and files are to be read. ``rows`` are the
+        desired rows that count; a model is run from the first row on.
 
     Returns
     -------
@@ -346,6 +346,8 @@ def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any
         if not logs or not all(map(is_file, logs)):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
         asked["trajectory"] = parse_address(asked["trajectory"])
+    if logs and not isinstance(voltage, str | int | None):
+        raise UsageError("`voltage`: beside tables and files give the name or number of their column")
     return TrackingOptions(**asked | {"voltage": voltage if logs else None})
 
 

@@ -18,9 +18,13 @@ from dbo_cli.logs.whole_output import write_whole
 WIDTH = 96  # characters of a line on the screen
 
 
-def show_model(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
+def show_model(
+    model_file: str, output: Address, form: str | None, figures: str | None, settle: str | None = None
+) -> list[str]:
     """Write what is in a model; returns notes (where figures went)."""
     if is_set(model_file):
+        if settle is not None:
+            raise UsageError(f"`settle` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
         return _show_set(model_file, output, form, figures)
     model = read_model(model_file)
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
@@ -29,7 +33,7 @@ def show_model(model_file: str, output: Address, form: str | None, figures: str 
         from dbo_cli.reports.drawing import check_folder
 
         folder = check_folder(figures)
-    content = contents(model)
+    content = contents(model) | _settling(model, settle)
     text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
@@ -114,6 +118,19 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
     }
 
 
+def _settling(model: ActuatorModel, settle: str | None) -> dict[str, Any]:
+    """Return how long a step over the whole drive takes to stay within a distance, where it is asked for."""
+    if settle is None:
+        return {}
+    from dbo_cli.drives.settling import distance_in, settling_seconds
+
+    forward = model if model.direction == "forward" else model.inverse()
+    distance, drive = distance_in(settle, forward.output.unit), forward.input
+    ways = ((drive.minimum, drive.maximum), (drive.maximum, drive.minimum))
+    seconds = max(settling_seconds(forward, *way, distance) for way in ways)
+    return {"settling": {"distance": distance, "unit": forward.output.unit, "seconds": seconds}}
+
+
 def as_text(content: Mapping[str, Any]) -> str:
     """Return the contents as lines for a terminal."""
     given, made = content["input"], content["output"]
@@ -122,6 +139,12 @@ def as_text(content: Mapping[str, Any]) -> str:
         content["operator"] + _asymmetry(content) + _lag(content),
     ]
     lines += _moving(content)
+    if "settling" in content:
+        one = content["settling"]
+        lines.append(
+            f"settling: {one['seconds']:.3g} s after a step over the whole drive, until creep and ringing "
+            f"stay within {one['distance']:.6g} {one['unit'] or ''}".rstrip()
+        )
     lines += _goodness(content, made["unit"])
     if content["inputs"]:
         names = ", ".join(

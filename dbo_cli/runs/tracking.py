@@ -53,6 +53,8 @@ class TrackingOptions:
         How logs and trajectory belong together; auto: by time where both have one.
     count_sweep : bool
         Let a conditioning sweep (rows before time 0, where others follow) take part.
+    dwell : float, optional
+        Only rows at which the desired signal has been held for so many seconds count: pixels and stairs.
     """
 
     lag: int | Literal["auto"] = 0
@@ -65,12 +67,15 @@ class TrackingOptions:
     trajectory: Address | None = None
     match: Match = "auto"
     count_sweep: bool = False
+    dwell: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse a lag or a segment that is none (UsageError)."""
         lag, segment = self.lag, self.segment
         if lag != "auto" and (not isinstance(lag, int) or isinstance(lag, bool)):
             raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
+        if self.dwell is not None and not 0.0 <= self.dwell < float("inf"):
+            raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
         if segment not in (None, "cycles"):
             if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
                 raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")
@@ -79,7 +84,9 @@ class TrackingOptions:
         """Return how signals are compared."""
         labels = ("model" if with_model else "desired", "measured")
         segment = float(self.segment) if isinstance(self.segment, int) else self.segment
-        return ReportOptions(self.lag, self.remove_offset, segment, labels)
+        if with_model and self.dwell is not None:
+            raise UsageError("`dwell` and `model` exclude each other: a model's prediction is held nowhere")
+        return ReportOptions(self.lag, self.remove_offset, segment, labels, self.dwell)
 
     def wishes(self, with_model: bool) -> dict[str, ColumnWish]:
         """Return the columns to be read of a log, as named or to be guessed."""
