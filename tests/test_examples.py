@@ -118,7 +118,7 @@ def test_a_qudi_module(model_file: str, monkeypatch: pytest.MonkeyPatch) -> None
         module_manager = None
 
     main = Main()
-    options = {"options": {"model": model_file, "v_max": 10.0}}
+    options = {"model": model_file, "v_max": 10.0}
     module = DboPositioner(qudi_main_weakref=weakref.ref(main), name="stage", config=options)
     module.on_activate()
     assert module.constraints.channel_limits == {CHANNEL: (1.0, 9.0)}

@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import h5py
@@ -19,7 +20,10 @@ import pytest
 import scipy.io
 
 DBO = [sys.executable, "-m", "dbo_cli"]
-COMMANDS = ["identify", "show", "invert", "simulate", "compensate", "report", "excite", "export", "compare"]
+COMMANDS = [
+    "identify", "show", "invert", "simulate", "compensate", "check", "report", "excite", "export", "compare",
+    "trajectory", "waveform",
+]  # fmt: skip
 MODEL = {
     "format": "dbo-model",
     "version": 1,
@@ -72,6 +76,18 @@ def test_help(folder: Path, command: str) -> None:
     done = dbo(folder, command, "--help")
     assert done.returncode == 0
     assert b"Usage: dbo " + command.encode() in done.stdout
+
+
+def test_what_a_wheel_brings_beside_the_modules() -> None:
+    files = {str(one) for one in metadata.files("dbo-cli") or ()}
+    if "dbo_cli/__init__.py" not in files:
+        pytest.skip("installed from a checkout that stays in use")
+    for name in (
+        *(f"share/man/man1/dbo-{one}.1" for one in COMMANDS),
+        "dbo_cli/py.typed",
+        "/licenses/LICENSE",
+    ):
+        assert any(one.endswith(name) for one in files), name
 
 
 def hdf5(path: Path) -> None:
