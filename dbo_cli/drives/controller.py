@@ -61,19 +61,7 @@ class Controller:
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
-        if ahead and lookahead is not None:
-            raise UsageError("`ahead` and `lookahead` exclude each other: the latter undoes the delay, too")
-        if model.delay_seconds > 0.0 and not ahead and lookahead is None:
-            raise ModelError(
-                f"the model has a delay of {model.delay_seconds:g} s, so the drive depends on what is wanted "
-                "that much later, which a controller does not know (with `ahead` or `lookahead` the caller "
-                "passes it)"
-            )
-        if model.dynamics is not None and lookahead is None:
-            raise ModelError(
-                "the model has dynamics, so the drive depends on what is wanted after the present sample, "
-                "which a controller does not know (with `lookahead` the caller passes it)"
-            )
+        _require_known(model, ahead, lookahead is not None)
         sample_rate = checked_rate(sample_rate)
         needs = model.needs_time or max_slew is not None or lookahead is not None
         if needs and sample_rate is None:
@@ -348,3 +336,20 @@ class Controller:
         for stage in self._drive_side:
             inner = float(stage.run(np.array([inner]))[0])
         self._stepper.apply(inner)
+
+
+def _require_known(model: ActuatorModel, ahead: bool, looks_ahead: bool) -> None:
+    """Refuse a model whose drive depends on what the caller does not pass (UsageError, ModelError)."""
+    if ahead and looks_ahead:
+        raise UsageError("`ahead` and `lookahead` exclude each other: the latter undoes the delay, too")
+    if model.delay_seconds > 0.0 and not ahead and not looks_ahead:
+        raise ModelError(
+            f"the model has a delay of {model.delay_seconds:g} s, so the drive depends on what is wanted "
+            "that much later, which a controller does not know (with `ahead` or `lookahead` the caller "
+            "passes it)"
+        )
+    if model.dynamics is not None and not looks_ahead:
+        raise ModelError(
+            "the model has dynamics, so the drive depends on what is wanted after the present sample, "
+            "which a controller does not know (with `lookahead` the caller passes it)"
+        )

@@ -57,12 +57,7 @@ def signals_of_channels(
         raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
     check_order(model_file, log_file.text)
     if CHANNEL not in destination.output.text:
-        if destination.save_state is not None and CHANNEL not in destination.save_state.text:
-            raise UsageError(
-                f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL}"
-                " into it)"
-            )
-        check_outputs([destination.output], destination.protect)
+        _check_table(destination)
     outcome = Outcome()
     remarks: dict[str, Remarks] = {}
     summaries: list[dict[str, Any]] = []
@@ -228,3 +223,12 @@ class ChannelTable:
                 )
             )  # fmt: skip
         self._matrices(self.channels.index(channel), arrays)
+
+
+def _check_table(destination: Destination) -> None:
+    """Refuse what cannot be written for all channels at once (UsageError)."""
+    if destination.save_state is not None and CHANNEL not in destination.save_state.text:
+        raise UsageError(
+            f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL} into it)"
+        )
+    check_outputs([destination.output], destination.protect)

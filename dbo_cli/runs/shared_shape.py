@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,18 +83,9 @@ def shared_shape(
     logs = {channel: read(channel) for channel in chosen}
     mean = _mean_of({channel: logs[channel] for channel in chosen if channel not in asked})
     own_options = options_of_channel(options)
-
-    def jobs() -> Iterator[tuple[str, Callable[[], Identified]]]:
-        yield "the mean", functools.partial(identify_recordings, mean, options, (), arguments)
-        for channel in asked:
-            yield channel, functools.partial(identify_recordings, logs[channel], options)
-
-    fits: dict[str, Identified] = {}
-    for done in run_jobs(jobs(), processes):
-        if done.problem is not None:
-            raise type(done.problem)(f"shared shape, {done.name}: {done.problem}")
-        assert done.value is not None
-        fits[done.name] = done.value
+    jobs = {"the mean": functools.partial(identify_recordings, mean, options, (), arguments)}
+    jobs |= {channel: functools.partial(identify_recordings, logs[channel], options) for channel in asked}
+    fits = _fits(jobs, processes)
     shape = fits.pop("the mean").model
     ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in asked}
     middle = float(np.median(list(ratios.values())))
@@ -110,6 +101,17 @@ def shared_shape(
         f"one shape, the mean of {count} channels: on {named(asked)}, left out of it, it leaves {middle:.3g} "
         "times what their own models leave on cycles left out",
     )
+
+
+def _fits(jobs: Mapping[str, Callable[[], Identified]], processes: int) -> dict[str, Identified]:
+    """Return what each job identified; the first failure ends it, and names its job."""
+    fits: dict[str, Identified] = {}
+    for done in run_jobs(jobs.items(), processes):
+        if done.problem is not None:
+            raise type(done.problem)(f"shared shape, {done.name}: {done.problem}")
+        assert done.value is not None
+        fits[done.name] = done.value
+    return fits
 
 
 def _spread(channels: Sequence[str], count: int) -> list[str]:

@@ -187,26 +187,15 @@ def prepare(
         share = max(2, round(FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)))
         folds = folds_of(shape, usable, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
-        logs.append(
-            PreparedLog(
-                log.name,
-                log.voltage,
-                log.displacement / scale,
-                seconds,
-                folds,
-                drift_columns(clock, order),
-                "settled",
-            )
-        )
+        drift, output = drift_columns(clock, order), log.displacement / scale
+        logs.append(PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled"))
     # Where the rows under the unknown history are left out anyway, the start state makes no difference.
     chosen = [
         log if cut else _with_history(log, low, high, notes)
         for log, cut in zip(logs, transients, strict=True)
     ]
-    one_level = not any(
-        level_moves(shape, log.voltage) for shape, log in zip(shapes, recordings, strict=True)
-    )
-    logs, doubtful = with_drift_needed(chosen, low, high, one_level)
+    moves = (level_moves(shape, log.voltage) for shape, log in zip(shapes, recordings, strict=True))
+    logs, doubtful = with_drift_needed(chosen, low, high, not any(moves))
     flat, outliers = _without_drift_and_spikes(logs, low, high, notes)
     bottom = min(float(log.output[log.used].min()) for log in flat)
     top = max(float(log.output[log.used].max()) for log in flat)

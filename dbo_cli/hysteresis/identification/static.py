@@ -54,6 +54,12 @@ class Identification:
     warnings: list[str] = field(default_factory=list)
 
 
+NO_CLOCK = (
+    "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
+    "`sample_rate`"
+)
+
+
 def identify_static(
     recordings: Sequence[Recording],
     options: IdentificationOptions,
@@ -95,12 +101,8 @@ def identify_static(
         *log_warnings(recordings, prepared),
         *rated_warnings(prepared.low, prepared.high, options.rated),
         *fit_warnings(recordings, prepared, choice, residuals),
+        *([] if clocked else [NO_CLOCK]),
     ]
-    if not clocked:
-        warnings.append(
-            "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
-            "`sample_rate`"
-        )
     if rmse > NO_BETTER * line:
         warnings.append(_no_loop(prepared, choice, rmse, line, options.force))
     checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
@@ -112,8 +114,7 @@ def identify_static(
     summary = said + prepared.notes + _summary(figures, model, prepared, checks, options.sensor)
     if options.sensor:
         figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
-    if expected.gain_trend is not None:
-        figures["gain_trend"] = expected.gain_trend
+    figures |= {} if expected.gain_trend is None else {"gain_trend": expected.gain_trend}
     figures["alternatives"] = [one.values() for one in expected.alternatives]
     figures["warnings"] = list(warnings)
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
@@ -209,22 +210,29 @@ def _figures(
         "delay_seconds": gears.delay,
         "delay_interval_seconds": list(choice.delay_interval) if choice.delay_interval else None,
         "lag_seconds": lag_seconds(fitted, cycle),
-        "logs": [
-            {
-                "name": residual.name,
-                "samples": len(residual.values),
-                "rmse": residual.rmse,
-                "drift": residual.drift_span,
-                "begins_at": begins[k],
-                "start": None if prepared.transient_rows[k] or log.stretches else log.start,
-                "transient_rows": prepared.transient_rows[k],
-                "outlier_rows": prepared.outlier_rows[k],
-                "clipped_rows": prepared.clipped_rows[k],
-            }
-            for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
-        ],
+        "logs": _log_figures(prepared, residuals, begins),
     }
     return figures
+
+
+def _log_figures(
+    prepared: Prepared, residuals: Sequence[Residual], begins: Sequence[float]
+) -> list[dict[str, object]]:
+    """Return what the model file says of each log."""
+    return [
+        {
+            "name": residual.name,
+            "samples": len(residual.values),
+            "rmse": residual.rmse,
+            "drift": residual.drift_span,
+            "begins_at": begins[k],
+            "start": None if prepared.transient_rows[k] or log.stretches else log.start,
+            "transient_rows": prepared.transient_rows[k],
+            "outlier_rows": prepared.outlier_rows[k],
+            "clipped_rows": prepared.clipped_rows[k],
+        }
+        for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
+    ]
 
 
 def _late_warnings(
