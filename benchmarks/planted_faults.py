@@ -401,4 +401,34 @@ FAULTS: list[Fault] = [
         ("    if guess_columns(columns, wish.guesses):\n        return [], \"\"\n", "",
          "a drive in mA is not replaced by another column in volts"),
     ),
+    *_faults(
+        "drives/gate.py",
+        ("drives",),
+        ("if not (change <= step).all():", "if not (change <= 2.0 * step).all():",
+         "the gate looks at every step beyond the limit"),
+    ),
+    *_faults(
+        "hysteresis/drive_lag.py",
+        ("hysteresis_drive_lag",),
+        ("if state.drive_lag is not None and not rise:", "if False:",
+         "an infinite limit and a repeated time make no infinite drive"),
+    ),
+    *_faults(
+        "drives/lookahead.py",
+        ("runs_controller",),
+        ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",
+         "the stated latency is the one that the drive has"),
+        ("if self.samples < needed:", "if self.samples < needed - 1:", "a window too short is refused"),
+    ),
+    *_faults(
+        "reports/dwells.py",
+        ("settling", "cli_shell"),
+        ("held = block.only(~new & (time - start", "held = block.only((time - start",
+         "the first row of a level is not one at which it has been held"),
+    ),
+    *_faults(
+        "hysteresis/identification/prior.py",
+        ("hysteresis_identification_prior",),
+        ("bound = CHANGED * expected", "bound = 10.0 * CHANGED * expected", "a changed shape is refused"),
+    ),
 ]  # fmt: skip
