@@ -270,6 +270,8 @@ def test_a_lookahead_that_is_none_is_refused() -> None:
         "`lookahead` 0.001 s is 20 samples, and the inverse of this model reads 30 ahead (`lookahead` 0.0015 "
         "or auto)"
     )
+    with pytest.raises(UsageError, match=r"is 29 samples, and the inverse of this model reads 30 ahead"):
+        model.controller(LIVE, lookahead=29 / LIVE)
     with pytest.raises(UsageError, match=r"^`ahead` and `lookahead` exclude each other: "):
         model.controller(LIVE, lookahead="auto", ahead=True)
     with pytest.raises(UsageError, match=r"need the time between samples \(`sample_rate` HZ\)$"):
