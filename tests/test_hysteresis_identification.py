@@ -442,7 +442,9 @@ def test_the_expected_error_is_what_comes_on_new_moves() -> None:
     assert one.fit["expected_rmse"] > 2.0 * one.fit["rmse"]  # type: ignore[operator]
     assert many.fit["expected_rmse"] < 2.0 * many.fit["rmse"]  # type: ignore[operator]
     assert str(many.fit["expected_from"]).startswith("amplitudes and levels")
-    assert str(one.fit["expected_from"]).startswith("nothing but whole cycles could be left out")
+    assert str(one.fit["expected_from"]).startswith(
+        "whole cycles left out of the fit (nothing else could be)"
+    )
     assert any(line.startswith("expected on new moves inside the range: ") for line in many.summary)
 
 

@@ -149,12 +149,13 @@ def test_a_run_in_says_what_it_costs() -> None:
     )
 
 
-def test_a_voltage_array_beside_a_log_is_refused(tmp_path: Any) -> None:
+@pytest.mark.parametrize("role", ["voltage", "time"])
+def test_an_array_beside_a_log_is_refused(tmp_path: Any, role: str) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time_s,desired_um,measured_um\n0,1,1\n1,2,2\n")
     with pytest.raises(UsageError) as raised:
-        dbo_cli.report(str(path), voltage=np.zeros(2))
-    assert str(raised.value) == "`voltage`: beside tables and files give the name or number of their column"
+        dbo_cli.report(str(path), **{role: np.zeros(2)})
+    assert str(raised.value) == f"`{role}`: beside tables and files give the name or number of their column"
 
 
 def test_dwells_alone_are_scored(dbo: Any) -> None:

@@ -213,3 +213,12 @@ def test_python_names_what_is_missing() -> None:
         dbo_api.trajectory("sine", rate=100.0)
     with pytest.raises(UsageError, match="`speed` is no parameter of trajectory"):
         dbo_api.trajectory("sine", rate=100.0, range=(0.0, 1.0), speed=3)
+
+
+def test_a_model_without_a_unit_makes_a_move_without_one(dbo: Any) -> None:
+    plain = SMALL_MODEL | {key: SMALL_MODEL[key] | {"unit": None} for key in ("input", "output")}
+    Path("plain.json").write_text(json.dumps(plain))
+    done = dbo("trajectory", *SINE, "--model", "plain.json", "-o", "t.csv")
+    assert done.code == 0, done.err
+    assert Path("t.csv").read_text().startswith("time_s,displacement\n")
+    assert "dbo: sine: displacement 2 to 6; " in done.err

@@ -286,13 +286,14 @@ def report(
         The options contradict each other.
     """
     logs = [] if measured is not None else _logs(wanted)
-    asked = _tracking_options(options, logs, voltage)
+    asked = _tracking_options(options, logs, voltage, time)
     predicting = None if model is None else _model(model).actuator
     from dbo_cli.runs.tracking import TrackingRun
 
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
     options["sample_rate"] = sample_rate
-    reading = _reading(time if isinstance(time, str) else None, options.pop("rows", None), options)
+    column = str(time) if isinstance(time, str | int) else None
+    reading = _reading(column, options.pop("rows", None), options)
     arrays: dict[str, Any] = {}
     if not logs:
         arrays = {"desired" if predicting is None else "voltage": wanted, "measured": measured}
@@ -336,7 +337,9 @@ def _compare(
         tracking.add(source, called, score_rows=score, count_sweep=sweep)
 
 
-def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any) -> TrackingOptions:
+def _tracking_options(
+    options: dict[str, Any], logs: Sequence[Any], voltage: Any, time: Any
+) -> TrackingOptions:
     """Take what belongs to ``TrackingOptions`` out of the options of ``report``; the others remain."""
     from dbo_cli.runs.tracking import TrackingOptions
 
@@ -346,8 +349,9 @@ def _tracking_options(options: dict[str, Any], logs: Sequence[Any], voltage: Any
         if not logs or not all(map(is_file, logs)):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
         asked["trajectory"] = parse_address(asked["trajectory"])
-    if logs and not isinstance(voltage, str | int | None):
-        raise UsageError("`voltage`: beside tables and files give the name or number of their column")
+    for role, given in {"voltage": voltage, "time": time}.items():
+        if logs and not isinstance(given, str | int | None):
+            raise UsageError(f"`{role}`: beside tables and files give the name or number of their column")
     return TrackingOptions(**asked | {"voltage": voltage if logs else None})
 
 

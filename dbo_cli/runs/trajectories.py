@@ -37,7 +37,7 @@ class Trajectory:
 
     time: Floats
     axes: dict[str, Floats]
-    unit: str
+    unit: str | None
     notes: list[str]
 
 
@@ -59,14 +59,14 @@ def make_trajectory(
     Raises
     ------
     UsageError
-        The move is faster than its bandwidth, leaves what a model reaches, or has no unit.
+        The move is faster than its bandwidth, leaves what a model reaches, or has neither unit nor model.
     """
     for name, model in models:
         model.require("forward", name)
         if model.output.unit != (unit or models[0][1].output.unit):
             raise UsageError(f"`unit`: {name} is in {model.output.unit or 'no unit'}: give that")
     unit = unit or (models[0][1].output.unit if models else None)
-    if unit is None:
+    if unit is None and not models:
         raise UsageError("`unit` UNIT: say what the figures are in (um, nm, mrad), or give `model`")
     options, notes = _trusted(options, [model for _, model in models])
     made = move(options)
@@ -81,7 +81,8 @@ def make_trajectory(
         notes += _speed(axis, values * options.rate, name, model)
     rows = made.axes[0].size
     size = f"{rows:,} rows, {rows / options.rate:.6g} s"
-    reach = ", ".join(f"{axis} {v.min():.6g} to {v.max():.6g} {unit}" for axis, v in axes.items())
+    suffix = f" {unit}" if unit else ""
+    reach = ", ".join(f"{axis} {v.min():.6g} to {v.max():.6g}{suffix}" for axis, v in axes.items())
     said = [f"{options.shape}: {note}" for note in [f"{reach}; {size}", *made.notes, *notes]]
     return Trajectory(np.arange(rows) / options.rate, axes, unit, said)
 
@@ -107,7 +108,7 @@ def _require_reach(axis: str, values: Floats, name: str, model: ActuatorModel) -
     slack = REACH_SLACK * reach.span
     if values.min() < reach.minimum - slack or values.max() > reach.maximum + slack:
         raise UsageError(
-            f"{axis} goes from {values.min():.6g} to {values.max():.6g} {reach.unit}, turns included, and "
+            f"{axis} goes from {values.min():.6g} to {values.max():.6g}{reach.suffix}, turns included, and "
             f"{name} reaches {reach.minimum:.6g} to {reach.maximum:.6g} (another `range`, a lower "
             "`frequency` or less `overscan`)"
         )

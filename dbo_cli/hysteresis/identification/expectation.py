@@ -69,7 +69,7 @@ class Expectation:
             return "the logs go up and down less than twice, so nothing could be left out: record more"
         spread = "how far other models that explain the logs as well go apart"
         if not self.left_out:
-            return f"nothing but whole cycles could be left out of the fit, and {spread}"
+            return f"whole cycles left out of the fit (nothing else could be), and {spread}"
         return f"{' and '.join(self.left_out)} left out of the fit in turn, and {spread}"
 
 
