@@ -15,13 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from tests.shapes.format_files import LIBRARY_FILES, FormatFile
 from tests.shapes.format_table import page
 from tests.shapes.instrument_files import INSTRUMENT_FILES
+from tests.shapes.laboratory_files import LABORATORY_FILES
 
-FILES = LIBRARY_FILES + INSTRUMENT_FILES
+FILES = LIBRARY_FILES + LABORATORY_FILES + INSTRUMENT_FILES
 NEEDED = {
     "pandas (PyTables)": "tables",
     "pandas (pyarrow)": "pyarrow",
@@ -42,13 +43,10 @@ def written(case: FormatFile, folder: Path) -> str:
 
 
 def opened(case: FormatFile, address: str) -> SignalLog:
-    want = {
-        "voltage": ColumnWish(case.ask.get("voltage"), ("voltage", "drive", "u"), option="voltage"),
-        "displacement": ColumnWish(
-            case.ask.get("displacement"), ("displacement", "position", "y"), option="displacement"
-        ),
-    }
-    return open_log(address, want, case.options)
+    roles = ("voltage", "displacement")
+    return open_log(
+        address, {role: wish(role, case.ask.get(role), option=role) for role in roles}, case.options
+    )
 
 
 @pytest.mark.parametrize("case", FILES, ids=lambda case: case.name)

@@ -47,6 +47,7 @@ def median_step(steps: FloatArray) -> float:
 class TimeCheck:
     """Watches time stamps block by block and notes what is odd about them, in constant memory.
 
+    A clock that goes back by one of its ``periods`` (s) is a counter that wraps, and refused (InputError).
     The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
     the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``; only then are
     ``first`` and ``last``, the stamps at both ends, known.
@@ -54,6 +55,7 @@ class TimeCheck:
 
     place: str
     has_lines: bool = True
+    periods: tuple[float, ...] = ()
     step: float = 0.0
     backward: Finding = field(default_factory=Finding)
     restart: Finding = field(default_factory=Finding)
@@ -139,6 +141,7 @@ class TimeCheck:
         if steps.min() <= 0.0 or steps.max() > GAP_STEPS * self.step:
             begins = (np.abs(time - self.first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
             gap = steps > GAP_STEPS * self.step
+            forward = not self.backward.count
             for finding, which in (
                 (self.restart, (steps < 0.0) & begins),
                 (self.backward, (steps < 0.0) & ~begins),
@@ -146,10 +149,24 @@ class TimeCheck:
                 (self.gap, gap),
             ):
                 finding.add(lines, rows, np.flatnonzero(which), before, time)
+            if forward and self.backward.count:
+                self._refuse_wrap()
             usual = steps[(steps > 0.0) & ~gap]
         if len(usual):
             self.narrowest = min(self.narrowest, float(usual.min()))
             self.widest = max(self.widest, float(usual.max()))
+
+    def _refuse_wrap(self) -> None:
+        """Refuse a clock that is a counter which began anew at the end of its range (InputError)."""
+        found = self.backward
+        for period in self.periods:
+            if abs(found.before - found.after + self.step - period) <= self.step <= period / 16.0:
+                where = "line" if self.has_lines else "row"
+                raise InputError(
+                    f"{self.place}: the time begins anew after {period:.10g} s at {where} {found.line} (from "
+                    f"{_stamp(found.before)} s to {_stamp(found.after)} s): its counter wraps "
+                    "(`sample_rate` HZ gives the time instead)"
+                )
 
 
 def _stamp(time: float) -> str:

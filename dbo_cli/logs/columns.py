@@ -31,6 +31,9 @@ _BESIDES = frozenset(
      "status", "marker", "segment", "remark", "comment", "date", "time")
 )  # fmt: skip
 """Names of columns that stand beside the signals in many logs and are none."""
+_SYMBOL = re.compile(
+    r"[A-SU-Za-su-z]\([^()]*\)"
+)  # V(drive), as simulators name a node; t(ticks) has its unit
 _CHANNEL = re.compile(
     r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
     r"[ _.#-]?[a-z]?\d{0,3}",
@@ -41,7 +44,8 @@ _READINGS = frozenset(("monitor", "mon", "readback", "actual", "meas", "ist", "i
 _CARD = re.compile(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
 _REMARKS = frozenset(
     ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
-     "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average")
+     "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average", "drive",
+     "piezo", "pzt", "stage")
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
@@ -86,7 +90,8 @@ def split_header(header: str) -> tuple[str, str | None]:
     found = _BRACKETED.match(text)
     if found and found["quantity"] and not is_torn(text):
         inner = found["unit"].strip().lower()
-        if _INDEX.fullmatch(inner) or inner in _REMARKS:
+        symbol = _SYMBOL.fullmatch(text) and not is_known_unit(found["unit"])
+        if symbol or _INDEX.fullmatch(inner) or inner in _REMARKS:
             return text, None
         return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
     for pattern in (_SLASHED, _SUFFIXED):

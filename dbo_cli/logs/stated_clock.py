@@ -22,11 +22,13 @@ from dbo_cli.logs.plain_text import clean_text, shortened
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import ONE, TIME_WORDS, UnitFactor, kind_of_unit, parse_factor
 
-_FACTORS = {
+FACTORS = {
     "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),
     "ps": UnitFactor(1, 10**12), "min": UnitFactor(60), "h": UnitFactor(3600), "d": UnitFactor(86400),
 }  # fmt: skip
 """Every unit of time, in seconds."""
+HHMMSS = "hhmmss"
+"""How figures such as 120059.500 are called: hours, minutes and seconds in one number."""
 
 _MORE_WORDS = {
     "s": ("s", "sek", "sekunde", "sekunden", "seconde", "secondes", "segundo", "segundos", "secondo",
@@ -68,14 +70,15 @@ _COUNT = re.compile(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
 # Names of rates and steps without blanks and signs, from the formats and manuals in docs/instruments.md.
 _RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",
           "acquisitionrate", "acquisitionfrequency", "fs", "srate", "sfreq", "scanrate", "abtastrate",
-          "abtastfrequenz", "messfrequenz", "messrate"}  # fmt: skip
+          "abtastfrequenz", "messfrequenz", "messrate", "framerate", "framespersecond", "samplespersecond",
+          "acqrate", "bildrate"}  # fmt: skip
 _STEPS = {"wfincrement", "sampleperiod", "samplingperiod", "sampleinterval", "samplinginterval", "sampletime",
           "timestep", "timeincrement", "dt", "deltat", "ts", "tinterval", "xincrement", "xinc", "tinc",
-          "abtastintervall", "abtastzeit", "abtastperiode"}  # fmt: skip
-_BARE = {"rate"}  # of what? only a unit of a rate shows it
+          "abtastintervall", "abtastzeit", "abtastperiode", "timeinterval", "timeresolution"}  # fmt: skip
+_BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}  # of what? only the unit shows it
 _PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", "Sps", "samples/s",
                "Samples/s", "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s",
-               "1/s", "s^-1", "s-1", "/s")  # fmt: skip
+               "1/s", "s^-1", "s-1", "/s", "fps", "FPS", "frames/s")  # fmt: skip
 _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 _HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND} | {"mHz": 1e-3}
 _AMOUNT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
@@ -97,13 +100,15 @@ def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
     UsageError
         It is none.
     """
+    if text.strip().lower().startswith(HHMMSS):
+        return HHMMSS, ONE
     found = _COUNT.fullmatch(text.strip())
     unit = time_unit(found["unit"] if found else text)
     count = parse_factor(found["number"]) if found else ONE
     if unit is None or count is None or not count.numerator:
-        names = ", ".join(_FACTORS).replace(", d", " or d")
+        names = ", ".join(FACTORS).replace(", d", " or d")
         raise UsageError(f"`time_unit` {shortened(text)}: give {names}, or a number of them such as 10us")
-    return text.strip() if found else unit, count.times(*_FACTORS[unit])
+    return text.strip() if found else unit, count.times(*FACTORS[unit])
 
 
 class StatedTime(NamedTuple):
@@ -137,6 +142,8 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
     behind = _behind(column.quantity)
     units = _named_units(words) | {unit for word in behind if (unit := time_unit(word))}
     unknown = ""
+    if HHMMSS in column.name.lower():
+        return StatedTime(HHMMSS)
     if column.unit is not None and column.unit.lower() not in _NO_UNIT:
         since = _SINCE.fullmatch(column.unit)
         unit = time_unit(since["unit"] if since else column.unit)
@@ -148,19 +155,19 @@ def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> Sta
                     f"{place}: the time column '{column.name}' is in {units.pop()} by its name and in {unit} "
                     "by its unit (`time_unit` says which is right)"
                 )
-            return StatedTime(unit, _FACTORS[unit], since["origin"].strip() if since else None)
+            return StatedTime(unit, FACTORS[unit], since["origin"].strip() if since else None)
         unknown = column.unit
     elif column.unit is None and is_torn(column.quantity):
         unknown = column.quantity
     elif len(units) == 1:
         unit = units.pop()
-        return StatedTime(unit, _FACTORS[unit])
+        return StatedTime(unit, FACTORS[unit])
     else:
         unknown = next(iter([word for word in words[1:] if word in _COUNTED] or sorted(units) or behind), "")
     if unknown:
         raise InputError(
             f"{place}: the time column '{column.name}' counts '{unknown}', which is no known unit of time "
-            f"(`time_unit` {', '.join(_FACTORS)} or a number of them such as 10us, or `sample_rate` HZ)"
+            f"(`time_unit` {', '.join(FACTORS)} or a number of them such as 10us, or `sample_rate` HZ)"
         )
     return StatedTime(None)
 
@@ -214,7 +221,7 @@ def _kind_of(name: str) -> tuple[str, str, str | None]:
     key = re.sub(r"[\s_\-.]+", "", quantity).lower()
     if key.endswith("hz") and key.removesuffix("hz") in _RATES:
         key, unit = key.removesuffix("hz"), unit or "Hz"
-    return ("rate" if key in _RATES | _BARE else "step" if key in _STEPS else ""), key, unit
+    return ("rate" if key in _RATES else "step" if key in _STEPS else _BARE.get(key, "")), key, unit
 
 
 def read_statements(name: str, value: object, unit: object = None, *, sure: bool = False) -> list[Statement]:
@@ -237,7 +244,7 @@ def read_statements(name: str, value: object, unit: object = None, *, sure: bool
     count, amount, written, shown = _taken_apart(value)
     stated = clean_text(unit).strip() if unit is not None else ""
     stated = stated or written or own or ""
-    if key in _BARE and stated.replace(" ", "") not in _HERTZ:
+    if key in _BARE and (not stated or _factor(kind, stated) is None):
         return []
     text = f"'{name}' {shown}" + (f" {stated}" if stated and stated not in shown else "")
     if amount is None:
@@ -312,5 +319,5 @@ def _factor(kind: str, unit: str) -> float | None:
     plain = plain.replace(" ", "").replace("µ", "u").replace("μ", "u")
     for suffix in ("/sample", "/S", "/Sa", "persample"):
         plain = plain.removesuffix(suffix)
-    size = _FACTORS.get(time_unit(plain) or "")  # dividing keeps 0.1 ms at exactly 10,000 samples a second
+    size = FACTORS.get(time_unit(plain) or "")  # dividing keeps 0.1 ms at exactly 10,000 samples a second
     return None if size is None else size.denominator / size.numerator

@@ -7,6 +7,7 @@ Figures whose unit is not stated are read as seconds, unless they can only be a 
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -19,12 +20,13 @@ from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.columns import any_of, find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
-from dbo_cli.logs.stated_clock import StatedTime, is_other_kind, stated_time, time_unit
+from dbo_cli.logs.stated_clock import FACTORS, HHMMSS, StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
 
 _TEN_MILLION = 10**7
+_SECONDS = ("sec", "secs", "second", "seconds")
 
 
 class _Calendar(NamedTuple):
@@ -57,6 +59,7 @@ _DAY_CALENDARS = (
 # Up to ten times as much, either may be meant.
 _DAY_STEP = 2e-5
 # After how many seconds a clock begins anew, and how that moment is called.
+_BITS = (8, 16, 24, 31, 32)  # of the counters of microcontrollers and cards
 _PERIODS = {"clock": (86_400.0, "midnight"), "minutes": (3_600.0, "the full hour")}
 _PLAIN_NAMES = frozenset(TIME_NAMES) - {"t"}  # T is a temperature as often as a time
 _DATE_WORDS = ("date", "datum", "timestamp", "datetime", "serial", "datenum", "excel", "zeitstempel")
@@ -94,6 +97,9 @@ class TimeColumn:
     date: ColumnInfo | None
     stated: StatedTime
     given: bool  # by the user, so that nothing is doubted
+    part: UnitFactor | None = (
+        None  # s in one count of ``date``, where that is not a date but a part of a second
+    )
     described: str = ""
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
@@ -149,15 +155,42 @@ class TimeColumn:
         """Take the time out of a block's columns and return it in seconds."""
         raw, dates = values.pop(TIME), values.pop(DATE, None)
         if dates is not None:
-            return raw + dates
+            return raw + (dates if self.part is None else self._part_of_second(dates))
         if self.column.written in _PERIODS:
             return self._unrolled(raw, *_PERIODS[self.column.written])
         if self.column.written != "numbers" or not len(raw):
             return raw
+        if self.stated.unit == HHMMSS:
+            minutes, seconds = np.divmod(raw, 100.0)
+            hours, minutes = np.divmod(minutes, 100.0)
+            self._require(bool((seconds < 60.0).all() and (minutes < 60.0).all()), f"is no {HHMMSS}")
+            return self._unrolled(hours * 3600.0 + minutes * 60.0 + seconds, *_PERIODS["clock"])
         self._whole = self._whole and bool((raw == np.rint(raw)).all())
         if self._calendar is not None:
             return self._calendar.factor.apply(raw) + self._calendar.offset
         return self.stated.factor.apply(raw)
+
+    def _part_of_second(self, counts: FloatArray) -> FloatArray:
+        assert self.part is not None and self.date is not None
+        parts = self.part.apply(counts)
+        inside = bool(((parts >= 0.0) & (parts < 1.0)).all())
+        self._require(inside, f"has a part of a second in '{self.date.name}', which holds more than one")
+        return parts
+
+    def _require(self, right: bool, problem: str) -> None:
+        """Refuse figures that are not what the header states (InputError)."""
+        if not right:
+            raise InputError(
+                f"{self.place}: the time column '{self.column.name}' {problem} (`sample_rate` HZ gives the "
+                "time instead)"
+            )
+
+    def periods(self) -> tuple[float, ...]:
+        """Return after how many seconds a counter begins anew: of bits, or of a minute, an hour, a day."""
+        if self.column.written != "numbers" or self._calendar is not None:
+            return ()
+        count = float(self.stated.factor.apply(np.ones(1))[0])
+        return (*(2.0**bits * count for bits in _BITS), 1.0, 60.0, 3600.0, 86400.0)
 
     def _decide(self, figures: FloatArray, last: bool) -> bool:
         """Look for a calendar in the first stamps; False where a second one is needed."""
@@ -242,6 +275,10 @@ class TimeColumn:
                 "has no unit and counts whole numbers one by one: read as seconds, though it may count rows "
                 f"or milliseconds {remedy}"
             )
+        before, after = check.gap.before, check.gap.after
+        if before % 100.0 >= 59.0 and after % 100.0 < 1.0 and after - before < 4041.0 and check.gap.count:
+            asked = "are these hours, minutes and seconds?"
+            return f"goes from {before:.7g} to {after:.7g}: {asked} (`time_unit` {HHMMSS})"
         if LONG_STEP <= step < np.inf:
             odd = f"its usual step is {step:.6g} s"
         elif max(abs(first), abs(last)) > LATEST_STAMP:
@@ -275,6 +312,10 @@ def time_column(
         Its unit is no known unit of time, or it holds dates without a time of day.
     """
     if column.written == "numbers":
+        beside = None if given is not None else _part_beside(column, columns)
+        if beside is not None:
+            text = f"s and {beside[1]} in '{beside[0].name}'"
+            return TimeColumn(place, column, beside[0], StatedTime("s"), True, FACTORS[beside[1]], text)
         return TimeColumn(place, column, None, stated_time(place, column, given), given is not None)
     if given is not None:
         raise InputError(
@@ -340,11 +381,31 @@ def find_time_column(
     return FoundTime(clock, list(clock.picks.values()), [])
 
 
+def _part_beside(column: ColumnInfo, columns: Sequence[ColumnInfo]) -> tuple[ColumnInfo, str] | None:
+    """Find the parts of a second beside a column of seconds (``sec``, ``nanosec``), and their unit."""
+    first, _, last = _last_word(column.name)
+    if last not in _SECONDS:
+        return None
+    beside = [
+        (one, time_unit(_last_word(one.name)[2])) for one in columns if _last_word(one.name)[0] == first
+    ]
+    found = [(one, unit) for one, unit in beside if unit in ("ms", "us", "ns") and one.written == "numbers"]
+    return found[0] if len(found) == 1 else None
+
+
+def _last_word(name: str) -> tuple[str, str, str]:
+    found = re.fullmatch(r"(.*?)([._/ ]?)([a-z]+)", name.strip().lower(), re.DOTALL)
+    return (found[1], found[2], found[3]) if found is not None else (name, "", "")
+
+
 def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:
     """Find the columns that may hold the time: figures by name, then stamps by name, then stamps."""
     fitting = [one for one in columns if not is_other_kind(one.unit) or one.quantity.lower() in _PLAIN_NAMES]
     found = guess_columns(fitting, TIME_NAMES) or guess_columns(fitting, MORE_TIME_NAMES)
     figures = [column for column in found if column.written == "numbers"]
+    pairs = [(one, part[0]) for one in fitting if (part := _part_beside(one, fitting)) is not None]
+    if len(pairs) == 1 and set(figures) <= set(pairs[0]):
+        return [pairs[0][0]]
     if figures:
         return figures
     for writings in (("stamp",), ("clock", "minutes")):

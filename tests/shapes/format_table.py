@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
+
 from tests.shapes.format_files import LIBRARY_FILES, FormatFile
 from tests.shapes.instrument_files import INSTRUMENT_FILES
+from tests.shapes.laboratory_files import LABORATORY_FILES
 
 HEAD = """# Formats: what is read, how, and what is refused
 
 Each line is a file that the tests write and read (`tests/test_logs_formats.py`); this page is made from the same
-list, so it cannot say anything else. A file says by its first bytes what it is, whatever its name. "Read" means that
-time, voltage, displacement and their units come out right without an option; where a column has to be named, or
-something is said on the way, that stands there. In messages a parameter stands in backticks: `sample_rate` is
+list, so it cannot say anything else. A file says by its first bytes what it is, whatever its name. Where a command
+stands, time, voltage, displacement and their units come out right with it; what is said on the way stands behind it. In messages a parameter stands in backticks: `sample_rate` is
 `--sample-rate` on the command line.
 
 Excel needs `pip install "dbo-cli[excel]"`, TDMS `pip install "dbo-cli[tdms]"`, both `pip install "dbo-cli[formats]"`;
@@ -41,12 +43,11 @@ def outcome(one: FormatFile) -> str:
     """Say what comes of reading a file."""
     if one.refusal:
         return f"refused: {_shown(one, one.refusal)}"
-    asked = [f"`{role}` {name}" for role, name in one.ask.items()]
-    asked += [f"`sample_rate` {one.sample_rate:g}"] if one.sample_rate else []
-    asked += [f"`FILE{one.group}`"] if one.group else []
-    named = f" with {', '.join(asked)}" if asked else ""
+    asked = [f" --{role} {shlex.quote(name)}" for role, name in one.ask.items()]
+    asked += [f" --sample-rate {one.sample_rate:g}"] if one.sample_rate else []
+    command = f"dbo identify {shlex.quote(f'run{one.ending}{one.group}')}{''.join(asked)}"
     told = f"; says: {' '.join(_shown(one, note) for note in one.notes)}" if one.notes else ""
-    return f"read{named}{told}"
+    return f"`{command}`{told}"
 
 
 def _shown(one: FormatFile, words: str) -> str:
@@ -56,7 +57,8 @@ def _shown(one: FormatFile, words: str) -> str:
 def page() -> str:
     """Write the whole page."""
     files = table("Written by libraries and programs", LIBRARY_FILES)
-    return f"{HEAD}\n{files}\n\n{table('Text of instruments', INSTRUMENT_FILES)}\n"
+    laboratory = table("From laboratories, data bases and boards", LABORATORY_FILES)
+    return f"{HEAD}\n{files}\n\n{laboratory}\n\n{table('Text of instruments', INSTRUMENT_FILES)}\n"
 
 
 if __name__ == "__main__":

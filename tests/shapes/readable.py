@@ -292,6 +292,11 @@ READABLE = [
         V3, D3, T3, VUM,
     ),
     Shape(
+        "thousands separators of every kind",
+        _text("time_s;voltage_V;displacement_um", "0,5;1.000,5;10 250", "1;1.234.567;1’000,5", "2;-2,5;9.125,0"),
+        (1000.5, 1234567.0, -2.5), (10250.0, 1000.5, 9125.0), (0.5, 1.0, 2.0), VUM,
+    ),
+    Shape(
         "pipes as delimiters",
         _text("time_s|voltage_V|displacement_um", "0|0|10.25", "0.001|1.5|11", "0.002|-2.5|9.125"),
         V3, D3, T3, VUM, ending=".txt",

@@ -22,6 +22,16 @@ from dbo_cli.logs.units import is_known_unit
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
 SAMPLE_LINES = 40  # enough rows to outvote junk lines
+# Before a line of names or units: ``# columns:`` and ``# units:`` (JPK), ``# column_headers=`` (Qudi).
+_LABEL = re.compile(
+    r"(?:fancyNames|column_?(?:names|headers)|columns|channels|fields|names|(?P<unit>units?|einheiten?))"
+    r"(?:\s*[:=]\s*|$)",
+    re.IGNORECASE,
+)
+_THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
+_UNIT_OF_ONE = re.compile(
+    r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -91,11 +101,18 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
     shape, layout = max(zip(tied, layouts, strict=True), key=lambda pair: pair[1].fits)
     decimal = shape.decimal
-    if options.decimal is None and shape.delimiter != "," and decimal == "." and shape.whole_numbers:
-        decimal = _late_decimal(lines[layout.first :], comments)
+    either = {one.decimal for one in tied if one.delimiter == shape.delimiter} == {".", ","}
+    if (
+        options.decimal is None
+        and shape.delimiter != ","
+        and (either or (decimal == "." and shape.whole_numbers))
+    ):
+        decimal = _late_decimal(place, lines[layout.first :], comments)
     data = [number for number in candidates if number >= layout.first]
     rows = [split_cells(lines[number], shape.delimiter) for number in data[:3]]
     headers, units = _aligned(place, layout, shape.width, rows)
+    if headers and not any(units):
+        units = _units_apart(lines[: layout.first], headers, shape, comments)
     if not headers and options.header_lines is None:
         _ask_about_numbered_columns(place, [lines[number] for number in data[:SAMPLE_LINES]], shape)
     return Dialect(
@@ -234,7 +251,7 @@ def _some_numbers(cells: list[str], shape: _Shape) -> bool:
 
 def _header_like(cells: list[str], shape: _Shape) -> bool:
     """No numbers where the data have them, and about as many cells (a trailing delimiter aside)."""
-    if _some_numbers(cells, shape) or not any(cells):
+    if _some_numbers(cells, shape) or not any(re.search(r"\w", cell) for cell in cells):
         return False
     return (
         len(cells) in (shape.width, shape.width + 1, shape.width - 1)
@@ -250,25 +267,56 @@ def _names_and_units(
     last = header[-1]
     joined = [n for n in (last, last - 1, last - 2) if all(k in header for k in range(n, last + 1))]
     for number in joined:
-        if _all_units(rows[number]):
+        units = _units_in(rows[number])
+        if units:
             place = above.index(number)
-            over = rows[above[place - 1]] if place else []
-            fits = bool(over) and abs(len(over) - len(rows[number])) <= 1 and not _all_units(over)
-            return (over, rows[number]) if fits else (rows[number], [])
+            named = (rows[n] for n in above[:place][::-1] if re.search(r"\w", "".join(rows[n])))
+            over = next(named, [])  # not a line of dashes
+            if over and abs(len(over) - len(units)) <= 1 and not _units_in(over):
+                return over, units
+            return (rows[last], units) if number < last else (rows[number], [])
     return rows[last], []
 
 
-def _all_units(cells: list[str]) -> bool:
+def _units_in(cells: list[str]) -> list[str]:
+    """Return the cells of a line of units, a label in front (``Units: s``) aside; empty for any other."""
+    label = _LABEL.match(cells[0]) if cells else None
+    cells = [cells[0][label.end() :], *cells[1:]] if label is not None and label["unit"] else cells
     filled = [cell.strip("[](){}<> ") for cell in cells if cell.strip("[](){}<> -")]
-    return bool(filled) and all(is_known_unit(cell) for cell in filled)
+    return cells if filled and all(is_known_unit(cell) for cell in filled) else []
+
+
+def _units_apart(above: list[str], names: tuple[str, ...], shape: _Shape, comments: str) -> tuple[str, ...]:
+    """Find units that stand apart from the names: in a comment, or one a line (``Voltage unit: mV``)."""
+    stated = {}
+    for line in above:
+        body = line.strip().lstrip(comments).strip()
+        label = _LABEL.match(body)
+        own = _UNIT_OF_ONE.fullmatch(body)
+        if own is not None and is_known_unit(own["unit"].strip("[]()")):
+            stated[own["name"].lower()] = own["unit"]
+        elif (label is not None and label["unit"]) or line.strip()[:1] in comments:
+            cells = _fitting_cells(body[label.end() :] if label is not None else body, shape)
+            if cells is not None and _units_in(cells):
+                return tuple(cells)
+    units = tuple(stated.get(name.lower(), "") for name in names)
+    return units if any(units) else ()
 
 
 def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) -> tuple[list[str], list[str]]:
     """Look for a header in the comment lines, or the differently separated line, right above the data."""
+    for text in lines[:first][::-1]:  # JPK's and Qudi's names
+        label = _LABEL.match(text.strip().lstrip(comments).strip()) if text.strip()[:1] in comments else None
+        if label is not None and not label["unit"]:
+            cells = _fitting_cells(label.string[label.end() :].strip("'").replace(";;", ";"), shape)
+            if cells is not None:
+                return cells, []
     found: list[list[str]] = []
     for number in range(first - 1, max(-1, first - 4), -1):
         text = lines[number].strip()
         body = text.lstrip(comments).strip() if text and text[0] in comments else text
+        if body.isdigit() and body != text and number == first - 1:
+            continue  # QCoDeS counts its rows there
         if not body:
             break
         cells = _fitting_cells(body, shape)
@@ -277,7 +325,7 @@ def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) ->
         found.append(cells)
     if not found:
         return [], []
-    if len(found) > 1 and _all_units(found[0]) and not _all_units(found[1]):
+    if len(found) > 1 and _units_in(found[0]) and not _units_in(found[1]):
         return found[1], found[0]
     return found[0], []
 
@@ -310,7 +358,7 @@ def _forced_layout(
     if count is None:
         rows = [split_cells(lines[number], shape.delimiter) for number in candidates[:2]]
         count = sum(1 for row in rows if not _some_numbers(row, shape))
-        count = min(count, 2 if len(rows) > 1 and _all_units(rows[1]) else 1)
+        count = min(count, 2 if len(rows) > 1 and _units_in(rows[1]) else 1)
     if len(candidates) <= count:
         return _Layout(len(lines), [], [], 0)
     rows = [_fitting_cells(lines[number], shape) or split_cells(lines[number], shape.delimiter) for number in
@@ -345,8 +393,23 @@ def _aligned(
     return tuple(name.strip() for name in names), tuple(units)
 
 
-def _late_decimal(lines: list[str], comments: str) -> str:
-    """Decide the decimal sign where the sample held whole numbers only."""
+def _late_decimal(place: str, lines: list[str], comments: str) -> str:
+    """Decide the decimal sign where the sample held whole numbers, or 1,234 which may be one, only.
+
+    Raises
+    ------
+    InputError
+        Every comma stands before three digits, as one between thousands does, too.
+    """
     rows = [line for line in lines if not is_comment(line, comments)]
-    commas = any(re.search(r"\d,\d", line) for line in rows)
-    return "," if commas and not any(re.search(r"\d\.\d", line) for line in rows) else "."
+    commas = [line for line in rows if re.search(r"\d,\d", line)]
+    if not commas or any(re.search(r"\d\.\d|\d,\d{3},\d", line) for line in rows):
+        return "."
+    if any(re.search(r"\d,\d", _THOUSAND.sub("", line)) for line in commas):
+        return ","
+    found = _THOUSAND.search(commas[0])
+    assert found is not None
+    raise InputError(
+        f"{place}: '{found[0]}' may be {found[0].replace(',', '')} or {found[0].replace(',', '.')} "
+        "(`decimal` point or comma)"
+    )

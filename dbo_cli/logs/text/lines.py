@@ -25,6 +25,13 @@ NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usua
 # Numbers with either decimal sign; d is Fortran's exponent.
 _POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
+# Groups of three digits whose mark can be nothing else: 1,234.5 or 1'234 or 1,234,567. A lone 1,234 is taken
+# for a group where the decimal sign of the log is known to be a point (``text.dialect`` asks).
+_BLANK_MARKS = "'\u2019\u00a0\u202f\u2009 "
+_GROUPED = {
+    sign: re.compile(rf"([+-]?[1-9]\d{{0,2}})([{mark}{_BLANK_MARKS}])(\d{{3}}(?:\2\d{{3}})*)([{sign}]\d*)?")
+    for sign, mark in ((".", ","), (",", "."))
+}
 NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})
 
 
@@ -64,9 +71,18 @@ def to_number(cell: str, decimal: str) -> float | None:
     """Read a cell as a finite number, or give None."""
     pattern = _POINT if decimal == "." else _COMMA
     if not cell.isascii() or pattern.fullmatch(cell) is None:
-        return None
+        if not (cell := _ungrouped(cell, decimal)):
+            return None
     value = float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
     return value if abs(value) != float("inf") and not is_overflow(value) else None
+
+
+def _ungrouped(cell: str, decimal: str) -> str:
+    """Return a number without the marks between its thousands; empty where it has none."""
+    found = _GROUPED[decimal].fullmatch(cell)
+    if found is None or (decimal == "," and found[2] == "." and len(found[3]) == 3 and not found[4]):
+        return ""  # 1.234 among decimal commas is no whole number for sure
+    return re.sub(r"[^\d+-]", "", found[1] + found[3]) + (found[4] or "")
 
 
 def is_number(cell: str, decimal: str) -> bool:
@@ -74,6 +90,8 @@ def is_number(cell: str, decimal: str) -> bool:
     pattern = _POINT if decimal == "." else _COMMA
     if pattern.fullmatch(cell) is not None:
         return cell.isascii()
+    if len(cell) > 4 and _ungrouped(cell, decimal):
+        return True
     return cell.lstrip("+-").lower() in NOT_FINITE
 
 
