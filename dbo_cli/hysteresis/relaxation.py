@@ -70,7 +70,7 @@ class Relaxation:
         if not np.all(steps >= 0.0):
             k = int(np.flatnonzero(~(steps >= 0.0))[0])
             raise InputError(f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards")
-        few, which = np.unique(steps[:_LOOKED_AT]), None
+        few, which = np.array(sorted(set(steps[:_LOOKED_AT].tolist()))), None
         if few.size <= _FEW < steps.size:
             which = np.minimum(np.searchsorted(few, steps), few.size - 1)
             steps, which = (few, which) if np.array_equal(few[which], steps) else (steps, None)
