@@ -15,8 +15,8 @@ from dbo_cli.hysteresis import kernel
 Floats = NDArray[np.float64]
 
 _FEW, _LOOKED_AT = 16, 256
-"""So few different steps among so many first rows are taken for all: looking one up costs 8 to 10 ns a row, the
-exponential function with five terms 45 to 95."""
+"""So few different steps among so many first rows are taken for all: looking one up costs 8 to 10 ns a
+row, the exponential function with five terms 45 to 95."""
 
 
 @dataclass(frozen=True)
