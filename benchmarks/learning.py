@@ -11,7 +11,8 @@ pass; two modes.
 For every case the error of the middle of the move, RMS in % of it, after 0, 5, 10, 20 and 40 passes (median
 of the seeds), the last passes' part below half the cut-off, and what the noise has there (the floor). What
 lies above the cut-off stays. Exits 1 where the last pass has more than 1.1 times the error of pass 5, or
-where the resonance is 5 % off, noise is there, and the error below half the cut-off exceeds 1.2 of its floor.
+where the resonance is 5 % off, noise is there, and the error below half the cut-off exceeds 1.2 of its floor,
+or where a pass is refused.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.drives.learning import ORDER, RepeatedMove, Tracked
 from dbo_cli.drives.options import DriveOptions
+from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
@@ -100,7 +102,11 @@ def shown(
     name: str, plant: ActuatorModel, model: Model, passes: int, seeds: int, strict: bool, **more: Any
 ) -> bool:
     """Print a case; True where it is beyond its bounds."""
-    runs = [learned(plant, model, passes, seed=seed, **more) for seed in range(seeds)]
+    try:
+        runs = [learned(plant, model, passes, seed=seed, **more) for seed in range(seeds)]
+    except InputError as problem:
+        print(f"{name:58} REFUSED: {problem}", flush=True)
+        return True
     errors = np.median([one[0] for one in runs], axis=0)
     part, floor = (float(np.median([one[k] for one in runs])) for k in (1, 2))
     beyond = errors[-1] > GROWN * errors[min(5, passes)]

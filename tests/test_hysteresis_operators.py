@@ -293,7 +293,10 @@ def test_repeated_time_steps_have_the_factors_of_single_ones() -> None:
     terms = Relaxation(0.0, (0.01, 1.0, 30.0), (0.1, 0.1, 0.1))
     rng = np.random.default_rng(3)
     uneven = rng.uniform(0.0, 0.1, 50)
-    for steps in (uneven, np.repeat(uneven, 9), np.full(40, 0.002), np.array([0.5, *[0.002] * 40])):
+    decimals = np.diff(np.arange(400) / 1000.0)  # few different steps, and one that comes late
+    paused = np.append(decimals, 0.5)
+    for steps in (uneven, np.repeat(uneven, 9), np.full(40, 0.002), [0.5, *[0.002] * 40], decimals, paused):
+        steps = np.array(steps)
         expected = np.concatenate([terms.decay(float(step)) for step in steps])
         found = terms.decay(steps)
         assert len(found) == (1 if steps.size == 40 else steps.size)

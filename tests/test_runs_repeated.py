@@ -182,6 +182,15 @@ def passes_of(
     return errors, drives
 
 
+def test_noise_is_not_taken_for_growth() -> None:
+    model, plant, wanted = Model(actuator(0.43, 780.0)), actuator(), move()
+    drive = model.compensate(wanted, **WIDE).values
+    for k in range(20):  # noise of 0.6 % of the move: more than is left to learn
+        measured = played(plant, drive, noise=0.05, seed=k)[1]
+        drive = model.compensate(wanted, tracked=(drive, measured), **WIDE).values
+    assert float(np.std(played(plant, drive)[0] - wanted)) < 0.02
+
+
 @pytest.mark.parametrize("frequency", [600.0, 1_000.0])
 def test_a_resonance_a_quarter_off_does_not_diverge(frequency: float) -> None:
     errors, _ = passes_of(Model(actuator(0.36)), actuator(frequency=frequency), 16)

@@ -237,14 +237,16 @@ def through_the_api(pick: Random, model: ActuatorModel, rate: float, tally: Coun
         if found:
             return f"seam: {found}"
     assert done.time is not None
-    begin = int((done.time < -0.25 / rate).sum())
+    begin = int((done.time < (clock["time"][0] if "time" in clock else 0.0) - 0.1 / rate).sum())
     allowed = abs(float(own[-1]) - float(own[0])) if loop else 0.0
     if limits.max_slew is not None and ("approach" in options or "return_" in options):
         allowed = (
             limits.max_slew * (1.0 if np.ndim(steps) == 0 else 20.0) / rate
         )  # as fast as the slew allows
     # A move that begins in motion kicks a mass that rests, where no lead was asked for; the program says so.
-    kick = KICK if model.dynamics is not None and not loop and "lead" not in options else 1.0
+    # A delay puts that kick before the first row, and the limits may hide the move's own steps behind it.
+    late = model.dynamics is not None or model.delay is not None
+    kick = KICK if late and not loop and "lead" not in options else 1.0
     joins = [begin] if loop else [begin, begin + count]
     return next(filter(None, (unasked_step(done.values, join, allowed, kick) for join in joins)), "")
 

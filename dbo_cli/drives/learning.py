@@ -56,6 +56,9 @@ GROWTH = 1.2
 A converging pass has less than 1; at the noise's floor two passes differ by a few percent. Without a history
 the error is compared with what was learned before, by halves of the band: below half the cut-off, and above.
 """
+BEYOND_NOISE = 2.0
+"""Times the noise in that half of the band, as its density above twice the cut-off has it: noise of 0.5 % of
+the move alone exceeds GROWTH times what was learned there now and then."""
 FROM_BEST = 2.0  # times the best pass's error: growth by less than GROWTH a pass shows after a few
 ORDER = 4
 """Of Q, run both ways. Order 2 lets a resonance 25 % lower, damping 0.005, grow: |Q(1 - M)| = 1.6 at a
@@ -158,7 +161,7 @@ class RepeatedMove:
         if history:
             self._refuse_grown(name, passed, history)
         else:
-            self._refuse_growth(name, before, update, cutoff)
+            self._refuse_growth(name, error, before, update, cutoff)
         of = f", the mean of {len(recordings)} recordings" if len(recordings) > 1 else ""
         percent = 100.0 * passed.rmse / float(np.ptp(desired))
         remarks.notes.append(
@@ -232,20 +235,27 @@ class RepeatedMove:
                 f"{_rms(wanted):.3g}{self.unit})"
             )
 
-    def _refuse_growth(self, name: str, learned: FloatArray, update: FloatArray, cutoff: float) -> None:
+    def _refuse_growth(
+        self, name: str, error: FloatArray, learned: FloatArray, update: FloatArray, cutoff: float
+    ) -> None:
         """Refuse to go on when the error is larger than what was learned, in either half of the band.
 
-        Growth begins near the cut-off, where what was learned is small; all of it would hide that.
+        Growth begins near the cut-off, where what was learned is small; all of it would hide that. Where
+        the sensor's noise is larger still, nothing can be said without a history.
         """
-        unit, half = self.unit, np.fft.rfftfreq(update.size, self.step) < 0.5 * cutoff
+        frequency, rows = np.fft.rfftfreq(update.size, self.step), update.size
         least = LEARNED_BEFORE * _rms(self.desired - self.desired.mean())
+        beyond = np.abs(np.fft.rfft(error)[frequency > 2.0 * cutoff]) ** 2
+        density = float(np.median(beyond)) / math.log(2.0) if beyond.size else 0.0  # of Gaussian noise
+        half = frequency < 0.5 * cutoff
         for part, where in ((half, "below"), (~half, "above")):
-            this, before = (_rms(np.fft.irfft(np.fft.rfft(x) * part, x.size)) for x in (update, learned))
-            if before > least and this > GROWTH * before:
+            this, before = (_rms(np.fft.irfft(np.fft.rfft(x) * part, rows)) for x in (update, learned))
+            noise = math.sqrt(2.0 * density * np.count_nonzero(part & (frequency <= cutoff))) / rows
+            if before > least and this > max(GROWTH * before, BEYOND_NOISE * noise):
                 raise InputError(
-                    f"{name}: the error grew: {where} {0.5 * cutoff:.4g} Hz this pass is {this:.3g}{unit} "
-                    f"off (RMS), more than the {before:.3g}{unit} that was learned there (go back to the "
-                    "best pass, with a lower `bandwidth` or a better model)"
+                    f"{name}: the error grew: {where} {0.5 * cutoff:.4g} Hz this pass is {this:.3g}"
+                    f"{self.unit} off (RMS), more than the {before:.3g}{self.unit} that was learned there "
+                    "(go back to the best pass, with a lower `bandwidth` or a better model)"
                 )
 
     def _refuse_grown(self, name: str, passed: PassRecord, history: Sequence[PassRecord]) -> None:

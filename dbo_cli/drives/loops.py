@@ -45,7 +45,9 @@ LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than
 SAME_DRIVE = 1e-9  # of the range: two settled drives that agree to this are one
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
 """Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
-the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up."""
+the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up; and
+where the run-in reaches about as far as the loop, so that the two push each other to and fro, another one
+reaches less far or further."""
 SEAM = 3.0
 """Times the largest step inside a period, from which on the step back to its first row does not close it.
 
@@ -198,15 +200,26 @@ class LoopCompensation(Compensation):
         self.rows_before += followed.y.size
         self._clip(followed, None)
         forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
-        aim = settled
-        for _ in range(MOST_RUN_INS):
-            settled = aim
-            drive = self._onto(self._closed(settled.done.y), followed.y)
-            state = model.simulate(drive, forward, time_step=time_step).state
-            aim = settled_drive(model, self.period, self.step, state, limits)
-            if np.abs(aim.done.y - settled.done.y).max() <= SAME_DRIVE * model.input.span:
-                break
-        return drive, settled, state
+        found, off = None, math.inf
+        for fade in FADES:
+            aim = settled
+            for _ in range(MOST_RUN_INS):
+                target, closed = aim, self._closed(aim.done.y)
+                drive = self._faded_over(followed.y, closed, fade)
+                if drive[-1] != closed[-1]:
+                    off = min(off, abs(float(drive[-1] - closed[-1])))
+                    break
+                state = model.simulate(drive, forward, time_step=time_step).state
+                aim = settled_drive(model, self.period, self.step, state, limits)
+                found = drive, target, state
+                if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:
+                    return found
+        if found is None:
+            raise LimitError(
+                f"{self.source.name}: the run-in ends {off:.3g}{self.given.suffix} off the settled loop "
+                "(more `passes`, or a larger `max_slew`)"
+            )
+        return found
 
     def _undone_before(self, wanted: FloatArray, asked: FloatArray, begun: ModelState | None) -> FloatArray:
         """Return what the gears are to follow before the period, delay and dynamics undone."""
@@ -218,17 +231,6 @@ class LoopCompensation(Compensation):
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)
         return signal
-
-    def _onto(self, closed: FloatArray, followed: FloatArray) -> FloatArray:
-        """Return a run-in that ends on the settled drive, the gentlest that does; refuse where none does."""
-        for fade in FADES:
-            drive = self._faded_over(followed, closed, fade)
-            if drive[-1] == closed[-1]:
-                return drive
-        raise LimitError(
-            f"{self.source.name}: the run-in ends {abs(drive[-1] - closed[-1]):.3g}{self.given.suffix} off "
-            "the settled loop (more `passes`, or a larger `max_slew`)"
-        )
 
     def _faded_over(self, followed: FloatArray, settled: FloatArray, fade: tuple[float, float]) -> FloatArray:
         """Return a run-in that ends on the settled drive, within the slew limit.
