@@ -152,7 +152,7 @@ class LoopCompensation(Compensation):
         return before
 
     def _leading(self, begun: ModelState, to: Callable[[float], FloatArray]) -> Before | None:
-        """Return the rows ``to`` the first row of the loop that they lead to, or None where none were found."""
+        """Return the rows ``to`` the first row of the loop that they lead to, or None."""
         target = float(self._settled(begun).done.y[0])
         for _ in range(MOST_RUN_INS):
             voltage = to(target)
