@@ -68,7 +68,8 @@ def track(bench: Bench, desired: Signal, feedforward: Signal | None, crossover: 
     Parameters
     ----------
     feedforward
-        The drive in V, from ``dbo`` or a straight line; None: the voltage of the lower end, from where a controller starts.
+        The drive in V, from ``dbo`` or a straight line; None: the voltage of the
+        lower end, from where a controller starts.
     crossover
         Where the open loop of controller and actuator has the gain 1, in Hz; None: no controller.
     """

@@ -1,4 +1,4 @@
-"""What a shell offers for the word that is typed: the words of a choice, the columns of the logs typed before."""
+"""What a shell offers for the word that is typed: the words of a choice, or columns of the logs before it."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def offers(option: Option) -> Callable[[str], list[str]] | None:
 def columns_beginning(incomplete: str) -> list[str]:
     """Return the columns, of the logs in the words typed, whose names begin so.
 
-    Of a name with a blank only what stands before the unit is offered, and nothing where that has one too: the
-    shells do not agree on how to quote it.
+    Of a name with a blank only what stands before the unit is offered, and nothing where that has one too:
+    the shells do not agree on how to quote it.
     """
     from dbo_cli.logs.addresses import parse_address
     from dbo_cli.logs.byte_source import Request
