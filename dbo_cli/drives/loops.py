@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -100,16 +100,19 @@ class LoopCompensation(Compensation):
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
             wanted = np.concatenate([wanted, _faded(asked, passes)])
-        settled = self._settled(before.state or self._begun(float(self.period[0])))
         begun, run_in = before.state, NOTHING
+        settled = self._settled(begun or self._begun(float(self.period[0])))
+        if begun is None and not passes:
+            before, settled = self._of_its_own_start(settled)
+            begun, played = before.state, before.voltage.size
         if wanted.size:
             run_in, settled, begun = self._run_in(wanted, asked, begun, settled)
         count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
+        firsts = before.voltage if played else NOTHING if run_in.size else settled.done.y
+        self.gate.require_start(step, float(firsts[0]) if firsts.size else None)
         if played:
             yield self._response(times[:played], before.expected, before.voltage, step)
-        else:
-            self.gate.require_start(step, None if run_in.size else float(settled.done.y[0]))
         if run_in.size:
             yield self._response(times[played:], wanted, run_in, step)
             self.remarks_before.notes.append(
@@ -136,44 +139,71 @@ class LoopCompensation(Compensation):
             if approach is not None:
                 self._before(float(self.period[0]), self.step)  # says what is missing
             return Before(NOTHING, NOTHING, NOTHING, known)
-        begun = known or self.model.start(last, self.start)
+
+        def to(target: float) -> FloatArray:
+            voltage = ramp("approach", last, target, self.step, approach, self.limits)
+            return voltage if known is not None else np.concatenate([[last], voltage])
+
+        before = self._leading(known or self.model.start(last, self.start), to)
+        if before is None:
+            raise LimitError(
+                f"{self.source.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
+            )
+        return before
+
+    def _leading(self, begun: ModelState, to: Callable[[float], FloatArray]) -> Before | None:
+        """Return the rows ``to`` the first row of the loop that they lead to, or None."""
         target = float(self._settled(begun).done.y[0])
         for _ in range(MOST_RUN_INS):
-            voltage = ramp("approach", last, target, self.step, approach, self.limits)
-            voltage = voltage if known is not None else np.concatenate([[last], voltage])
+            voltage = to(target)
             done = self.model.simulate(voltage, begun, time_step=self.step)
             ends, target = target, float(self._settled(done.state).done.y[0])
             if abs(target - ends) <= SAME_DRIVE * self.given.span:
                 return Before(voltage, done.y, NOTHING, done.state)
-        raise LimitError(
-            f"{self.source.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
-        )
+        return None
 
     def _settled(self, state: ModelState) -> Settled:
-        """Return the settled loop; without a known past, of the state in which a simulation of it starts.
+        """Return the loop that settles from a state: gears that it does not reach stay as they were."""
+        return settled_drive(self.model, self.period, self.step, state, self.limits)
 
-        Gears that the loop does not reach stay as they were when it began, and where it begins follows from
-        the settled drive.
+    def _of_its_own_start(self, settled: Settled) -> tuple[Before, Settled]:
+        """Return the loop whose first row's own start (``auto``, ``settled``) leads to it, and rows before.
+
+        Which gears a start leaves crossed changes by jumps with the voltage, so that the first row that the
+        loop needs may jump over the one it began with. A row or few from there on then stand before the loop.
         """
-        model, period = self.model, self.period
-        settled = settled_drive(model, period, self.step, state, self.limits)
-        if self.options.passes or (self.came_from is not None and self.start not in ("empty", "full")):
-            return settled
-        first, found = float(settled.done.y[0]), settled
+        model, first, found = self.model, float(settled.done.y[0]), settled
         below, above, least = -math.inf, math.inf, math.inf
         for _ in range(MOST_STARTS):
-            settled = settled_drive(model, period, self.step, model.start(first, self.start), self.limits)
+            settled = self._settled(model.start(first, self.start))
             leads_to = float(settled.done.y[0])
             away = self._away(settled, model.start(leads_to, self.start))
             if away < least:
                 found, least = settled, away
-            if least <= LOOP_ERROR * float(np.ptp(period)) or below >= above:
+            if least <= LOOP_ERROR * float(np.ptp(self.period)) or below >= above:
                 break
             # A later start only lowers the first row that the loop needs: the two meet between these.
             below, above = (max(below, first), above) if leads_to > first else (below, min(above, first))
             middle = 0.5 * (below + above)
             first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
-        return found
+        nothing = Before(NOTHING, NOTHING, NOTHING, None)
+        if least <= LOOP_ERROR * float(np.ptp(self.period)):
+            return nothing, found
+        most = float(np.abs(np.diff(found.done.y)).max())
+
+        def to(target: float) -> FloatArray:
+            return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)
+
+        before = self._leading(model.start(first, self.start), to) or nothing
+        if before.state is None:
+            return nothing, found
+        count = before.voltage.size
+        self.remarks_before.warn(
+            f"{self.source.name}: no start leads to the loop: {count:,} row{'s' if count > 1 else ''} from "
+            f"{first:.6g}{self.given.suffix} on stand{'' if count > 1 else 's'} before the period, where the "
+            "actuator is taken to have settled (`state` empty needs none)"
+        )
+        return before, self._settled(before.state)
 
     def _away(self, settled: Settled, begun: ModelState) -> float:
         """Return how far off the model repeats a settled drive that is begun in a state."""
