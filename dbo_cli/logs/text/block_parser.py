@@ -21,9 +21,9 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.plain_text import decoded
-from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, Rows, remedy_for
+from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, FILL_GAPS, Rows, remedy_for
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
-from dbo_cli.logs.text.dialect import Dialect, is_comment
+from dbo_cli.logs.text.dialect import NUMBER_WITH_UNIT, PLAIN_NUMBERS, Dialect, is_comment
 from dbo_cli.logs.text.lines import RepeatedHeader, complain, is_text, split_cells, to_number
 
 _DIGIT = re.compile(r"\d")
@@ -158,7 +158,7 @@ class BlockParser:
         cells = split_cells(line, self.dialect.delimiter)
         problem = _wrong_width(cells, self.dialect.width)
         row: list[float] = []
-        blank = False
+        cell, blank = "-", False
         for pick in () if problem else self.picks.values():
             cell = cells[pick.number - 1] if pick.number <= len(cells) else ""
             if not cell and pick.may_be_blank:
@@ -174,11 +174,11 @@ class BlockParser:
             return None if blank else row
         message = f"{self.place}:{self.next_line}: {problem}"
         if not self.skip_bad:
-            raise InputError(f"{message} {self._remedy()}")
+            raise InputError(f"{message} {self._remedy(cell)}")
         self.drop(message)
         return None
 
-    def _remedy(self) -> str:
+    def _remedy(self, cell: str) -> str:
         """Return what to do about the row being taken, by how many of the block's next rows are bad, too."""
         twin = replace(self, skip_bad=True, rows=ALL_ROWS, dropped=0)
         ahead = self.block[self.next_line - self.block_begins + 1 :]
@@ -186,7 +186,9 @@ class BlockParser:
         rows = [text for text in texts if not is_comment(text, self.dialect.comments)]
         for text in rows:
             twin._parse_row(text)
-        return remedy_for(twin.dropped, len(rows))
+        if not cell:
+            return remedy_for(twin.dropped, len(rows), FILL_GAPS)
+        return remedy_for(twin.dropped, len(rows), PLAIN_NUMBERS if NUMBER_WITH_UNIT.fullmatch(cell) else "")
 
     def drop(self, message: str) -> None:
         """Count a row that is left out, and keep the first one's message."""
