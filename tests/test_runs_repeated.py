@@ -322,18 +322,45 @@ def test_a_loop_from_any_start_is_what_the_model_repeats_or_is_refused() -> None
     assert (exact, refused) == (36, 0)
 
 
-def test_a_loop_that_no_start_leads_to_is_written_with_its_size() -> None:
+def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
     model, wanted = gears_alone(2), 5.0 + 0.5 * np.sin(2.0 * np.pi * np.arange(300) / 300)
-    asked = {"sample_rate": RATE, "periodic": True, "details": True}
-    done = Model(model).compensate(wanted, **asked)
-    reached, _ = played(model, np.tile(done.values, 3), start="auto")
-    away = float(np.abs(reached[-300:] - wanted).max())
-    (text,) = (text for text in done.warnings if "does not settle" in text)
-    assert away > 1e-3 and f"the model ends {away:.3g} um off ({100.0 * away:.2g} % of the move)" in text
-    run_in = Model(model).compensate(wanted, passes=1, **asked)
-    assert not run_in.warnings
-    reached, _ = played(model, np.concatenate([run_in.values, run_in.values[-300:]]), start="auto")
-    assert np.abs(reached[-300:] - wanted).max() < 1e-9
+    asked = {"sample_rate": RATE, "periodic": True, "details": True, "on_limit": "error"}
+    for start in ("auto", "settled"):
+        done = Model(model).compensate(wanted, state=start, **asked)
+        (text,) = (text for text in done.warnings if "no start leads to the loop" in text)
+        before, drive = done.values[:-300], done.values[-300:]
+        assert f"{before.size} rows from {before[0]:.6g} V on stand before the period" in text
+        assert done.time[0] == pytest.approx(-before.size / RATE)
+        assert np.abs(np.diff(done.values)).max() <= 1.001 * np.abs(np.diff(drive)).max()
+        reached, _ = played(model, np.concatenate([before, np.tile(drive, 3)]), start=start)
+        assert np.abs(reached[-300:] - wanted).max() < 1e-9
+    with pytest.raises(LimitError, match="the drive comes from 0, and 2000 per second does not bring it to"):
+        Model(model).compensate(wanted, from_=0.0, max_slew=2000.0, **asked)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_rest_brings_the_creep_where_a_loop_needs_it(known: bool) -> None:
+    plant, wanted, within = actuator(), period(), 1e-3 * float(np.ptp(period()))
+    asked = {**WIDE, "periodic": True} if known else {**WIDE, "periodic": True, "state": "auto"}
+
+    def first_pass(**more: Any) -> tuple[Any, Floats]:
+        done = Model(plant).compensate(wanted, **asked, **more)
+        reached, _ = played(plant, done.values, start=asked["state"])
+        return done, reached[-wanted.size :] - wanted
+
+    _, error = first_pass(passes=2)
+    assert abs(error.mean()) > 4.0 * within
+    done, error = first_pass(lead="auto")
+    assert rms(error) < within
+    (text,) = (text for text in done.notes if "for the creep the drive rests" in text)
+    found = re.search(r"rests (\S+) s at (\S+) V before the run-in", text)
+    assert found is not None
+    held = np.abs(done.values - float(found[2])) < 1e-3
+    assert held.sum() / RATE == pytest.approx(float(found[1]), rel=0.01)
+    assert f"before the first period stand {done.values.size - 500:,} rows" in " ".join(done.notes)
+    assert "settled from its first pass on" in " ".join(done.notes)
+    shorter, _ = first_pass(lead=0.05)
+    assert 1000 < shorter.values.size - 500 < done.values.size / 4 + 20_000
 
 
 def test_the_passes_until_a_loop_settles_are_the_model_s(dbo: Any) -> None:

@@ -283,7 +283,8 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     Option("--condition", "Prepend the sweep that puts the actuator into the starting state (time < 0)."),
     Option(
         "--lead SECONDS|auto",
-        "The drive that dynamics and delay need before a move that begins in motion (time < 0).",
+        "The drive that dynamics and delay need before a move that begins in motion (time < 0); with "
+        "--periodic a rest that brings the creep where the loop needs it.",
         seconds_or_auto,
     ),
     Option(

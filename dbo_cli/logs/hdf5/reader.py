@@ -44,6 +44,7 @@ from dbo_cli.logs.hdf5.columns import (
     statements_of,
     stored_text,
 )
+from dbo_cli.logs.hdf5.laboratories import laboratory_columns
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name
 
@@ -174,7 +175,9 @@ def _shape_of(dataset: Any) -> str:
 
 def columns_in(group: Any) -> list[ColumnSource]:
     """List the columns of one group, whoever arranged it; scalars (a sample rate, a remark) are none."""
-    return pandas_columns(group) or _plain_columns(group) or _logged_columns(group)
+    return (
+        pandas_columns(group) or laboratory_columns(group) or _plain_columns(group) or _logged_columns(group)
+    )
 
 
 def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
