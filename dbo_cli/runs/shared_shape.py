@@ -49,7 +49,7 @@ def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
 
 def shared_shape(
     channels: Sequence[str],
-    read: Callable[[str], list[RecordedLog]],
+    read: Callable[[str], Sequence[RecordedLog]],
     options: IdentificationOptions,
     arguments: Sequence[str],
     processes: int = 1,
