@@ -5,9 +5,9 @@
 
 Drives are written (dbo excite --channels), played by sample_data/virtual_mirror.py, and models identified in
 four ways; each compensates the same move, which is played again. The error is what the actuators do, without
-the sensors' noise, minus what was wanted, in % of the stroke; offsets aside, since a sensor's zero is its own.
-Up to four actuators are a scanner with 1 % of crosstalk (1 kHz), more a mirror with 2 % of its neighbours
-(400 Hz).
+the sensors' noise, minus what was wanted, in % of the stroke; offsets aside, since a sensor's zero is its
+own. Up to four actuators are a scanner with 1 % of crosstalk (1 kHz), more a mirror with 2 % of its
+neighbours (400 Hz).
 """
 
 from __future__ import annotations

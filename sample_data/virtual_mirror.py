@@ -66,10 +66,10 @@ class VirtualMirror:
         return np.round(self.displacement(time, voltages) + noise, 4)
 
     def move(self, seed: int = 3) -> tuple[Signals, Signals]:
-        """Return time and a desired displacement of each actuator: slow waves, from rest and back."""
+        """Return time and a desired displacement of each actuator: slow waves, from rest."""
         chance = np.random.default_rng(seed)
         time = np.arange(round(MOVE_RATE * MOVE_SECONDS)) / MOVE_RATE
-        rise = np.clip(np.minimum(time, MOVE_SECONDS - time), 0.0, 1.0)
+        rise = np.clip(time, 0.0, 1.0)
         waves = np.zeros((len(time), len(self.actuators)))
         for _ in range(3):
             frequency, phase = (
@@ -78,7 +78,7 @@ class VirtualMirror:
             )
             waves += 0.1 * np.sin(2.0 * np.pi * frequency * time[:, None] + phase)
         shape = (0.5 - 0.5 * np.cos(np.pi * rise))[:, None] * (0.45 + waves)
-        return time, np.round(self.offsets + 0.05 + self.strokes * 0.9 * shape, 5)
+        return time, np.round(self.offsets + 0.5 + self.strokes * 0.85 * shape, 5)
 
 
 def read_table(path: str) -> dict[str, Signals]:
