@@ -15,7 +15,7 @@ import numpy as np
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.model_run import Tally
-from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, soft_rise
+from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, soft_rise
 from dbo_cli.errors import LimitError
 from dbo_cli.hysteresis.dynamics import undone
 from dbo_cli.hysteresis.kernel import towards
@@ -117,12 +117,16 @@ class BeforeLoop(Compensation):
         model, step, last, lead = self.model, self.step, self.came_from, self.options.lead
         known = self.start if isinstance(self.start, ModelState) else None
         settled, memory = self._settled(known or self._begun(float(self.period[0]))), None
-        within, asked = self._stated()[0], None if lead == "auto" else lead
+        within, between = self._stated()[0], (0.0, math.inf)
+        if isinstance(lead, float | int):
+            between = float(lead), float(lead)
+        elif last is not None:  # what the ramp made ring dies away
+            between = step * rest_samples(model, step), math.inf
         passes, count = self.options.passes, self.period.size
         fade = _fade(passes * count, passes * count, (1.0, 1.0 / passes))
         rise = 1.0 - (1.0 - _rise(count, passes)) * (1.0 - fade)
         for _ in range(REST_PLANS):
-            level, seconds = creep_rest(model, settled, step, memory, rise, within, asked, bias)
+            level, seconds = creep_rest(model, settled, step, memory, rise, within, between, bias)
             voltage, begun = np.array([level]), known
             if last is not None:
                 voltage = ramp("approach", last, level, step, self.options.approach or "auto", self.limits)

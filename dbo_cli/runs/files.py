@@ -278,8 +278,10 @@ def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | 
 
 def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:
     """Return what a run did as plain values (``dbo-summary``); voltages and lengths in the model's units."""
-    remarks, expected, percent, clipped = run.remarks(), None, None, 0
+    remarks, expected, percent, clipped, asked = run.remarks(), None, None, 0, dict[str, Any]()
     if isinstance(run, Compensation):
+        if run.settle is not None:
+            asked["settling"] = [one._asdict() for one in run.step_times()]
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
     kept = {key: read[key] for key in ("rows", "seconds", "columns") if key in read}
@@ -294,6 +296,7 @@ def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, co
         "largest_step": figures.largest_step,
         "expected_rmse": expected,
         "expected_percent": percent,
+        **asked,
         "notes": [plain(text) for text in remarks.notes],
         "warnings": [plain(text) for text in remarks.warnings],
     }
