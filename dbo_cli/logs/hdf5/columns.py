@@ -174,7 +174,6 @@ def _unit_of(dataset: Any, index: int) -> str:
 
 def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     """Apply netCDF's conventions and a plain ``scale``; note what looks like a factor and is not used."""
-
     there = _attribute_names(dataset)
 
     def number(name: str) -> float | None:

@@ -223,8 +223,8 @@ def columns_in(group: Any) -> list[ColumnSource]:
         path = clean_text(group.name).strip("/")
         name = f"{path}/NAME" if path else "NAME"
         raise InputError(
-            f"{clean_text(group.file.filename)}: /{path} has {len(group):,} members, more than {_MOST:,}: name "
-            f"the datasets that are meant (`voltage` {name} `displacement` {name} `time` {name})"
+            f"{clean_text(group.file.filename)}: /{path} has {len(group):,} members, more than {_MOST:,}: "
+            f"name the datasets that are meant (`voltage` {name} `displacement` {name} `time` {name})"
         )
     return (
         pandas_columns(group) or laboratory_columns(group) or _plain_columns(group) or _logged_columns(group)
