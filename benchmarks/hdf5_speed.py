@@ -38,7 +38,9 @@ def main() -> None:
 
     samples = int(1e6 * float(sys.argv[1])) if len(sys.argv) > 1 else 10_000_000
     with tempfile.TemporaryDirectory() as folder:
-        model, log, out = (Path(folder, name) for name in ("model.json", "log.h5", "out.h5"))
+        model, log = Path(folder, "model.json"), Path(folder, "log.h5")
+        # each its own file: dbo adds to one that is there, and refuses to write over a channel
+        plain, packed, ours = (Path(folder, name) for name in ("plain.h5", "packed.h5", "ours.h5"))
         model.write_text(json.dumps(MODEL))
         time_s = np.arange(samples) / 2000.0
         with h5py.File(log, "w") as file:
@@ -46,13 +48,15 @@ def main() -> None:
             file["voltage_V"] = 50.0 + 50.0 * np.sin(0.7 * time_s) * np.cos(40.0 * time_s)
         squeezed = H5PY % ", compression='gzip', shuffle=True, compression_opts=1"
         commands = {
-            "h5py, plain": ["-c", H5PY % "", str(log), str(out)],
-            "h5py, shuffled and gzipped": ["-c", squeezed, str(log), str(out)],
-            "dbo simulate": ["-m", "dbo_cli", "simulate", str(model), str(log), "-o", str(out)],
+            "h5py, plain": ["-c", H5PY % "", str(log), str(plain)],
+            "h5py, shuffled and gzipped": ["-c", squeezed, str(log), str(packed)],
+            "dbo simulate": ["-m", "dbo_cli", "simulate", str(model), str(log), "-o", str(ours)],
         }
         best, size = dict.fromkeys(commands, float("inf")), dict.fromkeys(commands, 0)
         for _ in range(RUNS):
             for name, words in commands.items():
+                out = Path(words[-1])
+                out.unlink(missing_ok=True)
                 begin = time.perf_counter()
                 subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
                 best[name] = min(best[name], time.perf_counter() - begin)

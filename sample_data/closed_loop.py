@@ -16,7 +16,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from virtual_actuator import PRESETS, ActuatorParameters, Signal, VirtualActuator
+from virtual_actuator import PRESETS, ActuatorParameters, Signal, VirtualActuator, read_drive
 
 import dbo_cli as dbo
 
@@ -68,7 +68,8 @@ def track(bench: Bench, desired: Signal, feedforward: Signal | None, crossover: 
     Parameters
     ----------
     feedforward
-        The drive in V, from ``dbo``; None: the voltage of the lower end, from where a controller starts.
+        The drive in V, from ``dbo`` or a straight line; None: the voltage of the
+        lower end, from where a controller starts.
     crossover
         Where the open loop of controller and actuator has the gain 1, in Hz; None: no controller.
     """
@@ -97,10 +98,15 @@ def move(frequency: float) -> Signal:
 
 def table() -> str:
     """Return the errors, a line a move."""
-    model = dbo.identify(str(Path(__file__).with_name("identification.csv")))
+    log = Path(__file__).with_name("identification.csv")
+    model = dbo.identify(str(log))
+    with log.open(encoding="utf-8") as file:
+        recorded = read_drive(file)
+    line = np.polyfit(recorded["displacement"], recorded["voltage"], 1)  # as straight_line.py
     stack = PRESETS["stack"]
     loaded = dataclasses.replace(stack, stroke=0.95 * stack.stroke)
-    heads = [f"PI {one:g} Hz" for one in CROSSOVERS] + ["dbo"] + [f"dbo, PI {one:g} Hz" for one in CROSSOVERS]
+    loops = [f"PI {one:g} Hz" for one in CROSSOVERS]
+    heads = [*loops, *(f"line, {one}" for one in loops), "dbo", *(f"dbo, {one}" for one in loops)]
     lines = [f"{'move':24}" + "".join(f"{head:>16}" for head in heads)]
     for frequency, bench in ((1.0, stack), (5.0, stack), (20.0, stack), (1.0, loaded), (5.0, loaded)):
         desired = move(frequency)
@@ -108,6 +114,8 @@ def table() -> str:
             warnings.simplefilter("ignore", dbo.DboWarning)  # 20 Hz is faster than the log's drive
             drive = model.compensate(desired, sample_rate=RATE, v_min=stack.v_min, v_max=stack.v_max)
         errors = [track(Bench(bench), desired, None, one) for one in CROSSOVERS]
+        straight = np.clip(np.polyval(line, desired), stack.v_min, stack.v_max)
+        errors += [track(Bench(bench), desired, straight, one) for one in CROSSOVERS]
         errors += [track(Bench(bench), desired, drive, one) for one in (None, *CROSSOVERS)]
         name = f"{frequency:g} Hz" + (", gain 5 % lower" if bench is loaded else "")
         lines.append(f"{name:24}" + "".join(f"{one:16.4f}" for one in errors))

@@ -221,14 +221,28 @@ def test_completion_scripts_are_printed(shell: str) -> None:
     assert f"_DBO_COMPLETE=complete_{shell}" in done.stdout
 
 
-def test_a_shell_is_told_what_could_be_typed() -> None:
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("dbo identify --ge", "--gears"),
+        ("dbo simulate --header ", "plain comment"),
+        ("dbo simulate model.json log.csv --header c", "comment"),
+        ("dbo identify log.csv other.csv --time ", "time_s Drive Pos where"),
+        ("dbo identify log.csv other.csv --displacement w", "where"),
+        ("dbo identify missing.csv model.json --voltage ", ""),
+        ("dbo identify 'log.csv --voltage ", ""),
+    ],
+)
+def test_a_shell_is_told_what_could_be_typed(typed: str, offered: str, model_file: Path) -> None:
+    Path("log.csv").write_text("time_s,Drive (V),Pos (um),a b (V)\n0,1,2,3\n1,2,3,4\n")
+    Path("other.csv").write_text("time_s,Drive (V),where\n0,1,2\n1,2,3\n")
     asked = os.environ | {
         "_DBO_COMPLETE": "complete_bash",
-        "COMP_WORDS": "dbo identify --ge",
-        "COMP_CWORD": "2",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(len(typed.split(" ")) - 1),
     }
     done = subprocess.run([sys.executable, "-m", "dbo_cli"], capture_output=True, text=True, env=asked)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "--gears\n", "")
+    assert (done.returncode, done.stdout.split(), done.stderr) == (0, offered.split(), "")
 
 
 def test_swapped_arguments_are_recognised(dbo: Any, model_file: Path) -> None:

@@ -27,6 +27,7 @@ NEEDED = {
     "pandas (PyTables)": "tables",
     "pandas (pyarrow)": "pyarrow",
     "npTDMS": "nptdms",
+    "pyuff": "pyuff",
     "openpyxl": "openpyxl",
     "xarray (netCDF4)": "netCDF4",
     "xarray (scipy)": "xarray",
@@ -94,7 +95,12 @@ def test_block_size_changes_nothing(case: FormatFile, block_rows: int, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("name", "library", "extra"), [("Excel", "fastexcel", "excel"), ("TDMS waveforms", "nptdms", "tdms")]
+    ("name", "library", "extra"),
+    [
+        ("Excel", "fastexcel", "excel"),
+        ("TDMS waveforms", "nptdms", "tdms"),
+        ("UFF, data sets 58", "pyuff", "uff"),
+    ],
 )
 def test_an_extra_that_is_not_installed_is_named(
     name: str, library: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -117,6 +123,8 @@ OWN = {
     "TDMS waveforms": "nptdms",
     "HDF5, a step in ms": "h5py",
     "Rigol DS1000, Start and Increment": "",
+    "JSON lines": "",
+    "Igor text, a wave each": "",
 }
 
 
@@ -151,6 +159,11 @@ DAMAGED = [
     "netCDF-3, packed",
     "TDMS waveforms",
     "Excel",
+    "JSON lines",
+    "JSON, an object of arrays and a rate",
+    "UFF, data sets 58",
+    "Igor text, a wave each",
+    "Grafana, series below each other",
 ]
 
 

@@ -338,6 +338,31 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
         Model(model).compensate(wanted, from_=0.0, max_slew=2000.0, **asked)
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_rest_brings_the_creep_where_a_loop_needs_it(known: bool) -> None:
+    plant, wanted, within = actuator(), period(), 1e-3 * float(np.ptp(period()))
+    asked = {**WIDE, "periodic": True} if known else {**WIDE, "periodic": True, "state": "auto"}
+
+    def first_pass(**more: Any) -> tuple[Any, Floats]:
+        done = Model(plant).compensate(wanted, **asked, **more)
+        reached, _ = played(plant, done.values, start=asked["state"])
+        return done, reached[-wanted.size :] - wanted
+
+    _, error = first_pass(passes=2)
+    assert abs(error.mean()) > 4.0 * within
+    done, error = first_pass(lead="auto")
+    assert rms(error) < within
+    (text,) = (text for text in done.notes if "for the creep the drive rests" in text)
+    found = re.search(r"rests (\S+) s at (\S+) V before the run-in", text)
+    assert found is not None
+    held = np.abs(done.values - float(found[2])) < 1e-3
+    assert held.sum() / RATE == pytest.approx(float(found[1]), rel=0.01)
+    assert f"before the first period stand {done.values.size - 500:,} rows" in " ".join(done.notes)
+    assert "settled from its first pass on" in " ".join(done.notes)
+    shorter, _ = first_pass(lead=0.05)
+    assert 1000 < shorter.values.size - 500 < done.values.size / 4 + 20_000
+
+
 def test_the_passes_until_a_loop_settles_are_the_model_s(dbo: Any) -> None:
     plant, wanted = actuator(), period()
     done = Model(plant).compensate(wanted, periodic=True, **WIDE)

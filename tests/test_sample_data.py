@@ -145,5 +145,6 @@ def test_the_page_about_closed_loops_shows_what_is_printed() -> None:
         assert np.array(one[24:].split(), float) == pytest.approx(
             np.array(other[24:].split(), float), abs=2e-4
         )
-        alone, both = np.array(other[24:].split(), float)[[0, 1, 2]].min(), float(other.split()[-1])
-        assert both < alone
+        errors = np.array(other[24:].split(), float)
+        assert errors[6] < min(errors[[0, 1, 4]]), "better than the controller or the drive alone"
+        assert (errors[5:7] < errors[2:4] / 3.0).all(), "and than a straight line beside the controller"

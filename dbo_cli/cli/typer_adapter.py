@@ -23,6 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 from dbo_cli.cli import options
 from dbo_cli.cli.bench_commands import COMMANDS
 from dbo_cli.cli.commands import Given
+from dbo_cli.cli.completion import ASKED, offers
 from dbo_cli.cli.manual import PAGES, exit_codes
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
@@ -118,10 +119,6 @@ def root_command() -> Any:
     return typer.main.get_command(app)
 
 
-COMPLETING = "_DBO_COMPLETE"
-"""The environment variable by which a shell asks for completions, as the library's scripts set it."""
-
-
 def completions() -> int:
     """Answer a shell that asks what could be typed next, or print the script that asks."""
     from typer.completion import completion_init  # type: ignore[attr-defined]
@@ -136,7 +133,7 @@ def completions() -> int:
 
 def run(words: Sequence[str]) -> int:
     """Parse a command line and run the command it names; its exceptions come through."""
-    if COMPLETING in os.environ:
+    if ASKED in os.environ:
         return completions()
     if words and words[0] == "help":
         words = [*words[1:], "--help"]
@@ -184,7 +181,7 @@ def _root(
     elif show_completion is not None:
         if show_completion not in SHELLS:
             raise UsageError(f"`show_completion`: '{show_completion}' is none of {', '.join(SHELLS)}")
-        os.environ[COMPLETING] = f"source_{show_completion}"
+        os.environ[ASKED] = f"source_{show_completion}"
         completions()
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -221,7 +218,11 @@ def _parameter(option: Option) -> inspect.Parameter:
     if option.names:
         panel = None if option.heading == options.OPTIONS else option.heading
         info: Any = typer.Option(
-            *option.names, metavar=option.metavar, help=option.meaning, rich_help_panel=panel
+            *option.names,
+            metavar=option.metavar,
+            help=option.meaning,
+            rich_help_panel=panel,
+            autocompletion=offers(option),
         )
     else:
         info = typer.Argument(metavar=option.metavar, show_default=False, help=option.meaning)

@@ -1,36 +1,24 @@
 """A move that is looped: one period in, the settled loop's drive out, perhaps with a run-in before it.
 
-The settled drive comes first. The run-in follows the trajectory, fades over into that drive, and ends on it,
-so that the first settled period follows the run-in as every later one follows the one before.
+What stands before the period is planned in ``loop_starts``.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.learning import Tracked, learned_source
+from dbo_cli.drives.loop_starts import LED_IN, LOOP_ERROR, BeforeLoop
 from dbo_cli.drives.model_run import Response
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, soft_rise
+from dbo_cli.drives.pieces import NOTHING, require_rows
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.hysteresis.dynamics import undone
-from dbo_cli.hysteresis.kernel import towards
-from dbo_cli.hysteresis.loops import (
-    Settled,
-    looped_state,
-    settled_drive,
-    settled_run,
-    settling,
-    shifted,
-    slow_output,
-    undone_loop,
-)
+from dbo_cli.hysteresis.loops import Settled, settled_run, settling, undone_loop
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
@@ -38,16 +26,6 @@ from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import Source, WholeSource
 
 FEWEST_ROWS = 4  # of a period
-SETTLED_PART = 1e-3  # of the move: the mean of a pass within it counts as settled, where no error is stated
-MOST_STARTS = 60  # tries for a loop that its own start leads to; halving brings a range to 1e-18 of it
-MOST_RUN_INS = 10  # tries for a run-in or a ramp that leads to the loop it ends on; two or three are usual
-LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
-SAME_DRIVE = 1e-9  # of the range: two settled drives that agree to this are one
-FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
-"""Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
-the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up; and
-where the run-in reaches about as far as the loop, so that the two push each other to and fro, another one
-reaches less far or further."""
 SEAM = 3.0
 """Times the largest step inside a period, from which on the step back to its first row does not close it.
 
@@ -56,22 +34,16 @@ A period sampled evenly has steps at the seam like those inside; one that was cu
 
 
 @dataclass
-class LoopCompensation(Compensation):
+class LoopCompensation(BeforeLoop):
     """The drive of a settled loop, with ``options.passes`` passes of run-in before it, in negative time.
 
     Attributes
     ----------
     whole : WholeSource
         The period as it was read.
-    step : float
-        Its even time step (s).
-    period : array
-        What the gears are to follow: dynamics and delay are undone.
     """
 
     whole: WholeSource = field(init=False)
-    step: float = field(init=False)
-    period: FloatArray = field(init=False)
 
     remedies = ""  # a loop is run in instead of swept
 
@@ -95,18 +67,10 @@ class LoopCompensation(Compensation):
         desired = given if self.lesson is None else self.lesson.desired
         _require_closed(self.whole.name, desired)
         self.period = undone_loop(self.model, asked, step)
-        before = self._before(float(asked[0]), step) if passes else self._ramp_before()
-        wanted, played = before.wanted, before.voltage.size
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
-            wanted = np.concatenate([wanted, _faded(asked, passes)])
-        begun, run_in = before.state, NOTHING
-        settled = self._settled(begun or self._begun(float(self.period[0])))
-        if begun is None and not passes:
-            before, settled = self._of_its_own_start(settled)
-            begun, played = before.state, before.voltage.size
-        if wanted.size:
-            run_in, settled, begun = self._run_in(wanted, asked, begun, settled)
+        before, wanted, run_in, settled, begun = self.led_to_loop(asked)
+        played = before.voltage.size
         count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
         firsts = before.voltage if played else NOTHING if run_in.size else settled.done.y
@@ -130,152 +94,6 @@ class LoopCompensation(Compensation):
         self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
         response = self._response(zero + step * np.arange(float(drive.size)), desired, drive, step)
         yield response._replace(time=block.time)
-
-    def _ramp_before(self) -> Before:
-        """Return the ramp to a loop without a run-in; it ends on the first row of the settled drive."""
-        approach, last = self.options.approach, self.came_from
-        known = self.start if isinstance(self.start, ModelState) else None
-        if approach is None or last is None:
-            if approach is not None:
-                self._before(float(self.period[0]), self.step)  # says what is missing
-            return Before(NOTHING, NOTHING, NOTHING, known)
-
-        def to(target: float) -> FloatArray:
-            voltage = ramp("approach", last, target, self.step, approach, self.limits)
-            return voltage if known is not None else np.concatenate([[last], voltage])
-
-        before = self._leading(known or self.model.start(last, self.start), to)
-        if before is None:
-            raise LimitError(
-                f"{self.source.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
-            )
-        return before
-
-    def _leading(self, begun: ModelState, to: Callable[[float], FloatArray]) -> Before | None:
-        """Return the rows ``to`` the first row of the loop that they lead to, or None."""
-        target = float(self._settled(begun).done.y[0])
-        for _ in range(MOST_RUN_INS):
-            voltage = to(target)
-            done = self.model.simulate(voltage, begun, time_step=self.step)
-            ends, target = target, float(self._settled(done.state).done.y[0])
-            if abs(target - ends) <= SAME_DRIVE * self.given.span:
-                return Before(voltage, done.y, NOTHING, done.state)
-        return None
-
-    def _settled(self, state: ModelState) -> Settled:
-        """Return the loop that settles from a state: gears that it does not reach stay as they were."""
-        return settled_drive(self.model, self.period, self.step, state, self.limits)
-
-    def _of_its_own_start(self, settled: Settled) -> tuple[Before, Settled]:
-        """Return the loop whose first row's own start (``auto``, ``settled``) leads to it, and rows before.
-
-        Which gears a start leaves crossed changes by jumps with the voltage, so that the first row that the
-        loop needs may jump over the one it began with. A row or few from there on then stand before the loop.
-        """
-        model, first, found = self.model, float(settled.done.y[0]), settled
-        below, above, least = -math.inf, math.inf, math.inf
-        for _ in range(MOST_STARTS):
-            settled = self._settled(model.start(first, self.start))
-            leads_to = float(settled.done.y[0])
-            away = self._away(settled, model.start(leads_to, self.start))
-            if away < least:
-                found, least = settled, away
-            if least <= LOOP_ERROR * float(np.ptp(self.period)) or below >= above:
-                break
-            # A later start only lowers the first row that the loop needs: the two meet between these.
-            below, above = (max(below, first), above) if leads_to > first else (below, min(above, first))
-            middle = 0.5 * (below + above)
-            first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
-        nothing = Before(NOTHING, NOTHING, NOTHING, None)
-        if least <= LOOP_ERROR * float(np.ptp(self.period)):
-            return nothing, found
-        most = float(np.abs(np.diff(found.done.y)).max())
-
-        def to(target: float) -> FloatArray:
-            return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)
-
-        before = self._leading(model.start(first, self.start), to) or nothing
-        if before.state is None:
-            return nothing, found
-        count = before.voltage.size
-        self.remarks_before.warn(
-            f"{self.source.name}: no start leads to the loop: {count:,} row{'s' if count > 1 else ''} from "
-            f"{first:.6g}{self.given.suffix} on stand{'' if count > 1 else 's'} before the period, where the "
-            "actuator is taken to have settled (`state` empty needs none)"
-        )
-        return before, self._settled(before.state)
-
-    def _away(self, settled: Settled, begun: ModelState) -> float:
-        """Return how far off the model repeats a settled drive that is begun in a state."""
-        model, drive, step = self.model, settled.done.y, self.step
-        ends = slow_output(model, drive, step, looped_state(model, drive, step, begun))
-        clipped = settled.done.clipped_count
-        aim = slow_output(model, drive, step, settled.before) if clipped else self.period
-        return float(np.abs(ends - aim).max())
-
-    def _run_in(
-        self, wanted: FloatArray, asked: FloatArray, begun: ModelState | None, settled: Settled
-    ) -> tuple[FloatArray, Settled, ModelState]:
-        """Return the drive up to the settled period, the period settled from the state it leaves, and that.
-
-        During the second half of the last pass it fades over from what follows the trajectory to the settled
-        drive, within the slew limit.
-        """
-        model, limits = self.model, self.limits
-        signal = self._undone_before(wanted, asked, begun)
-        start = begun or model.start_compensation(float(signal[0]), self.start, limits)
-        time_step = self.step if model.needs_time or limits.max_slew is not None else None
-        followed = model.compensate(signal[: wanted.size], start, limits=limits, time_step=time_step)
-        self.rows += followed.y.size
-        self.rows_before += followed.y.size
-        self._clip(followed, None)
-        forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
-        found, off = None, math.inf
-        for fade in FADES:
-            aim = settled
-            for _ in range(MOST_RUN_INS):
-                target, closed = aim, self._closed(aim.done.y)
-                drive = self._faded_over(followed.y, closed, fade)
-                if drive[-1] != closed[-1]:
-                    off = min(off, abs(float(drive[-1] - closed[-1])))
-                    break
-                state = model.simulate(drive, forward, time_step=time_step).state
-                aim = settled_drive(model, self.period, self.step, state, limits)
-                found = drive, target, state
-                if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:
-                    return found
-        if found is None:
-            raise LimitError(
-                f"{self.source.name}: the run-in ends {off:.3g}{self.given.suffix} off the settled loop "
-                "(more `passes`, or a larger `max_slew`)"
-            )
-        return found
-
-    def _undone_before(self, wanted: FloatArray, asked: FloatArray, begun: ModelState | None) -> FloatArray:
-        """Return what the gears are to follow before the period, delay and dynamics undone."""
-        model, step = self.model, self.step
-        inverter = None if model.dynamics is None else model.dynamics.inverter(step)
-        ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
-        signal = shifted(np.concatenate([wanted, np.resize(asked, ahead)]), model.delay_seconds / step)
-        if inverter is not None:
-            memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
-            ((_, signal, _),) = undone([(None, signal)], inverter, memory)
-        return signal
-
-    def _faded_over(self, followed: FloatArray, settled: FloatArray, fade: tuple[float, float]) -> FloatArray:
-        """Return a run-in that ends on the settled drive, within the slew limit.
-
-        ``followed`` and the settled drive both keep the limits, and so does what lies between; only the
-        change from the one to the other may be too fast, and then it takes longer. ``fade`` is where the
-        change begins and ends, in parts of the run-in before its end.
-        """
-        rows = followed.size
-        tail = np.resize(settled, rows + (-rows) % settled.size)[-rows:]
-        left = (rows - np.arange(rows)) / (settled.size * self.options.passes)
-        rise = np.clip((fade[0] - left) / (fade[0] - fade[1]), 0.0, 1.0)
-        drive: FloatArray = np.where(rise < 1.0, followed + soft_rise(rise) * (tail - followed), tail)
-        drive = np.clip(drive, self.limits.v_min, self.limits.v_max)
-        return self._within_slew(drive, float(drive[0]))
 
     def _rounded(self, x: FloatArray) -> FloatArray:
         if self.bandwidth is None:
@@ -308,20 +126,17 @@ class LoopCompensation(Compensation):
         elif not settled.converged:
             why = "the drive still changes from pass to pass within its limits"
         else:
-            self.remarks_before.notes.append(self._settling(settled, begun, move))
+            self.remarks_before.notes.append(self._settling(settled, begun))
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
         if self.options.on_limit == "error":
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
-    def _settling(self, settled: Settled, begun: ModelState, move: float) -> str:
+    def _settling(self, settled: Settled, begun: ModelState) -> str:
         """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
         drive, unit, name = settled.done.y, self.taken.suffix, self.source.name
-        expected = self.model.fit.get("expected_rmse")
-        within, what = SETTLED_PART * move, "0.1 % of the move"
-        if isinstance(expected, float) and expected > 0.0:
-            within, what = expected, "the expected error"
+        within, what = self._stated()
         what += f", {within:.3g}{unit}"
         first, passes = settling(self.model, drive, self.step, begun, settled.before, within)
         if not passes:
@@ -331,39 +146,6 @@ class LoopCompensation(Compensation):
             f"{name}: by the model the loop settles in {count}, {passes * (self.step * drive.size):.3g} s: "
             f"the mean of the first is {first:.3g}{unit} off, then within {what}"
         )
-
-    def _closed(self, drive: FloatArray) -> FloatArray:
-        """Return a settled drive whose seam keeps the slew limit to the last digit; refuse one that jumps.
-
-        A drive that has settled differs from the pass before in its last digits, and the first row was held
-        within the limit behind the last row of that pass.
-        """
-        closed = self._within_slew(drive, float(drive[-1]))
-        away = float(np.abs(closed - drive).max())
-        most = self.limits.largest_change(self.step)
-        seam = abs(float(closed[0]) - float(closed[-1]))
-        if away > SAME_DRIVE * self.given.span or (most is not None and seam > most):
-            raise LimitError(
-                f"{self.source.name}: the loop does not close within the limits: from its last row, "
-                f"{drive[-1]:.6g}, to its first, {drive[0]:.6g}, is a step that `max_slew` forbids"
-            )
-        return closed
-
-    def _within_slew(self, drive: FloatArray, last: float) -> FloatArray:
-        """Return a drive whose rows follow ``last`` and one another within the slew limit."""
-        most = self.limits.largest_change(self.step)
-        if most is None or (np.abs(np.diff(drive, prepend=last)) <= most).all():
-            return drive
-        values = drive.tolist()
-        for k, value in enumerate(values):
-            last = values[k] = min(max(value, towards(last, -most)), towards(last, most))
-        return np.array(values)
-
-
-def _faded(x: FloatArray, passes: int) -> FloatArray:
-    """Return passes of a period that fade in, during the first, from a rest at its first value."""
-    first = x[0] + soft_rise(np.arange(x.size) / x.size) * (x - x[0])
-    return np.concatenate([first, np.tile(x, passes - 1)])
 
 
 def _require_closed(name: str, period: FloatArray) -> None:
@@ -416,5 +198,7 @@ def compensation(
     lesson = None
     if tracked:
         source, lesson = learned_source(model, source, tracked, options)
+    if options.periodic and options.lead is not None:
+        options = dataclasses.replace(options, passes=max(options.passes, LED_IN))
     make = LoopCompensation if options.periodic else Compensation
     return make(model, source, last_row=last_row, options=options, lesson=lesson)

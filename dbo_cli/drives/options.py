@@ -43,6 +43,8 @@ class DriveOptions:
         Sweep the actuator into a known state first.
     lead : float or "auto", optional
         Seconds at the first value before a move that begins in motion; auto: what dynamics and delay need.
+        Of a loop: seconds of rest before its run-in (two passes at least), at the voltage that brings
+        the creep where the loop needs it; auto: as few as that takes.
     return_ : float or "auto", optional
         Seconds of a ramp at the end, back to where the drive came from (to 0, where that is not known).
     bandwidth : float, optional
@@ -122,9 +124,8 @@ class DriveOptions:
             return
         if self.condition:
             raise UsageError("`periodic` and `condition` exclude each other (`passes` N runs a loop in)")
-        for name in ("lead", "return_"):
-            if getattr(self, name) is not None:
-                raise UsageError(f"`periodic` and `{name}` exclude each other: a loop goes on")
+        if self.return_ is not None:
+            raise UsageError("`periodic` and `return_` exclude each other: a loop goes on")
 
     def limits(self, model: ActuatorModel) -> DriveLimits:
         """Return the limits of the drive of a forward model."""

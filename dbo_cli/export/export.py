@@ -20,6 +20,7 @@ from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
+ONE_BY_ONE = 4 + 64  # in a pass: `SINGLE` of the kernels, and the last block
 _KERNEL_NAME = re.compile(r"\bdbo_\w+\b(?!\.)")  # types and functions, but not the names of files
 
 
@@ -114,11 +115,13 @@ def _summary(
 ) -> ExportSummary:  # fmt: skip
     run = plan.backlash.equal_run
     rows = -(-plan.backlash.n // run)
-    twice = plan.direction == "inverse" and plan.model.drive_lag is not None  # where the limits hold back
+    # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
+    passes = 1 if plan.direction == "forward" else 2 if plan.model.drive_lag is None else 3
     return ExportSummary(
         folder=folder, name=name, direction=plan.direction, arithmetic=arithmetic, files=(),
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
-        state_bytes=code.state_bytes, worst_runs=rows * (2 if twice else 1),
+        state_bytes=code.state_bytes, worst_blocks=-(-plan.backlash.n // 64) * passes,
+        worst_gears=min(plan.backlash.n, ONE_BY_ONE) * passes,
         vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
         notes=notes,
     )  # fmt: skip

@@ -24,8 +24,9 @@ class ExportSummary:
         Gears, rows of the gear table, and how many equal gears a row stands for.
     table_bytes, state_bytes : int
         Constant tables (flash), and the state (RAM) on a 32-bit target.
-    worst_runs : int
-        The most runs of equal gears one step can cross; its work grows with them, not with the gears.
+    worst_blocks, worst_gears : int
+        A bound on the work of one step: the most blocks of 64 gears it looks at, and the most gears it
+        crosses one by one.
     bounds : mapping
         Derived bounds on the error against the float64 model, in the output's unit and in % of its range;
         empty for double, which gives the same bits.
@@ -47,7 +48,8 @@ class ExportSummary:
     run: int
     table_bytes: int
     state_bytes: int
-    worst_runs: int
+    worst_blocks: int
+    worst_gears: int
     vectors: int
     bounds: Mapping[str, float] = field(default_factory=dict)
     gears_loss: Mapping[str, float] = field(default_factory=dict)

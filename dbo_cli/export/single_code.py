@@ -86,7 +86,7 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     shift = row_shift(t.n, t.run)
     factor = (2**shift + t.run - 1) // t.run
     out += (
-        f"static const dbo_backlash op = {{gears, {t.n}U, {t.run}U, {factor}U, {shift}U, {t.tolerance}U,"
+        f"static const dbo_backlash op = {{gears, {t.n}U, {factor}U, {shift}U, {t.tolerance}U,"
         f" {'terms' if t.terms else '0'}, {len(t.terms)}U,\n"
         f"    {int(t.memory_on_output)}, {text(t.drive_offset)},"
         f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"

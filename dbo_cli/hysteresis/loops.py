@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.hysteresis.cascade import through
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
@@ -27,6 +28,8 @@ MOST_PASSES = 200
 SETTLED = 1e-12  # of the drive's range, by which a settled drive changes from pass to pass
 
 
+FOR_EVER = 14.0  # of the longest time constant: what creeps is over to a millionth
+SPARE = 1.01  # a time that is found to 1 %, or an error of no more than 1 % above the least, will do
 SMALLEST_GAIN = 0.1  # of a frequency through a delay's interpolation, from which on it is undone
 
 
@@ -186,11 +189,8 @@ def settling(
     rest = _memory_at(model, begun, float(drive[0]), step)
     if terms is None or memory is None or rest is None:
         return first, int(abs(first) > within)
-    parts = []
-    for k in range(len(terms.tau)):
-        one = tuple(rest[i] if i == k else held for i, held in enumerate(memory))
-        off = dataclasses.replace(before, backlash=BacklashState(before.backlash.bits, one))
-        parts.append(abs(float(slow_output(model, drive, step, off).mean()) - mean))
+    effects = memory_effects(model, drive, step, before)
+    parts = [abs(w * (own - held)) for w, own, held in zip(effects, rest, memory, strict=True)]
     seconds, passes = drive.size * step, int(abs(first) > within)
     low, high = passes, passes
     while _left(parts, terms.tau, high * seconds) > within:
@@ -199,6 +199,79 @@ def settling(
         middle = (low + high) // 2
         low, high = (middle, high) if _left(parts, terms.tau, middle * seconds) > within else (low, middle)
     return first, high
+
+
+def memory_effects(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> list[float]:
+    """Return by how much the mean of a pass changes with each memory before it, per volt."""
+    mean, off, effects = float(slow_output(model, drive, step, before).mean()), 0.01 * model.drive_span, []
+    memory = before.backlash.memory or ()
+    for k in range(len(memory)):
+        one = tuple(held + off * (i == k) for i, held in enumerate(memory))
+        changed = dataclasses.replace(before, backlash=BacklashState(before.backlash.bits, one))
+        effects.append((float(slow_output(model, drive, step, changed).mean()) - mean) / off)
+    return effects
+
+
+def creep_rest(
+    model: ActuatorModel,
+    settled: Settled,
+    step: float,
+    begun: tuple[float, ...] | None,
+    rise: Floats,
+    within: float,
+    between: tuple[float, float],
+    bias: float,
+) -> tuple[float, float]:
+    """Return a voltage inside a loop's drive, and the seconds to rest there, that make creep what it needs.
+
+    A rest at V takes each memory m to V + (m - V) exp(-T/tau), and the run-in behind it changes that. For
+    every T, V is the one at which the mean of the first pass is right (where it begins unknown, that of a
+    long rest); T is the shortest at which the sizes of all terms' parts add up to at most half ``within``.
+
+    Parameters
+    ----------
+    begun
+        The memories where the rest begins; not known: those of the range's end that is further away.
+    rise
+        How much of the run-in's rows is the loop: 0 at the rest, 1 in the end.
+    within
+        How far the mean of the first pass may be off.
+    between
+        The least and the greatest seconds.
+    bias
+        How far off the mean was where this was tried, beyond what is planned here.
+    """
+    terms, memory, drive = model.backlash.relaxation, settled.before.backlash.memory, settled.done.y
+    if terms is None or memory is None:
+        return float(drive.min() + drive.max()) / 2.0, between[0]
+    effects, tau = np.array(memory_effects(model, drive, step, settled.before)), np.array(terms.tau)
+    inner = through(model.head, drive) - terms.reference
+    ends = through(model.head, np.array([model.input.minimum, model.input.maximum])) - terms.reference
+    far: Floats = np.where(np.array(memory) > ends.mean(), ends[0], ends[1])
+    own = far if begun is None else np.array(begun)
+    bare, none = dataclasses.replace(terms, reference=0.0), [0.0] * tau.size
+    through_run_in = np.exp(-rise.size * step / tau)
+    of_level = np.array(bare.lags(1.0 - rise, step, none)[1])
+    off = np.array(bare.lags(rise * np.resize(inner, rise.size), step, none)[1]) - memory
+
+    def rest(wait: float) -> tuple[float, float]:
+        """Return the best level of a rest, and what the terms are off then, sizes added up."""
+        kept = np.exp(-wait / tau)
+        slope, constant = through_run_in * (1.0 - kept) + of_level, through_run_in * own * kept + off
+        known = (slope, constant) if begun is not None else (through_run_in + of_level, off)
+        level = -(float(effects @ known[1]) + bias) / float(effects @ known[0])
+        level = min(max(level, float(inner.min())), float(inner.max()))
+        return level, float(np.abs(effects * (slope * level + constant)).sum())
+
+    short, long = max(between[0], step), min(between[1], max(between[0], FOR_EVER * float(tau.max())))
+    most, seconds = max(0.5 * within, SPARE * rest(long)[1]), between[0]
+    if rest(seconds)[1] > most:
+        while long / short > SPARE:
+            middle = math.sqrt(short * long)
+            short, long = (middle, long) if rest(middle)[1] > most else (short, middle)
+        seconds = long
+    level = rest(seconds)[0] + terms.reference
+    return float(through(model.head_inverse, np.array([level]))[0]), seconds
 
 
 def _left(parts: list[float], tau: tuple[float, ...], seconds: float) -> float:

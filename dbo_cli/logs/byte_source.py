@@ -22,7 +22,7 @@ _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
 _UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
 _GZIP_MAGIC = b"\x1f\x8b"  # RFC 1952, 2.3.1
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-# First bytes of a file that is no text: what messages call it, and the module and function that read it.
+# First bytes of a file that is no table of text: what messages call it, and what reads it (module, function).
 BINARY = {
     b"\x89HDF\r\n\x1a\n": ("HDF5", "hdf5.reader.open_hdf5"),
     b"MATLAB 5.0 MAT-file": ("a MATLAB file", "binary.arrays.open_matlab"),
@@ -34,6 +34,13 @@ BINARY = {
     b"CDF\x01": ("netCDF", "binary.arrays.open_netcdf"),
     b"CDF\x02": ("netCDF", "binary.arrays.open_netcdf"),
     b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.excel.open_excel"),
+    # Texts that are no tables.
+    **dict.fromkeys((b"    -1\n", b"    -1\r\n"), ("UFF", "binary.uff.open_uff")),
+    **dict.fromkeys((b"IGOR\n", b"IGOR\r"), ("an Igor text file", "text.igor.open_igor")),
+    **dict.fromkeys(
+        (b'{"', b"{\n", b"{\r\n", b"[{", b"[[", b'["', b"[\n", b"[\r\n"),
+        ("JSON", "binary.json_rows.open_json"),
+    ),
 }
 ZIP = b"PK\x03\x04"  # APPNOTE.TXT 4.3.7; the other signatures are those of the file(1) database
 _UNPACK = "unpack it, or compress it with gzip"

@@ -113,6 +113,32 @@ def array_source(label: str, values: Any, unit: str | None = None) -> ColumnSour
     return ColumnSource(label, len(values), lambda start, stop: values[start:stop], unit)
 
 
+def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
+    """Make a column of numbers, or of time stamps in seconds from the first on; None where most are neither.
+
+    A value that is absent (None) is NaN.
+    """
+    from dbo_cli.logs.text.time_stamps import stamp_seconds
+
+    first = next((one for one in values if one is not None), None)
+    stamps, unit = isinstance(first, str), None
+    start = stamp_seconds(first) if isinstance(first, str) else None
+    numbers, bad = np.full(len(values), np.nan), []
+    for index, value in enumerate(values):
+        if stamps and isinstance(value, str):
+            value = stamp_seconds(value)
+            if value is not None and start is not None:
+                value, unit = round(value - start, 6), "s"  # a float64 of seconds since 1970 has no more
+        if isinstance(value, int | float):
+            numbers[index] = value
+        elif value is not None or stamps:
+            bad.append(index)
+    if 2 * len(bad) >= len(values):
+        return None
+    odd = f"column '{name}' is not a number in record {bad[0] + 1}: {values[bad[0]]!r}" if bad else ""
+    return ColumnSource(name, len(values), lambda start, stop: numbers[start:stop], unit, problem=odd)
+
+
 def matrix_sources(name: str, array: Any, column: str = "{name}[{number}]") -> list[ColumnSource]:
     """Make columns of a vector or a matrix, whose longer axis is time; none of what holds no numbers."""
     if array.dtype.kind not in "fiub" or array.ndim not in (1, 2) or not array.size:

@@ -26,14 +26,18 @@ _LOWEST_RATE, _HIGHEST_RATE = 1e-9, 1e12  # beyond them a step of time is lost i
 FEWEST_TO_JUDGE = 20  # rows after a bad one, from which on it is said how many of them are bad, too
 
 
-def remedy_for(bad: int, rows: int) -> str:
+FILL_GAPS = "bring the signals to common times first (pandas: interpolate(method='index'), dropna)"
+
+
+def remedy_for(bad: int, rows: int, cause: str = "") -> str:
     """Return what to do about a bad row, of whose next ``rows`` rows ``bad`` are bad, too.
 
-    To drop them is no remedy where most of a log would go.
+    To drop them is no remedy where most of a log would go; ``cause`` is what to do instead.
     """
     if rows < FEWEST_TO_JUDGE or 2 * bad <= rows:
         return "(`skip_bad` drops such rows)"
-    return f"(and so on in {bad:,} of the next {rows:,} rows: name another column, or take good `rows` A:B)"
+    cause = cause or "name another column, or take good `rows` A:B"
+    return f"(and so on in {bad:,} of the next {rows:,} rows: {cause})"
 
 
 BLANKS = " "  # the delimiter that stands for any run of blanks and tabs

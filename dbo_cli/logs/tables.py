@@ -45,11 +45,30 @@ def open_table(request: Request) -> Table:
         return address.table.opened(request.options)
     reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
     if not reader:
-        return TextTable(request)
+        table = TextTable(request)
+        long = _side_by_side(request, table)
+        return long or table
     module, _, function = reader.rpartition(".")
     read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
     opened: Table = read(request)
     return opened
+
+
+def _side_by_side(request: Request, table: TextTable) -> Table | None:
+    """Read a table of a data base that has several rows a sample; None for any other, and for streams."""
+    names = {name.strip("_").lower() for name in table.dialect.headers}
+    if not (table.dialect.sparse or "value" in names) or not table.source.is_regular:
+        return None
+    from dbo_cli.logs.text.long_table import side_by_side
+
+    try:
+        found = side_by_side(request, table.dialect)
+    except BaseException:
+        table.close()
+        raise
+    if found is not None:
+        table.close()
+    return found
 
 
 def _reader_by_content(address: Address) -> str:

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from dbo_cli.hysteresis.excitation import Excitation
 
 
+_ROWS = 1 << 14  # of drives of many channels, written at a time
+
+
 class Destination(NamedTuple):
     """Where a result goes: the file, the state after it, and the inputs that must not be overwritten.
 
@@ -170,16 +173,27 @@ def invert_model(model_file: str, output: Address) -> ActuatorModel:
     return inverse
 
 
-def write_excitation(output: Address, excitation: Excitation, form: str | None = None) -> int:
-    """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation.drive()
+def write_excitation(
+    output: Address, excitation: Excitation, form: str | None = None, channels: int | None = None
+) -> int:
+    """Write the drive that identifies well, or those of many channels; returns the rows."""
+    if channels is None:
+        time, one = excitation.drive()
+        drives = {"voltage": one}
+    else:
+        from dbo_cli.hysteresis.excitation import channel_drives
+
+        time, voltage = channel_drives(excitation, channels)
+        drives = {f"voltage_{place}": one for place, one in enumerate(voltage.T.copy(), start=1)}
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
-    DriveGate(limits).admit(voltage, 1.0 / excitation.sample_rate)
+    for one in drives.values():
+        DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
     check_format(form, [output])
-    columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
+    columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
     attributes = {"sample_rate": excitation.sample_rate}
     with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
-        writer.write(time, voltage)
+        for row in range(0, len(time), _ROWS):
+            writer.write(*(one[row : row + _ROWS] for one in (time, *drives.values())))
     return len(time)
 
 
@@ -264,8 +278,10 @@ def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | 
 
 def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:
     """Return what a run did as plain values (``dbo-summary``); voltages and lengths in the model's units."""
-    remarks, expected, percent, clipped = run.remarks(), None, None, 0
+    remarks, expected, percent, clipped, asked = run.remarks(), None, None, 0, dict[str, Any]()
     if isinstance(run, Compensation):
+        if run.settle is not None:
+            asked["settling"] = [one._asdict() for one in run.step_times()]
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
     kept = {key: read[key] for key in ("rows", "seconds", "columns") if key in read}
@@ -280,6 +296,7 @@ def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, co
         "largest_step": figures.largest_step,
         "expected_rmse": expected,
         "expected_percent": percent,
+        **asked,
         "notes": [plain(text) for text in remarks.notes],
         "warnings": [plain(text) for text in remarks.warnings],
     }

@@ -54,12 +54,16 @@ def _show_set(model_file: str, output: Address, form: str | None, figures: str |
         )
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "what is shown", chosen)
-    models = {channel: contents(model) for channel, model in read_set(model_file).items()}
+    there = read_set(model_file)
+    models = {channel: contents(model) for channel, model in there.items()}
     if chosen == "json":
         whole = {"format": "dbo-show-set", "version": 1, "models": models}
+        if there.coupling is not None:
+            whole["coupling"] = {"condition": there.coupling.condition, **there.coupling.values()}
         text = json.dumps(whole, indent=2, ensure_ascii=False)
     else:
-        text = "\n".join(_set_lines(models))
+        lines = _set_lines(models)
+        text = "\n".join(lines if there.coupling is None else [*lines, "", there.coupling.summary()])
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     return []
 

@@ -6,8 +6,7 @@
 #include <stddef.h>
 
 #define ALL_ONES UINT32_MAX
-#define LEAP 4   /* a leap costs about as much as crossing so many gears one by one */
-#define SINGLE 4 /* so many crossings of gears, or of leaps, come before those of blocks */
+#define SINGLE 4 /* so many gears are crossed one by one before whole blocks are tried: 3 and 8 cost more */
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && !defined(DBO_Q31)
 #error "float must be computed as float: compile for hardware or software float32, not x87"
@@ -24,13 +23,6 @@ static uint32_t first_one(uint32_t word) {
 static uint32_t last_one(uint32_t word) {
     for (uint32_t reach = 1U; reach < 32U; reach *= 2U) word |= word >> reach;
     return first_one(word ^ word >> 1);
-}
-
-static uint32_t count_ones(uint32_t word) {
-    word -= word >> 1 & UINT32_C(0x55555555);
-    word = (word & UINT32_C(0x33333333)) + (word >> 2 & UINT32_C(0x33333333));
-    word = (word + (word >> 4)) & UINT32_C(0x0F0F0F0F);
-    return (word * UINT32_C(0x01010101)) >> 24;
 }
 
 /* ---- what differs between the arithmetics ------------------------------------------------------------ */
@@ -134,8 +126,6 @@ static dbo_position crossed_at(int32_t width, uint32_t tolerance) {
     return width - (width >> tolerance);
 }
 
-static dbo_position times(uint32_t count, int32_t width) { return (dbo_position)count * width; }
-
 /* ---- the state's bits -------------------------------------------------------------------------------- */
 
 static const dbo_gear *gear_at(const dbo_backlash *op, uint32_t i) {
@@ -152,26 +142,10 @@ static uint32_t lowest(const uint32_t *words, uint32_t n, uint32_t k, uint32_t i
     return n;
 }
 
-/* Bits of word k that belong to gears from ... end - 1 and can still be crossed. */
-static uint32_t open_bits(uint32_t word, uint32_t k, uint32_t from, uint32_t end, int rising) {
-    uint32_t open = rising ? ~word : word;
-    if (32U * k < from) open &= ALL_ONES << (from - 32U * k);
-    if (end - 32U * k < 32U) open &= ~(ALL_ONES << (end - 32U * k));
-    return open;
-}
-
-static uint32_t run_end(const dbo_backlash *op, uint32_t from) {
-    const uint32_t end = (((from * op->row_factor) >> op->row_shift) + 1U) * op->run;
-    return end < op->n ? end : op->n;
-}
-
-/* How many gears of the run of the next one can be crossed. */
-static uint32_t open_gears(const dbo_backlash *op, const dbo_backlash_state *state, int rising) {
-    const uint32_t from = rising ? state->zero : state->set, end = run_end(op, from);
-    uint32_t count = 0U;
-    for (uint32_t k = from >> 5; 32U * k < end; k++)
-        count += count_ones(open_bits(state->words[k], k, from, end, rising));
-    return count;
+/* Bits of word k whose gears can still be crossed. */
+static uint32_t open_bits(uint32_t word, uint32_t k, uint32_t n, int rising) {
+    const uint32_t open = rising ? ~word : word;
+    return n - 32U * k < 32U ? open & ~(ALL_ONES << (n - 32U * k)) : open;
 }
 
 /* Sums over a block of 64 gears, each two words, behind the bits: of the gears crossed, and of all. */
@@ -193,29 +167,8 @@ static void add_crossed(uint32_t *sums, dbo_position x, dbo_position y) {
     set_sum(sums + CROSSED_Y, sum(sums + CROSSED_Y) + y);
 }
 
-/* Cross the next `count` gears, all of one run, (6)-(9); 1 <= count <= open_gears. */
-static void cross(const dbo_backlash *op, dbo_backlash_state *state, uint32_t count, int rising) {
-    const uint32_t from = rising ? state->zero : state->set, end = run_end(op, from);
-    const dbo_gear *gear = gear_at(op, from);
-    const int32_t width = rising ? gear->width : -gear->width, height = rising ? gear->height : -gear->height;
-    uint32_t k = from >> 5;
-    state->x += times(count, width);
-    state->y += times(count, height);
-    for (;; k++) {
-        uint32_t open = open_bits(state->words[k], k, from, end, rising);
-        const uint32_t here = count_ones(open), crossed = here < count ? here : count;
-        add_crossed(sums_of(op, state, k >> 1), times(crossed, width), times(crossed, height));
-        if (here > count) {
-            uint32_t left = open;
-            for (uint32_t i = 0U; i < count; i++) left &= left - 1U;
-            open ^= left;
-            count = 0U;
-        } else {
-            count -= here;
-        }
-        state->words[k] ^= open;
-        if (count == 0U) break;
-    }
+/* S and Z (4)-(5) after gears from word k on were crossed. */
+static void find_next(const dbo_backlash *op, dbo_backlash_state *state, uint32_t k, int rising) {
     state->set = rising ? 0U : lowest(state->words, op->n, k, 0U);
     state->zero = rising ? lowest(state->words, op->n, k, ALL_ONES) : 0U;
 }
@@ -243,25 +196,41 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
 
 /* ---- the procedure, steps 1 to 4 --------------------------------------------------------------------- */
 
-/* How many gears of its run the next one, known to be crossed, takes along. What is left to travel, and of
- * room on the output, falls with every gear crossed, so halving finds what going one by one would. */
-static uint32_t gears_crossed(const dbo_backlash *op, const dbo_backlash_state *state, dbo_position u,
-                              dbo_position bound, int rising) {
-    const dbo_gear *gear = gear_at(op, rising ? state->zero : state->set);
-    const dbo_position reach = crossed_at(gear->width, op->tolerance);
-    const dbo_position rise = crossed_at(gear->height, op->tolerance);
-    uint32_t sure = 1U, most = open_gears(op, state, rising), trial = most;
-    while (sure < most) {
-        const dbo_position on = times(trial - 1U, gear->width), up = times(trial - 1U, gear->height);
-        const dbo_position travelled = rising ? u - (state->x + on) : (state->x - on) - u;
-        const dbo_position room = rising ? bound - (state->y + up) : (state->y - up) - bound;
-        if (travelled >= reach && room >= rise)
-            sure = trial;
-        else
-            most = trial - 1U;
-        trial = sure + (most - sure + 1U) / 2U;
+/* Cross gears one by one while the input is far enough and the output has room, (6)-(9); `most` are left to
+ * cross. Returns the gear crossed last, n where there was none. */
+static uint32_t walk(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u, dbo_position bound,
+                     uint32_t *most, int rising) {
+    const uint32_t begin = (rising ? state->zero : state->set) >> 5;
+    dbo_position left = rising ? u - state->x : state->x - u;
+    dbo_position room = rising ? bound - state->y : state->y - bound;
+    uint32_t last = op->n, k = begin;
+    int going = 1;
+    for (; going && 32U * k < op->n; k++) {
+        const dbo_position left_before = left, room_before = room;
+        uint32_t open = open_bits(state->words[k], k, op->n, rising), crossed = open;
+        dbo_position x, y;
+        for (; open != 0U; open &= open - 1U) {
+            const uint32_t i = 32U * k + first_one(open);
+            const dbo_gear *gear = gear_at(op, i);
+            going = *most > 0U && left >= crossed_at(gear->width, op->tolerance) &&
+                    room >= crossed_at(gear->height, op->tolerance);
+            if (!going) break;
+            left -= gear->width;
+            room -= gear->height;
+            --*most;
+            last = i;
+        }
+        crossed ^= open;
+        if (crossed == 0U) continue;
+        x = rising ? left_before - left : left - left_before;
+        y = rising ? room_before - room : room - room_before;
+        state->words[k] ^= crossed;
+        add_crossed(sums_of(op, state, k >> 1), x, y);
+        state->x += x;
+        state->y += y;
     }
-    return sure;
+    if (last < op->n) find_next(op, state, begin, rising);
+    return last;
 }
 
 /* Cross whole blocks of 64 gears: all that are open where the last one is crossed, since what is left to
@@ -274,8 +243,8 @@ static uint32_t pass_blocks(const dbo_backlash *op, dbo_backlash_state *state, d
     for (; 64U * block < op->n; block++) {
         uint32_t *sums = sums_of(op, state, block), *word = state->words + 2U * block;
         const int two = 64U * block + 32U < op->n;
-        const uint32_t low = open_bits(word[0], 2U * block, 0U, op->n, rising);
-        const uint32_t high = two ? open_bits(word[1], 2U * block + 1U, 0U, op->n, rising) : 0U;
+        const uint32_t low = open_bits(word[0], 2U * block, op->n, rising);
+        const uint32_t high = two ? open_bits(word[1], 2U * block + 1U, op->n, rising) : 0U;
         const dbo_position x = (rising ? sum(sums + WHOLE_X) : 0) - sum(sums + CROSSED_X);
         const dbo_position y = (rising ? sum(sums + WHOLE_Y) : 0) - sum(sums + CROSSED_Y);
         uint32_t top;
@@ -295,9 +264,7 @@ static uint32_t pass_blocks(const dbo_backlash *op, dbo_backlash_state *state, d
         state->y += y;
         last = top;
     }
-    if (last == op->n) return last;
-    state->set = rising ? 0U : lowest(state->words, op->n, 2U * begin, 0U);
-    state->zero = rising ? lowest(state->words, op->n, 2U * begin, ALL_ONES) : 0U;
+    if (last < op->n) find_next(op, state, 2U * begin, rising);
     return last;
 }
 
@@ -305,27 +272,12 @@ static uint32_t pass_blocks(const dbo_backlash *op, dbo_backlash_state *state, d
  * one crossed last, n where there was none. */
 static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                            dbo_position bound, int rising) {
-    uint32_t last = op->n, next = rising ? state->zero : state->set, single = SINGLE;
-    while (next < op->n) {
-        const dbo_gear *gear = gear_at(op, next);
-        const dbo_position travelled = rising ? u - state->x : state->x - u;
-        const dbo_position room = rising ? bound - state->y : state->y - bound;
-        if (travelled < crossed_at(gear->width, op->tolerance)) break;
-        if (room < crossed_at(gear->height, op->tolerance)) break;
-        last = next;
-        if (single > 0U && --single == 0U) {
-            const uint32_t crossed = pass_blocks(op, state, u, bound, rising);
-            if (crossed < op->n) last = crossed;
-            next = rising ? state->zero : state->set;
-            if (crossed < op->n) continue;
-        }
-        if (op->run >= LEAP && travelled >= LEAP * (dbo_position)gear->width)
-            cross(op, state, gears_crossed(op, state, u, bound, rising), rising);
-        else
-            cross(op, state, 1U, rising);
-        next = rising ? state->zero : state->set;
-    }
-    return last;
+    uint32_t single = SINGLE, all = op->n, blocks, rest;
+    const uint32_t first = walk(op, state, u, bound, &single, rising);
+    if (single > 0U) return first;
+    blocks = pass_blocks(op, state, u, bound, rising);
+    rest = walk(op, state, u, bound, &all, rising);
+    return rest < op->n ? rest : blocks < op->n ? blocks : first;
 }
 
 /* Drive the operator with exchanged axes one way, to the output `y`. */

@@ -48,11 +48,10 @@ typedef struct {
 #endif
 } dbo_term;
 
-/* A backlash operator. Gear i stands in row (i * row_factor) >> row_shift: one row for `run` equal gears. */
+/* A backlash operator. Gear i stands in row (i * row_factor) >> row_shift: one row for a run of equal gears. */
 typedef struct {
     const dbo_gear *gears;
     uint32_t n;
-    uint32_t run;
     uint32_t row_factor;
     uint32_t row_shift;
     uint32_t tolerance; /* a gear counts as crossed when all but 2^-tolerance of it is travelled */

@@ -13,6 +13,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
+from dbo_cli.logs.column_names import TIME_NAMES
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -175,18 +176,22 @@ def open_matlab(request: Request) -> ColumnTable:
             raise ValueError("it ends early") from None
     variables = {name: value for name, value in stored.items() if not name.startswith("__")}
     group, trail = _struct(place, variables, request.address.group)
-    sources = _columns(group)
-    if not sources:
-        structs = {name: value for name, value in group.items() if isinstance(value, dict)}
-        inner = {name: found for name, value in structs.items() if (found := _columns(value))}
+    sources, level = _columns(group), {"": (trail, group)}
+    while not sources and level:  # the shallowest structs that have any
+        level = {
+            f"{name}.{member}".lstrip("."): ([*above, value], value)
+            for name, (above, struct) in level.items()
+            for member, value in struct.items()
+            if isinstance(value, dict)
+        }
+        inner = {name: found for name, (_, value) in level.items() if (found := _columns(value))}
         if len(inner) > 1:
-            first = next(iter(inner))
             raise InputError(
                 f"{place}: columns in {len(inner)} structs, {', '.join(inner)}: which one? "
-                f"(write {request.address.path}::{first})"
+                f"(write {request.address.path}::{next(iter(inner))})"
             )
-        for name in inner:
-            trail, sources = [*trail, structs[name]], inner[name]
+        for name, found in inner.items():
+            trail, sources = level[name][0], found
     for path in request.named:
         if path not in group:
             sources += _by_path(variables, path)
@@ -221,7 +226,19 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
     if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
         known = {source.label for source in sources}
         sources += [source for source in _channels("", group) if source.label not in known]
+    if all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
+        sources += [one for one in _below(group) if one.length == sources[0].length]
     return [with_unit(source, group.get) for source in without_scalars(sources)]
+
+
+def _below(group: dict[str, Any]) -> Iterator[ColumnSource]:
+    """List the columns of the structs in a struct, at any depth, by their paths."""
+    for name, value in group.items():
+        if isinstance(value, dict) and _is_channel(value):
+            yield from _channels(name, {_LABELS[0]: name} | value)
+        elif isinstance(value, dict):
+            for one in [*_columns(value), *_below(value)]:
+                yield replace(one, label=f"{name}/{one.label}")
 
 
 def _arrays(name: str, value: Any) -> list[ColumnSource]:

@@ -28,6 +28,8 @@ _LABEL = re.compile(
     r"(?:\s*[:=]\s*|$)",
     re.IGNORECASE,
 )
+NUMBER_WITH_UNIT = re.compile(r"(?<![\w.:-])[-+]?\d[\d.,]* ?[^\W\d_]{1,4}\b")
+PLAIN_NUMBERS = "export them without units in the cells; Grafana: without Formatted data"
 _THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = re.compile(
     r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
@@ -41,7 +43,8 @@ class Dialect:
     ``first_line`` is the line number (from 1) of the first data row; ``headers`` and ``units`` are empty
     where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
     in most rows; ``writings`` is how each column is written (``ColumnInfo.written``), where any holds time
-    stamps; ``header_block`` is what stands again before each segment of the data.
+    stamps; ``header_block`` is what stands again before each segment of the data; ``sparse`` tells that every
+    row leaves out a number that other rows have.
     """
 
     delimiter: str
@@ -54,6 +57,7 @@ class Dialect:
     numeric: frozenset[int] = frozenset()
     writings: tuple[str, ...] = ()
     header_block: HeaderBlock | None = None
+    sparse: bool = False
 
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""
@@ -92,6 +96,9 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         raise InputError(f"{place}: the file is empty")
     shapes = _shapes(lines, candidates, options)
     if not shapes:
+        found = next((one for n in candidates[::-1] if (one := NUMBER_WITH_UNIT.search(lines[n]))), None)
+        if found is not None:
+            raise InputError(f"{place}: no line holds plain numbers, but '{found[0]}' ({PLAIN_NUMBERS})")
         raise InputError(f"{place}: no data rows: no line holds numbers")
     best = max(shape.score for shape in shapes)
     tied = [shape for shape in shapes if shape.score >= best - 1e-12]
@@ -119,7 +126,17 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
         _writings([lines[number] for number in data[-SAMPLE_LINES:]], shape),
         find_header_block(lines, layout.first, shape.delimiter),
+        _is_sparse([lines[number] for number in data[-SAMPLE_LINES:]], shape),
     )  # fmt: skip
+
+
+def _is_sparse(sample: list[str], shape: _Shape) -> bool:
+    rows = [split_cells(line, shape.delimiter)[: shape.width] for line in sample]
+    full = [[column for column, cell in enumerate(row) if is_number(cell, shape.decimal)] for row in rows]
+    if shape.delimiter == BLANKS or len(set(map(tuple, full))) < 2:
+        return False
+    partly = set().union(*full) - set(full[0]).intersection(*full[1:])
+    return all(any(n < len(row) and not row[n] for n in partly) for row in rows)
 
 
 def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> None:

@@ -193,7 +193,7 @@ def _pi_array(place: str, lines: list[str], end: int) -> InstrumentHeader | None
     if stated is not None and int(stated) != width:
         raise InputError(
             f"{place}:{end + 2}: {width} cells where the header states DIM = {int(stated)} columns "
-            "(`skip_lines` and `header_lines` 0 read it without the header)"
+            f"(`skip_lines` {end + 1} and `header_lines` 0 read it without the header)"
         )
     names = [settings.get(f"NAME{number}", "") for number in range(width)]
     clock = _step("SAMPLE_TIME", settings.get("SAMPLE_TIME", ""), " s")
@@ -240,6 +240,35 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     decimal = "," if file.get("Decimal_Separator") == "," else "."
     width = max(len(names), len(rows[-1]))
     return _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
+
+
+def _labview_waveforms(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read LabVIEW's waveforms in a spreadsheet file: ``t0`` and ``delta t`` by channel, stamps and values.
+
+    Raises
+    ------
+    InputError
+        The waveforms begin at different times, or have different steps.
+    """
+    rows = [[cell for cell in split_cells(line, "\t") if cell] for line in lines[:_NEAR]]
+    stated = {cells[0].lower(): cells[1:] for cells in rows if cells}
+    at = next((n for n, cells in enumerate(rows) if cells and re.match(r"time|Y(\[|$)", cells[0])), None)
+    if at is None or at + 1 >= len(rows) or "delta t" not in stated:
+        return None
+    if len(set(stated["delta t"])) > 1 or len(set(stated.get("t0", []))) > 1:
+        raise InputError(
+            f"{place}: the waveforms have different t0 or delta t, and rows of different times stand beside "
+            "each other: write a file for each, and name the other's column as FILE::COLUMN"
+        )
+    named = iter([name for name in stated["waveform"] if not re.fullmatch(r"\[\d+\]", name)])
+    cells = split_cells(lines[at], "\t")  # the stamps have fewer digits than delta t
+    names = [next(named, cell) if cell.startswith("Y[") else "" for cell in cells]
+    if not any(names):
+        names = ["", *named]
+    decimal = "," if _has_decimal_commas(lines[at + 1 : at + 50], "\t") else "."
+    return _header(
+        lines, at + 1, names, [], None, "\t", decimal, clock=_step("delta t", stated["delta t"][0])
+    )
 
 
 _FILETIME = 1e16  # counts of 100 ns since 1601 are above, milliseconds since the start of a recording below
@@ -437,6 +466,7 @@ class _Maker(NamedTuple):
 _MAKERS = (
     _Maker(re.compile(r"\s*#\s*END_HEADER"), _LOOKED_AT, _pi_array),
     _Maker(re.compile("LabVIEW Measurement"), 1, _lvm),
+    _Maker(re.compile(r"waveform\t"), 1, _labview_waveforms),
     _Maker(re.compile(r"SampleTime\[ms\][\t,;]"), _NEAR, _twincat),
     _Maker(re.compile("Record Length,"), 1, _tektronix_rows),
     _Maker(re.compile(r"TIME,\s*[A-Z]"), _NEAR, _tektronix_table),
