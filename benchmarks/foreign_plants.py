@@ -339,8 +339,8 @@ def summary(lines: list[Line]) -> None:
     beyond = [ratio for ratio in unwarned if ratio > 2.0]
     warned = np.mean([bool(one.warned) for one in lines if one.ratio <= 1.5])
     print(
-        f"{len(unwarned)} without a warning: {'/'.join(f'{value:.2f}' for value in percentiles)} (0.4 and more "
-        f"to 1.4), {len(beyond)} beyond 2 (0); of those within 1.5 warned of: {warned:.0%} (20 %)"
+        f"{len(unwarned)} without a warning: {'/'.join(f'{value:.2f}' for value in percentiles)} (0.4 to "
+        f"1.4), {len(beyond)} beyond 2 (0); of those within 1.5 warned of: {warned:.0%} (20 %)"
     )
 
 
