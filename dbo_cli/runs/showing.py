@@ -16,6 +16,7 @@ from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
+APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")  # of `fit`: elsewhere, or long
 
 
 def show_model(
@@ -110,11 +111,10 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "delay_seconds": delay,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
         "drive_lag_seconds": _drive_lag(model),
-        "fit": {
-            key: fit[key] for key in fit if key not in ("warnings", "logs", "validation", "alternatives")
-        },
+        "fit": {key: fit[key] for key in fit if key not in APART},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
+        "notes": fit.get("notes", []),
         "warnings": fit.get("warnings", []),
         "program": provenance.get("program"),
         "arguments": provenance.get("arguments", []),
@@ -158,7 +158,7 @@ def as_text(content: Mapping[str, Any]) -> str:
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
-    lines += [f"warning: {text}" for text in content["warnings"]]
+    lines += [f"{kind[:-1]}: {text}" for kind in ("notes", "warnings") for text in content[kind]]
     return "\n".join(_wrapped(line) for line in lines)
 
 
