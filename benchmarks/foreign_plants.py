@@ -316,12 +316,15 @@ def main() -> None:
                     flush=True,
                 )
             lines += found
-    summary(lines)
+    for held_out in (False, True):
+        some = [one for one in lines if (one.kind in HELD_OUT) == held_out]
+        if some:
+            print(f"\n{len(some)} moves of {'the kinds held out' if held_out else 'the other kinds'}")
+            summary(some)
 
 
 def summary(lines: list[Line]) -> None:
     """Print the figures of all lines."""
-    print(f"\n{len(lines)} moves")
     for kind in [*dict.fromkeys(one.kind for one in lines), ""]:
         some = [one for one in lines if kind in ("", one.kind)]
         over = np.array([one.ours / one.rival for one in some])
@@ -331,10 +334,14 @@ def summary(lines: list[Line]) -> None:
             f"{np.mean(over <= 1.0):4.0%}; actual over stated 10/50/90 % "
             f"{'/'.join(f'{value:.2f}' for value in percentiles)}"
         )
-    beyond = [one for one in lines if one.ratio > 2.0 and not one.warned]
+    unwarned = [one.ratio for one in lines if not one.warned]
+    percentiles = np.percentile(unwarned, [10.0, 50.0, 90.0]) if unwarned else []
+    beyond = [ratio for ratio in unwarned if ratio > 2.0]
     warned = np.mean([bool(one.warned) for one in lines if one.ratio <= 1.5])
-    print("wanted: tenth >= 0.4, ninetieth <= 1.4; beyond 2 without a warning: "
-          f"{len(beyond)} (0); of those within 1.5 with a warning: {warned:.0%} (20 %)")  # fmt: skip
+    print(
+        f"{len(unwarned)} without a warning: {'/'.join(f'{value:.2f}' for value in percentiles)} (0.4 to "
+        f"1.4), {len(beyond)} beyond 2 (0); of those within 1.5 warned of: {warned:.0%} (20 %)"
+    )
 
 
 if __name__ == "__main__":

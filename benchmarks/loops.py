@@ -116,7 +116,7 @@ STARTS: dict[str, dict[str, Any]] = {
     "approach": {"from_": 0.0, "approach": 0.1},
     "run-in": {"passes": 2},
     "rest": {"lead": "auto"},
-    "from rest": {"from_": 0.0, "lead": "auto", "max_slew": 20_000.0},
+    "from rest": {"from_": 0.0, "lead": "auto", "max_slew": 1e5},
 }
 
 

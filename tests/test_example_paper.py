@@ -32,14 +32,14 @@ def test_the_commands_find_what_the_page_says(dbo: Any) -> None:
     # What was fitted may differ in its last digits from machine to machine.
     wanted = [
         (line.out, r"uncompensated\.dat +1000 +([\d.]+)", 1.679),
-        (found.err, r"expected on new moves inside the range: ([\d.]+) \(", 0.2272),
-        (shown.out, r"expect: RMSE ([\d.]+) on new moves", 0.2272),
+        (found.err, r"expected on new moves inside the range: ([\d.]+) \(", 0.3204),
+        (shown.out, r"expect: RMSE ([\d.]+) on new moves", 0.3204),
         (predicted.out, r"uncompensated\.dat +6400 +([\d.]+)", 0.1447),
-        (drive.err, r"expected error of the move ([\d.]+) RMS", 0.141),
+        (drive.err, r"expected error of the move ([\d.]+) RMS", 0.19),
     ]
     for text, pattern, number in wanted:
         [value] = re.findall(pattern, text)
         assert float(value) == pytest.approx(number, rel=0.01) and f"{number} um" in PAGE
-    assert "warning: all cycles go over one and the same range" in found.err
+    assert "all cycles go over one and the same range" in found.err
     assert checked.out.startswith("drive.csv: passed")
     assert Path("prediction.html").exists() and Path("figures/model-gears.png").exists()

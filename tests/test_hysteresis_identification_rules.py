@@ -15,7 +15,7 @@ from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     _slew_warnings,
-    log_warnings,
+    fit_notes,
     predict,
     validation_of,
 )
@@ -273,4 +273,4 @@ def test_a_warm_up_is_found_and_one_that_may_be_creep_is_said() -> None:
     doubtful = prepare([slow], 0.0)
     assert doubtful.logs[0].drift.shape[1] == 1
     assert 0.0 < doubtful.doubtful_drift < 0.045
-    assert any("may be sensor drift or creep" in line for line in log_warnings([slow], doubtful))
+    assert any("may be sensor drift or creep" in line for line in fit_notes("um", doubtful, 1.0, None))

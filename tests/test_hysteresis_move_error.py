@@ -13,7 +13,8 @@ import pytest
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.move_error import Alternative, alternatives_of, move_error, spread
+from dbo_cli.hysteresis.move_error import APART, WIDENING, Alternative, alternatives_of, move_error, spread
+from dbo_cli.hysteresis.swings import MOST, thinned, unlike
 
 STEP = 0.01
 
@@ -46,7 +47,7 @@ def test_what_other_models_say_of_the_very_move_is_added() -> None:
     drive = ramp(4.0)
     found = move_error(with_others(other), drive, STEP)
     assert found is not None
-    apart = 0.5 * 0.2 * float(np.sqrt(np.mean(drive**2)))
+    apart = APART * 0.5 * 0.2 * float(np.sqrt(np.mean(drive**2)))
     assert found.rmse == pytest.approx(np.hypot(0.3, apart), rel=1e-3)
     small = move_error(with_others(other), ramp(4.0, 1.0), STEP)
     assert small is not None
@@ -58,8 +59,8 @@ def test_a_lag_costs_as_much_as_the_move_is_fast() -> None:
     slow, fast = (move_error(doubtful, ramp(rate), STEP) for rate in (0.5, 5.0))
     assert slow is not None
     assert fast is not None
-    assert slow.rmse == pytest.approx(2.0 * 0.5 * 0.05, rel=0.03)
-    assert fast.rmse == pytest.approx(2.0 * 5.0 * 0.05, rel=0.08)
+    assert slow.rmse == pytest.approx(APART * 2.0 * 0.5 * 0.05, rel=0.03)
+    assert fast.rmse == pytest.approx(APART * 2.0 * 5.0 * 0.05, rel=0.08)
 
 
 def test_of_each_kind_the_farthest_counts() -> None:
@@ -77,6 +78,27 @@ def test_a_gain_that_changes_adds_its_part_of_the_move() -> None:
     found = move_error(with_others(left_out_rmse=0.0, gain_trend=-0.02), drive, STEP)
     assert found is not None
     assert found.rmse == pytest.approx(0.02 * 2.0 * float(np.sqrt(np.mean(drive**2))), rel=1e-9)
+
+
+def test_swings_unlike_those_of_the_logs_widen_it() -> None:
+    known = with_others(swings=[[0.0, 8.0], [8.0, 0.0]])
+    seen = move_error(known, ramp(4.0), STEP)
+    assert seen is not None
+    assert seen.rmse == pytest.approx(0.3)
+    up = np.linspace(6.0, 8.0, 51)
+    high = move_error(known, np.concatenate((np.linspace(0.0, 6.0, 50), up, up[-2::-1])), STEP, 99)
+    assert high is not None  # from 8 to 6, where the logs go on to 0: six tenths of the range away
+    assert high.rmse == pytest.approx(0.3 * (1.0 + WIDENING * 0.6), rel=0.02)
+    with pytest.raises(ModelError, match=r"^fit\.swings: needs pairs of voltages$"):
+        move_error(with_others(swings=[1.0]), ramp(4.0), STEP)
+
+
+def test_swings_close_together_are_kept_once() -> None:
+    many = np.random.default_rng(1).uniform(0.0, 10.0, (20_000, 2))
+    kept = thinned(many, 10.0)
+    assert 64 < len(kept) <= MOST
+    assert unlike(np.array([2.0, 7.0, 3.0]), kept, 10.0) < 0.1
+    assert unlike(np.zeros(5), kept, 10.0, 5) == 0.0
 
 
 def test_rows_before_the_move_do_not_count_and_a_straight_line_is_judged_alike() -> None:
@@ -144,5 +166,9 @@ def test_compensate_says_what_to_expect_of_the_very_move(dbo: Any) -> None:
             assert done.code == 0, done.err
             assert "is no better than that of a straight line, " in done.err
             stated.append(json.loads(Path("s.json").read_text())["expected_rmse"])
-    assert stated[0] == stated[1] == pytest.approx(0.305, abs=0.002)
-    assert stated[2] == stated[3] == pytest.approx(np.hypot(0.3, 0.1 * 2.0 * 8.0 / np.sqrt(3.0)), rel=0.01)
+    assert stated[0] == stated[1] == pytest.approx(0.309, abs=0.002)
+    assert (
+        stated[2]
+        == stated[3]
+        == pytest.approx(np.hypot(0.3, APART * 0.1 * 2.0 * 8.0 / np.sqrt(3.0)), rel=0.01)
+    )

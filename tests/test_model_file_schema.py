@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,9 +28,11 @@ from test_hysteresis_model_file import (
 )
 
 from dbo_cli.errors import DboError
+from dbo_cli.hysteresis.coupling import Coupling
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, InverseMemory, Lag, Resonance
 from dbo_cli.hysteresis.model import ModelState
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_set import set_to_bytes
 from dbo_cli.hysteresis.operators import BacklashState
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -77,6 +80,16 @@ def test_every_model_and_state_that_is_written_fits() -> None:
         CHECK.validate(json.loads(state_to_bytes(ModelState(BacklashState(1)), model)))
         done = model.simulate([0.5, 1.0, 0.8], model.start(0.5), time_step=0.005)
         CHECK.validate(json.loads(state_to_bytes(done.state, model)))
+
+
+def test_a_coupled_set_fits() -> None:
+    models = {"a": build(1), "b": build(2)}
+    values = json.loads(
+        set_to_bytes(models, Coupling(("a", "b"), np.array([[1, 0.1], [0, 1]]), np.zeros(2), np.ones(2)))
+    )
+    CHECK.validate(values)
+    assert not CHECK.is_valid(values | {"version": 1})
+    assert not CHECK.is_valid(values | {"coupling": {"reference": {}}})
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in OLD.glob("*.json")))

@@ -522,7 +522,7 @@ def test_a_set_that_lacks_a_channel(mirror: Any) -> None:
 def test_a_wrong_key_of_a_set_is_named(dbo: Any) -> None:
     good = {"format": "dbo-model-set", "version": 1, "models": {"x": SMALL_MODEL}}
     for change, message in (
-        ({"version": 2}, "set.json: version: 2 is newer than this program reads, 1; upgrade dbo-cli"),
+        ({"version": 3}, "set.json: version: 3 is newer than this program reads, 2; upgrade dbo-cli"),
         ({"models": {}}, "set.json: models: holds no model"),
         ({"extra": 1}, "set.json: extra: is not a known key"),
         (

@@ -16,7 +16,7 @@ from test_runs_repeated import RATE, actuator
 
 import dbo_cli
 from dbo_cli import InputError, LimitError, UsageError
-from dbo_cli.drives.settling import HeldLevels, distance_in, settling_seconds
+from dbo_cli.drives.settling import HeldLevels, distance_in, settling_notes, settling_seconds, step_times
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import BacklashStage, Relaxation
 from dbo_cli.hysteresis.model_file import model_to_bytes
@@ -81,17 +81,39 @@ def test_compensate_says_how_long_each_step_of_a_staircase_takes() -> None:
         stairs([2.0, 3.0, 7.0, 5.0], 2000), sample_rate=RATE, state="empty", settle="10nm", details=True
     )
     (note,) = (note for note in done.notes if "held levels" in note)
-    found = re.fullmatch(
-        r"`wanted`: within 0.01 um, the smallest of 3 steps between held levels takes (\S+) s "
-        r"\((\S+) to (\S+) V\), the largest (\S+) s \((\S+) to (\S+) V\)",
-        note,
-    )
+    found = re.fullmatch(r"`wanted`: within 0.01 um, steps between held levels take (.*)", note)
     assert found is not None
-    small, large = ([float(text) for text in found.groups()[k : k + 3]] for k in (0, 3))
-    for seconds, begin, end in (small, large):
+    steps = [[float(text) for text in re.findall(r"[\d.]+", one)] for one in found[1].split(" V)")[:-1]]
+    assert len(steps) == 3 and steps[0][2] == steps[1][1] and steps[1][2] == steps[2][1]
+    for seconds, begin, end in steps:
         assert seconds == pytest.approx(settling_seconds(plant, begin, end, 0.01), rel=0.01)
-    assert abs(small[2] - small[1]) < abs(large[2] - large[1])
-    assert 0.0 < small[0] < large[0]
+
+
+def test_very_many_steps_are_timed_from_the_smallest_to_the_largest() -> None:
+    plant = actuator(frequency=None)
+    steps = [(50.0, 50.0 + 0.1 * k) for k in range(1, 401)]
+    times = step_times(plant, steps, 0.01)
+    assert len(times) == 300 and times[0][:2] == steps[0] and times[-1][:2] == steps[-1]
+    (_, note) = settling_notes("log", plant, (0.0, 90.0), times, len(steps), 0.01)
+    assert "of 400 steps between held levels (300 looked at) the shortest takes" in note
+
+
+def test_many_steps_are_told_by_the_shortest_and_the_summary(dbo: Any) -> None:
+    plant, wanted = actuator(frequency=None), stairs(np.random.default_rng(2).uniform(2.0, 9.0, 20), 40)
+    Path("plant.json").write_bytes(model_to_bytes(plant))
+    np.savetxt("wish.csv", np.column_stack([np.arange(wanted.size) / RATE, wanted]), delimiter=",",
+               header="time_s,desired_um", comments="")  # fmt: skip
+    done = dbo(
+        "compensate", "plant.json", "wish.csv", "-o", "d.csv", "--settle", "50nm", "--summary", "s.json"
+    )
+    assert done.code == 0, done.err
+    told = json.loads(Path("s.json").read_text())["settling"]
+    assert len(told) == 19
+    for one in told[::6]:
+        assert one["seconds"] == settling_seconds(plant, one["begin"], one["end"], 0.05)
+    ends = [f"{one['seconds']:.3g} s" for one in sorted(told, key=lambda one: one["seconds"])]
+    assert f"of 19 steps between held levels the shortest takes {ends[0]}" in done.err
+    assert f"the longest {ends[-1]}" in done.err and "(--summary has each)" in done.err
 
 
 def test_distances_have_units_or_the_model_s() -> None:

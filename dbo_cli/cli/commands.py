@@ -78,6 +78,7 @@ def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Give
     options.VALIDATE,
     options.PRIOR,
     options.SHARED_SHAPE,
+    options.COUPLING,
     options.RATED_MIN,
     options.RATED_MAX,
     options.FORCE,
@@ -105,7 +106,9 @@ def identify(given: Given) -> None:
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    more = given.of([options.VOLTAGE, options.DISPLACEMENT, options.PRIOR, options.SHARED_SHAPE])
+    more = given.of(
+        [options.VOLTAGE, options.DISPLACEMENT, options.PRIOR, options.SHARED_SHAPE, options.COUPLING]
+    )
     words = (given.log, given.validate or [], given.output, reading, asked)
     _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
     if not given.output.is_stream and "{" not in given.output.text:
@@ -297,7 +300,7 @@ def report(given: Given) -> None:
     written.check(Limits(**given.of(options.LIMITS)))
 
 
-@_command(*options.REPORTING, *options.EXCITATION, options.OUTPUT_FORMAT, options.OUTPUT)
+@_command(*options.REPORTING, *options.EXCITATION, options.DRIVEN, options.OUTPUT_FORMAT, options.OUTPUT)
 def excite(given: Given) -> None:
     """Write the drive that identifies well; play it and record the displacement.
 
@@ -306,13 +309,17 @@ def excite(given: Given) -> None:
     apart. It ends at rest where it began, so that drift shows, and it never leaves the limits. 15 s leave
     about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
     --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
-    more, and longer below 60 Hz).
+    more, and longer below 60 Hz). With --channels N there is a column for each of N channels.
     """
     from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.runs.files import write_excitation
 
+    if given.channels is not None and given.points is not None:
+        raise UsageError(
+            "`points` and `channels` exclude each other: channels that move one by one take more rows"
+        )
     asked = excitation_of(**given.of(options.EXCITATION))
-    rows = write_excitation(given.output, asked, given.format)
+    rows = write_excitation(given.output, asked, given.format, given.channels)
     given.reporter.detail(
         f"{rows:,} rows, {rows / asked.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
     )

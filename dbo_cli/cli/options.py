@@ -237,6 +237,10 @@ SHARED_SHAPE = Option(
     "--shared-shape",
     "Channels: one loop shape, gain, offset and lag of each; refused where channels left out speak against.",
 )
+COUPLING = Option(
+    "--coupling",
+    "Channels: find how much each shows in the others, from a log in which all move (excite --channels).",
+)
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number
 )
@@ -393,6 +397,12 @@ EXCITATION = (  # of ``excitation_of``
     Option("--seed N", "Another number, another drive.", whole(0), "1"),
     Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics.", positive),
     Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", positive),
+)
+
+DRIVEN = Option(
+    "--channels N",
+    "Drives of N channels, voltage_1 and so on: together with different turns, then one by one.",
+    whole(2),
 )
 
 # --- export: the parameters of ``export_model`` ---

@@ -15,6 +15,7 @@ from dbo_cli.drives.controller import Controller
 from dbo_cli.drives.gate import GateError
 from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.hysteresis.bank import ROUNDING, make_bank
+from dbo_cli.hysteresis.coupling import Coupling
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 
@@ -41,6 +42,7 @@ class Bank:
         *,
         states: Mapping[str, ModelState] | None = None,
         dac: ArrayLike | None = None,
+        coupling: Coupling | None = None,
         **limits: Any,
     ) -> None:
         self.channels = tuple(models)
@@ -53,6 +55,7 @@ class Bank:
                 self._controllers.append(Controller(model, sample_rate, dac=dac, **options))
             except DboError as problem:
                 raise type(problem)(f"channel {channel}: {problem}") from None
+        self._coupling = coupling
         self._codes = None if dac is None else Codes(dac, self._controllers)
         count = len(self.channels)
         self._live: Any = None
@@ -77,6 +80,8 @@ class Bank:
             A drive cannot begin within its limits.
         """
         wanted = self._frame(displacements, "what is wanted")
+        if self._coupling is not None and np.isfinite(wanted).all():
+            wanted = self._coupling.apart(wanted)
         if self._live is None:
             self.planned = self._one_by_one(wanted)
             return self.planned

@@ -23,7 +23,7 @@ from dbo_cli.drives.inputs import first_blocks
 from dbo_cli.drives.model_run import ModelRun, Response, Tally
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
-from dbo_cli.drives.settling import HeldLevels, distance_in, settling_notes
+from dbo_cli.drives.settling import HeldLevels, StepTime, distance_in, settling_notes, step_times
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
@@ -71,6 +71,7 @@ class Compensation(ModelRun):
     gate: DriveGate = field(init=False)
     settle: float | None = field(init=False)
     held: HeldLevels = field(default_factory=HeldLevels)
+    timed: tuple[int, list[StepTime]] = (0, [])
 
     compensates = True
     remedies = "`condition` sweeps it there, "
@@ -354,7 +355,16 @@ class Compensation(ModelRun):
         if self.settle is None or not self.drive.rows:
             return []
         whole = (self.drive.low, self.drive.high)
-        return settling_notes(self.source.name, self.model, whole, self.held.finished().steps, self.settle)
+        times, count = self.step_times(), len(self.held.steps)
+        return settling_notes(self.source.name, self.model, whole, times, count, self.settle)
+
+    def step_times(self) -> list[StepTime]:
+        """Return how long each step between held levels takes, where that was asked for."""
+        steps = self.held.finished().steps
+        if self.settle is None or len(steps) == self.timed[0]:
+            return self.timed[1]
+        self.timed = len(steps), step_times(self.model, steps, self.settle)
+        return self.timed[1]
 
     def _load(self) -> str:
         """Say what the drive asks of the amplifier, where its load is known."""

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,8 @@ SHORTEST = 1e-9  # s: shorter than any converter's row
 HALVINGS = 60  # of the logarithm of time: 20 decades to the last digits
 FEW_PERIODS = 10.0  # of a resonance, in which half a period is more than 5 %
 ROWS_A_PERIOD = 64.0
+MOST_SAID = 12  # steps in a note
+MOST_TIMED = 300  # different steps that are timed: 7 ms each
 FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
 _DISTANCE = re.compile(r"\s*(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*([^\s\d].*?)?\s*")
 
@@ -56,6 +59,8 @@ class HeldLevels:
     ----------
     steps : list of (float, float)
         Drive of a level and of the next one, each at its tenth row; the last rows may lead to the next level.
+    shortest : float
+        Rows of the level that is held the shortest.
     """
 
     def __init__(self) -> None:
@@ -96,11 +101,29 @@ class HeldLevels:
         self._rows = 0
 
 
+class StepTime(NamedTuple):
+    """A step of the drive between held levels, and the seconds until it has settled."""
+
+    begin: float
+    end: float
+    seconds: float
+
+
+def step_times(model: ActuatorModel, steps: Sequence[tuple[float, float]], distance: float) -> list[StepTime]:
+    """Return the settling time of each step; of very many, of some from the smallest to the largest."""
+    if len(set(steps)) > MOST_TIMED:
+        sizes = sorted(set(steps), key=lambda step: (abs(step[1] - step[0]), step))
+        steps = [sizes[k] for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)]
+    found = {step: settling_seconds(model, *step, distance) for step in dict.fromkeys(steps)}
+    return [StepTime(*step, found[step]) for step in steps]
+
+
 def settling_notes(
     name: str,
     model: ActuatorModel,
     whole: tuple[float, float],
-    steps: Sequence[tuple[float, float]],
+    times: Sequence[StepTime],
+    count: int,
     distance: float,
 ) -> list[str]:
     """Return how long a step over the whole drive has to be held, and the steps between held levels."""
@@ -114,15 +137,16 @@ def settling_notes(
         f"{name}: after a step from {begin:.6g} to {end:.6g}{volts} that is held, creep and ringing stay "
         f"within {distance:.6g}{unit} after {seconds:.3g} s{hint}"
     ]
-    sizes = sorted(steps, key=lambda step: abs(step[1] - step[0]))
-    times = [
-        f"{settling_seconds(model, begin, end, distance):.3g} s ({begin:.6g} to {end:.6g}{volts})"
-        for begin, end in (sizes[:1] + sizes[-1:])
-    ]
-    if sizes:
+    said = [f"{one.seconds:.3g} s ({one.begin:.6g} to {one.end:.6g}{volts})" for one in times]
+    held = f"{name}: within {distance:.6g}{unit},"
+    if 0 < count <= MOST_SAID:
+        notes.append(f"{held} steps between held levels take {', '.join(said)}")
+    elif count:
+        order = sorted(range(len(times)), key=lambda k: times[k].seconds)
+        some = "" if count == len(times) else f" ({len(times)} looked at)"
         notes.append(
-            f"{name}: within {distance:.6g}{unit}, the smallest of {len(sizes):,} steps between held levels "
-            f"takes {times[0]}, the largest {times[1]}"
+            f"{held} of {count:,} steps between held levels{some} the shortest takes {said[order[0]]}, the "
+            f"longest {said[order[-1]]} (`summary` has each)"
         )
     return notes
 

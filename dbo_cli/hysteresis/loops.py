@@ -219,7 +219,7 @@ def creep_rest(
     begun: tuple[float, ...] | None,
     rise: Floats,
     within: float,
-    seconds: float | None,
+    between: tuple[float, float],
     bias: float,
 ) -> tuple[float, float]:
     """Return a voltage inside a loop's drive, and the seconds to rest there, that make creep what it needs.
@@ -236,14 +236,14 @@ def creep_rest(
         How much of the run-in's rows is the loop: 0 at the rest, 1 in the end.
     within
         How far the mean of the first pass may be off.
-    seconds
-        As long as this, or as short as possible.
+    between
+        The least and the greatest seconds.
     bias
         How far off the mean was where this was tried, beyond what is planned here.
     """
     terms, memory, drive = model.backlash.relaxation, settled.before.backlash.memory, settled.done.y
     if terms is None or memory is None:
-        return float(drive.min() + drive.max()) / 2.0, seconds or 0.0
+        return float(drive.min() + drive.max()) / 2.0, between[0]
     effects, tau = np.array(memory_effects(model, drive, step, settled.before)), np.array(terms.tau)
     inner = through(model.head, drive) - terms.reference
     ends = through(model.head, np.array([model.input.minimum, model.input.maximum])) - terms.reference
@@ -263,13 +263,13 @@ def creep_rest(
         level = min(max(level, float(inner.min())), float(inner.max()))
         return level, float(np.abs(effects * (slope * level + constant)).sum())
 
-    if seconds is None:
-        short, long = step, FOR_EVER * float(tau.max())
-        most = max(0.5 * within, SPARE * rest(long)[1])
+    short, long = max(between[0], step), min(between[1], max(between[0], FOR_EVER * float(tau.max())))
+    most, seconds = max(0.5 * within, SPARE * rest(long)[1]), between[0]
+    if rest(seconds)[1] > most:
         while long / short > SPARE:
             middle = math.sqrt(short * long)
             short, long = (middle, long) if rest(middle)[1] > most else (short, middle)
-        seconds = 0.0 if rest(0.0)[1] <= most else long
+        seconds = long
     level = rest(seconds)[0] + terms.reference
     return float(through(model.head_inverse, np.array([level]))[0]), seconds
 

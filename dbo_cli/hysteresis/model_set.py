@@ -1,7 +1,8 @@
 """Sets of models: one file with the model of every channel of a mirror, a stage or a bank of actuators.
 
 A set is ``{"format": "dbo-model-set", "version": 1, "models": {CHANNEL: a model file's object, ...}}``
-(docs/model-file.md). ``FILE::CHANNEL`` names one model of it wherever a model is asked for.
+(docs/model-file.md); where the channels were found to be coupled, version 2, with ``"coupling"``.
+``FILE::CHANNEL`` names one model of it wherever a model is asked for.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import re
 from collections.abc import Iterator, Mapping
 
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.hysteresis.coupling import Coupling, read_coupling
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import (
     MODEL_FORMAT,
@@ -26,7 +28,7 @@ from dbo_cli.hysteresis.model_file import (
 )
 from dbo_cli.hysteresis.model_file import read_model as read_single_model
 
-SET_VERSION = 1
+SET_VERSION = 2  # of a set with a coupling; 1 of one without, which older programs read, too
 _LISTED = 10  # channels that a message names at most
 _HEAD = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
 
@@ -37,6 +39,7 @@ class ModelSet(Mapping[str, ActuatorModel]):
     def __init__(self, root: Node) -> None:
         self.file = root.file
         self._models = root.node("models")
+        self._coupling = root.node("coupling") if "coupling" in root.values else None
         self._last: tuple[str, ActuatorModel] | None = None  # asked for a thousand times by as many files
 
     def __getitem__(self, channel: str) -> ActuatorModel:
@@ -53,6 +56,13 @@ class ModelSet(Mapping[str, ActuatorModel]):
             raise node.refuse("format", f'must be "{MODEL_FORMAT}"')
         self._last = channel, model_of(checked_version(node))
         return self._last[1]
+
+    @functools.cached_property
+    def coupling(self) -> Coupling | None:
+        """How the channels show in each other, where that was identified (ModelError where it is wrong)."""
+        if self._coupling is None:
+            return None
+        return read_coupling(self._coupling, {channel: one.output.span for channel, one in self.items()})
 
     def __contains__(self, channel: object) -> bool:
         """Tell whether there is a model of a channel."""
@@ -109,7 +119,7 @@ def read_set(path: str) -> ModelSet:
 @functools.lru_cache(maxsize=1)
 def _parsed(path: str, changed: int, size: int) -> ModelSet:
     root = load_document(path, SET_FORMAT, "model set", SET_VERSION)
-    root.only(("format", "version", "models"))
+    root.only(("format", "version", "models"), ("coupling",) if root.values["version"] > 1 else ())
     if not root.node("models").values:
         raise root.refuse("models", "holds no model")
     return ModelSet(root)
@@ -126,8 +136,8 @@ def is_set(path: str) -> bool:
         return False
 
 
-def set_to_bytes(models: Mapping[str, ActuatorModel]) -> bytes:
-    """Return the file of a set of models: the same models give the same bytes.
+def set_to_bytes(models: Mapping[str, ActuatorModel], coupling: Coupling | None = None) -> bytes:
+    """Return the file of a set of models, and how they are coupled: the same models give the same bytes.
 
     Raises
     ------
@@ -137,7 +147,10 @@ def set_to_bytes(models: Mapping[str, ActuatorModel]) -> bytes:
     if not models:
         raise ModelError("a set of no models would be written")
     held = {channel: model_values(model) for channel, model in models.items()}
-    return document_bytes({"format": SET_FORMAT, "version": SET_VERSION, "models": held})
+    if coupling is None:
+        return document_bytes({"format": SET_FORMAT, "version": 1, "models": held})
+    shown = coupling.of(list(models)).values()
+    return document_bytes({"format": SET_FORMAT, "version": SET_VERSION, "models": held, "coupling": shown})
 
 
 def shortened(channels: list[str]) -> str:

@@ -154,7 +154,7 @@ def any_of(names: Sequence[str]) -> str:
 
 
 def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> ColumnInfo:
-    """Find the column that the user named.
+    """Find the column that the user named, or gave a part of the name with ``*`` for the rest.
 
     Raises
     ------
@@ -190,7 +190,21 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
             raise InputError(
                 f"{place}: column '{selector}' occurs more than once: give its number (`{option}` {numbers})"
             )
+    fitting = [column for column, name, _ in named if fits_pattern(name, wanted)]
+    if len(fitting) > 1:
+        names = any_of([f"'{column.name}'" for column in fitting[:3]])
+        raise InputError(
+            f"{place}: `{option}` {selector} fits {len(fitting)} columns: {names}? (give more of it)"
+        )
+    if fitting:
+        return fitting[0]
     raise InputError(f"{place}: there is no column '{selector}': {list_columns(columns)}")
+
+
+def fits_pattern(name: str, pattern: str) -> bool:
+    """Tell whether a name is what a pattern with ``*`` for any letters asks for, capitals aside."""
+    parts = map(re.escape, pattern.split("*"))
+    return "*" in pattern and re.fullmatch(".*".join(parts), name, re.IGNORECASE | re.DOTALL) is not None
 
 
 def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, option: str) -> None:

@@ -118,6 +118,8 @@ def identify(
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
     jobs: int = 1,
+    shared_shape: bool = False,
+    coupling: bool = False,
     **options: Any,
 ) -> Any:
     """Identify a model of an actuator from logs of its drive voltage and displacement.
@@ -144,6 +146,9 @@ def identify(
     jobs : int
         Processes, for channels; changes no result. A script that asks for several needs the usual
         ``if __name__ == "__main__":``.
+    shared_shape, coupling : bool
+        Channels: one loop shape for all; also how much each shows in the others, from a log in which all move
+        (``excite --channels``).
     **options
         What ``IdentificationOptions`` knows (``gears``, ``points``, ``relaxation``, ``delay``, ``slopes``,
         ``dynamics``, ``sensor_delay``, ``sensor_lag``, ``skip_seconds``, ``method``, ``zero``, ``rated``,
@@ -173,7 +178,10 @@ def identify(
         from dbo_cli.runs.model_set import identify_set
 
         words = (_listed(log), _listed(validate), columns, time, sample_rate, asked, prior, jobs)
-        return identify_set(*words, record=_recorded)
+        return identify_set(*words, record=_recorded, common_shape=shared_shape, coupled=coupling)
+    for name, asked_for in (("shared_shape", shared_shape), ("coupling", coupling)):
+        if asked_for:
+            raise UsageError(f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'")
     kept = None if prior is None else _model(prior).actuator
     units = {"voltage": voltage_unit, "displacement": displacement_unit}
     arrays = displacement is not None and not by_name

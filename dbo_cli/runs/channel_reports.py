@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs.addresses import Address, Given, check_document
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import check_outputs, write_whole
@@ -56,6 +56,11 @@ def report_channels(
     with opened_readers(logs, reading, columns) as readers:
         channels = list(readers[0].channels)
         models = None if options.model is None else models_by_channel(options.model, channels)
+        if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
+            outcome.remarks.warn(
+                f"the models of {options.model} are coupled, and each is compared by itself: what the others "
+                "show is in the error (simulate takes the coupling into account)"
+            )
 
         def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
             for reader, address in zip(readers, logs, strict=True):

@@ -6,12 +6,15 @@ import contextlib
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.hysteresis.coupling import Coupling
+from dbo_cli.hysteresis.initial_states import START_NAMES
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.channels import PLACE, column_of, is_matrix
 from dbo_cli.logs.out_column import OutColumn
@@ -24,12 +27,14 @@ from dbo_cli.runs.channels import (
     CHANNEL,
     Columns,
     address_of,
+    common_rows,
     in_name,
     make_folder_of,
     models_by_channel,
     opened_readers,
     sum_up_remarks,
 )
+from dbo_cli.runs.coupled import coupling_of, logs_apart, put_together
 from dbo_cli.runs.files import Destination, check_order
 from dbo_cli.runs.jobs import Done, Outcome, Work, good_ones, run_jobs
 
@@ -65,13 +70,18 @@ def signals_of_channels(
         channels = list(reader.channels)
         (pattern,) = columns.patterns.values()
         models = models_by_channel(model_file, channels, is_matrix(pattern))
+        coupling, wanted = coupling_of(model_file, channels, work), "displacement" in columns.patterns
+        log_of: Callable[[str], Address] = reader.log
+        if coupling is not None and wanted:
+            log_of = logs_apart(reader, models, pattern, reading, coupling).__getitem__
+            reading = dataclasses.replace(reading, scale=())
 
         def jobs() -> Iterator[tuple[str, Callable[[], Remarks]]]:
             for channel in channels:
                 yield (
                     channel,
                     functools.partial(
-                        use_case, models(channel), reader.log(channel), _of_channel(destination, channel),
+                        use_case, models(channel), log_of(channel), _of_channel(destination, channel),
                         reading, column=column_of(pattern, channel), state=in_name(state, channel), **more,
                     ),
                 )  # fmt: skip
@@ -81,7 +91,9 @@ def signals_of_channels(
             if CHANNEL in destination.output.text:
                 make_folder_of(destination.output)
             done = run_jobs(jobs(), work.processes)
-            for one in good_ones(done, work, "channel", outcome, len(channels), listener):
+            good = good_ones(done, work, "channel", outcome, len(channels), listener)
+            pads = CHANNEL not in destination.output.text and _may_pad(more.get("options"), state, reading)
+            for one in _together(good, coupling, pads, -2 if wanted else -1):
                 assert one.value is not None
                 remarks[one.name] = one.value
                 if CHANNEL in destination.output.text:
@@ -90,12 +102,43 @@ def signals_of_channels(
                     table.add(one.name, one.outputs)
                     summaries += _other_documents(one, destination)
             table.finish()
-            if summaries and destination.summary is not None:
-                write_whole(
-                    destination.summary, (json.dumps(summaries, indent=2, ensure_ascii=False) + "\n").encode()
-                )
+            _write_summaries(summaries, destination)
     sum_up_remarks(remarks, pattern, outcome.remarks)
     return outcome
+
+
+def _together(
+    good: Iterator[Done[Remarks]], coupling: Coupling | None, pads: bool, result: int
+) -> Iterable[Done[Remarks]]:
+    """Wait for all channels, where what is written of one depends on the others."""
+    if coupling is None and not pads:
+        return good
+    held = list(good)
+    if pads:
+        _pad([one.outputs for one in held])
+    if coupling is not None:
+        put_together({one.name: one.outputs for one in held}, coupling, result)
+    return held
+
+
+def _may_pad(options: DriveOptions | None, state: str, reading: ReadingOptions) -> bool:
+    """Tell whether drives may have rows before and after the move, between which the actuator is at rest."""
+    around = options is not None and options.has_pieces
+    return around and state in START_NAMES and not reading.skip_bad
+
+
+def _pad(outputs: Sequence[KeptOutputs]) -> None:
+    """Let drives that begin later than others rest at their first row until then, and at their last."""
+    signals = [one.signals[0] for one in outputs]
+    timed = all(one.columns[0].header == "time_s" for one in signals)
+    found = common_rows([one.arrays[0] if timed else None for one in signals])
+    if found is None:
+        return  # the table says which channel has other rows
+    for one, signal, (before, after) in zip(outputs, signals, found[1], strict=True):
+        _, desired, drive = signal.arrays
+        wanted = np.concatenate([np.full(before, desired[0]), desired, np.full(after, np.nan)])
+        arrays = (found[0], wanted, np.pad(drive, (before, after), "edge"))
+        one.signals[0] = dataclasses.replace(signal, arrays=arrays)
 
 
 def _of_channel(destination: Destination, channel: str) -> Destination:
@@ -120,6 +163,12 @@ def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
             writer.write(*one.arrays)
     for name, data in outputs.documents:
         write_whole(name, data, protect=protect)
+
+
+def _write_summaries(summaries: list[dict[str, Any]], destination: Destination) -> None:
+    if summaries and destination.summary is not None:
+        text = json.dumps(summaries, indent=2, ensure_ascii=False) + "\n"
+        write_whole(destination.summary, text.encode())
 
 
 def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[str, Any]]:

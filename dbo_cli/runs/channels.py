@@ -10,11 +10,14 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set, read_set
 from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.channels import ChannelReader, column_of, is_pattern
 from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import make_folder
 from dbo_cli.remarks import Remarks
 from dbo_cli.runs.jobs import named, summed_up
@@ -128,6 +131,25 @@ def make_folder_of(output: Address) -> None:
     folder = output.path.rpartition("/")[0]
     if folder and CHANNEL not in folder:
         make_folder(folder)
+
+
+def common_rows(times: Sequence[FloatArray | None]) -> tuple[FloatArray, list[tuple[int, int]]] | None:
+    """Return the times of drives of which some begin or end before others, and the rows that each lacks.
+
+    An actuator rests where its drive begins until the longest approach has brought the others there, too, and
+    rests again at the end. None where the rows in between are not the same.
+    """
+    known = [one for one in times if one is not None]
+    if len(known) < len(times):
+        return None
+    everything = np.unique(np.concatenate(known))
+    places = []
+    for one in known:
+        before = int(np.searchsorted(everything, one[0]))
+        if not np.array_equal(everything[before : before + len(one)], one):
+            return None
+        places.append((before, len(everything) - before - len(one)))
+    return everything, places
 
 
 def sum_up_remarks(found: Mapping[str, Remarks], pattern: str, remarks: Remarks) -> None:

@@ -14,7 +14,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbo_cli.drives.compensation import Compensation
-from dbo_cli.drives.gate import DriveFigures, DriveGate
+from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import OutputError, UsageError
@@ -43,6 +43,9 @@ from dbo_cli.runs.roles import bring_to, quantity_wish, start_of, tracked_of, tr
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Tracked
     from dbo_cli.hysteresis.excitation import Excitation
+
+
+_ROWS = 1 << 14  # of drives of many channels, written at a time
 
 
 class Destination(NamedTuple):
@@ -170,16 +173,27 @@ def invert_model(model_file: str, output: Address) -> ActuatorModel:
     return inverse
 
 
-def write_excitation(output: Address, excitation: Excitation, form: str | None = None) -> int:
-    """Write the drive that identifies well; returns its rows."""
-    time, voltage = excitation.drive()
+def write_excitation(
+    output: Address, excitation: Excitation, form: str | None = None, channels: int | None = None
+) -> int:
+    """Write the drive that identifies well, or those of many channels; returns the rows."""
+    if channels is None:
+        time, one = excitation.drive()
+        drives = {"voltage": one}
+    else:
+        from dbo_cli.hysteresis.excitation import channel_drives
+
+        time, voltage = channel_drives(excitation, channels)
+        drives = {f"voltage_{place}": one for place, one in enumerate(voltage.T.copy(), start=1)}
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
-    DriveGate(limits).admit(voltage, 1.0 / excitation.sample_rate)
+    for one in drives.values():
+        DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
     check_format(form, [output])
-    columns = [OutColumn("time", "s"), OutColumn("voltage", "V")]
+    columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
     attributes = {"sample_rate": excitation.sample_rate}
     with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
-        writer.write(time, voltage)
+        for row in range(0, len(time), _ROWS):
+            writer.write(*(one[row : row + _ROWS] for one in (time, *drives.values())))
     return len(time)
 
 
@@ -245,7 +259,7 @@ def write_response(
             write_whole(destination.save_state, state_to_bytes(run.state, run.model))
         if destination.summary is not None:
             done = summary_of(run, log.reading_record(), figures, destination.command)
-            write_whole(destination.summary, (json.dumps(done, indent=2, ensure_ascii=False) + "\n").encode())
+            write_summary(destination.summary, [done])
     remarks = run.remarks()
     if destination.live:
         remarks.read.clear()  # printed when the stream began
@@ -264,25 +278,63 @@ def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | 
 
 def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:
     """Return what a run did as plain values (``dbo-summary``); voltages and lengths in the model's units."""
-    remarks, expected, percent, clipped = run.remarks(), None, None, 0
+    remarks, expected, percent, clipped, asked = run.remarks(), None, None, 0, dict[str, Any]()
     if isinstance(run, Compensation):
+        if run.settle is not None:
+            asked["settling"] = [one._asdict() for one in run.step_times()]
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
-    kept = {key: read[key] for key in ("rows", "seconds", "columns") if key in read}
+    return _summary(
+        command, read_record(run.source.name, read), figures, remarks, clipped, expected, percent, **asked
+    )
+
+
+def read_record(name: str, read: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a summary says of a file that was read."""
+    return {"file": name, **{key: read[key] for key in ("rows", "seconds", "columns") if key in read}}
+
+
+def _summary(
+    command: str,
+    read: Mapping[str, Any] | None,
+    figures: DriveFigures,
+    remarks: Remarks,
+    clipped: int = 0,
+    expected: float | None = None,
+    percent: float | None = None,
+    **asked: Any,
+) -> dict[str, Any]:
+    """Return what was done as plain values (``dbo-summary``)."""
     return {
         "format": "dbo-summary",
         "version": 1,
         "command": command,
-        "read": [{"file": run.source.name, **kept}],
+        "read": [] if read is None else [read],
         "rows": figures.rows,
         "clipped": clipped,
         "range": [figures.low, figures.high],
         "largest_step": figures.largest_step,
         "expected_rmse": expected,
         "expected_percent": percent,
+        **asked,
         "notes": [plain(text) for text in remarks.notes],
         "warnings": [plain(text) for text in remarks.warnings],
     }
+
+
+def summary_of_values(
+    command: str, read: Mapping[str, Any] | None, values: Floats, remarks: Remarks
+) -> dict[str, Any]:
+    """Return what was done as plain values, of a signal at hand."""
+    figures = DriveFigures()
+    figures.see(values, None)
+    return _summary(command, read, figures, remarks)
+
+
+def write_summary(output: Address, done: Sequence[Mapping[str, Any]]) -> None:
+    """Write a summary, or a list of them where there are several signals."""
+    content = done[0] if len(done) == 1 else done
+    write_whole(output, (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
 
 
 def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:

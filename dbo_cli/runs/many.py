@@ -81,6 +81,7 @@ def identified(
     work: Work,
     listener: Listener,
     shared_shape: bool = False,
+    coupling: bool = False,
     **columns: Any,
 ) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
@@ -91,12 +92,13 @@ def identified(
 
         channels = wants_channels(output, columns["voltage"], columns["displacement"])
         if channels:
-            more = columns | {"shared_shape": shared_shape}
+            more = columns | {"shared_shape": shared_shape, "coupling": coupling}
             return identify_channels(*words, work=work, listener=listener, **more)
-        if not shared_shape:
+        if not (shared_shape or coupling):
             return identify_files(*words, work=work, listener=listener, **columns)
-    if shared_shape:
-        raise UsageError("`shared_shape` is for channels: name their columns by patterns, 'V{}' and 'D{}'")
+    if shared_shape or coupling:
+        asked = "shared_shape" if shared_shape else "coupling"
+        raise UsageError(f"`{asked}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'")
     from dbo_cli.runs.identifying import identify_logs
 
     found = identify_logs(*words, **columns, listener=listener)

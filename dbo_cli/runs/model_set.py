@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drives.bank import Bank
-from dbo_cli.errors import DboError, InputError
+from dbo_cli.errors import DboError, InputError, UsageError
+from dbo_cli.hysteresis.coupling import Coupling
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model_set import ModelSet as SetFile
 from dbo_cli.hysteresis.model_set import read_set, set_to_bytes
@@ -26,10 +27,12 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning
-from dbo_cli.runs.channels import Columns
+from dbo_cli.runs.channels import Columns, common_rows
+from dbo_cli.runs.coupled import Recordings, recordings_apart
 from dbo_cli.runs.identifying import Identified, RecordedLog, arguments_of, chosen_of, identify_recordings
 from dbo_cli.runs.jobs import Outcome, Work, good_ones, run_jobs, summed_up
 from dbo_cli.runs.model import Model
+from dbo_cli.runs.shared_shape import options_of_channel, shared_shape
 
 Floats = NDArray[np.float64]
 
@@ -41,10 +44,14 @@ class ModelSet(Mapping[str, Model]):
     ----------
     models : mapping of str to Model
         The models.
+    coupling : Coupling, optional
+        How the channels show in each other (``identify`` with ``coupling``, or a set's file): ``simulate``,
+        ``compensate`` and the controller take it into account, a single model does not.
     """
 
-    def __init__(self, models: Mapping[str, Model]) -> None:
+    def __init__(self, models: Mapping[str, Model], coupling: Coupling | None = None) -> None:
         self._models = dict(models)
+        self.coupling = None if coupling is None else coupling.of(list(self._models))
 
     def __getitem__(self, channel: str) -> Model:
         """Return the model of a channel."""
@@ -64,7 +71,7 @@ class ModelSet(Mapping[str, Model]):
 
     def to_json(self) -> bytes:
         """Return the file of the set (docs/model-file.md): the same models give the same bytes."""
-        return set_to_bytes({channel: one.actuator for channel, one in self.items()})
+        return set_to_bytes({channel: one.actuator for channel, one in self.items()}, self.coupling)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file of the set, whole or not at all.
@@ -98,7 +105,8 @@ class ModelSet(Mapping[str, Model]):
         -------
         array of shape (samples, channels)
         """
-        return self._over("simulate", "x", x, options)
+        found = self._over("simulate", "x", x, options)
+        return found if self.coupling is None else self.coupling.together(found)
 
     def compensate(self, wanted: ArrayLike, **options: Any) -> Floats:
         """Return the drives that make every actuator follow its column: ``Model.compensate`` of each.
@@ -115,6 +123,8 @@ class ModelSet(Mapping[str, Model]):
         array of shape (rows, channels)
             With as many rows as samples, and those that ``approach``, ``lead`` and the like add.
         """
+        if self.coupling is not None:
+            wanted = self.coupling.apart(self._matrix("wanted", wanted))
         return self._over("compensate", "wanted", wanted, options)
 
     def controller(
@@ -148,25 +158,33 @@ class ModelSet(Mapping[str, Model]):
         """
         models = {channel: one.actuator for channel, one in self.items()}
         limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from_": from_}
-        return Bank(models, sample_rate, states=states, dac=dac, **limits)
+        return Bank(models, sample_rate, states=states, dac=dac, coupling=self.coupling, **limits)
 
     def _over(self, verb: str, name: str, signals: ArrayLike, options: Mapping[str, Any]) -> Floats:
-        matrix = np.asarray(signals)
-        if matrix.ndim != 2 or matrix.shape[1] != len(self):
-            raise InputError(f"`{name}`: has the shape {matrix.shape}; give (samples, {len(self)} channels)")
-        columns, said = [], {}
+        matrix = self._matrix(name, signals)
+        columns, times, said = [], [], {}
         for place, (channel, model) in enumerate(self.items()):
             try:
                 found = getattr(model, verb)(matrix[:, place], details=True, **options)
             except DboError as problem:
                 raise type(problem)(f"channel {channel}: {problem}") from None
             columns.append(found.values)
+            times.append(found.time)
             said[channel] = found.warnings
         for text in summed_up(said, "channel"):
             warnings.warn(text, DboWarning, stacklevel=3)
         if len({column.size for column in columns}) > 1:
-            raise InputError("the channels' drives have different rows: compensate them one by one")
+            places = common_rows(times)
+            if places is None or "state" in options:
+                raise InputError("the channels' drives have different rows: compensate them one by one")
+            columns = [np.pad(one, place, "edge") for one, place in zip(columns, places[1], strict=True)]
         return np.column_stack(columns)
+
+    def _matrix(self, name: str, signals: ArrayLike) -> NDArray[Any]:
+        matrix = np.asarray(signals)
+        if matrix.ndim != 2 or matrix.shape[1] != len(self):
+            raise InputError(f"`{name}`: has the shape {matrix.shape}; give (samples, {len(self)} channels)")
+        return matrix
 
 
 def identify_set(
@@ -180,6 +198,8 @@ def identify_set(
     jobs: int,
     *,
     record: Callable[..., RecordedLog],
+    common_shape: bool = False,
+    coupled: bool = False,
 ) -> ModelSet:
     """Identify a model of each channel that patterns of columns name; ``record`` reads one of a log.
 
@@ -189,28 +209,41 @@ def identify_set(
         As ``identify``, with the channel's name.
     """
     patterns = Columns.of(voltage=columns[0] or "", displacement=columns[1] or "")
+    if common_shape and prior is not None:
+        raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
     reading = ReadingOptions(time=time if isinstance(time, str) else None, sample_rate=sample_rate)
     known = read_model_set(prior) if prior is not None and not isinstance(prior, Mapping) else prior
+    chosen: dict[str, Any] = chosen_of(options)
+    chosen |= {key: True for key, on in (("shared_shape", common_shape), ("coupling", coupled)) if on}
     with contextlib.ExitStack() as stack:
-        opened = [_Log(one, reading, patterns, stack) for one in [*logs, *validation]]
+        opened = _opened([*logs, *validation], reading, patterns, stack)
         channels = opened[0].channels
-        for other in opened[1:]:
-            if set(other.channels) != set(channels):
-                raise InputError("the logs have other channels than the first one")
+
+        def read(channel: str) -> Recordings:
+            own, kept = tuple(patterns.of_channel(channel).values()), kept_of(channel)
+            made = [record((one.of(channel),), time, sample_rate, kept, columns=own) for one in opened]
+            return made[: len(logs)], made[len(logs) :]
+
+        def kept_of(channel: str) -> Any:
+            return shape if known is None else known[channel].actuator
 
         def calls() -> Iterator[tuple[str, Callable[[], Identified]]]:
             for channel in channels:
-                own = patterns.of_channel(channel)
-                kept = None if known is None else known[channel].actuator
-                read = [
-                    record((one.of(channel),), time, sample_rate, kept, columns=tuple(own.values()))
-                    for one in opened
-                ]
-                fit, checks = read[: len(logs)], read[len(logs) :]
-                names = [str(one.record["name"]) for one in read]
-                arguments = arguments_of(names[: len(logs)], names[len(logs) :], chosen_of(options) | own)
-                yield channel, functools.partial(identify_recordings, fit, options, checks, arguments, kept)
+                fit, checks = recordings(channel)
+                arguments = arguments_of(_names(fit), _names(checks), chosen | patterns.of_channel(channel))
+                words = (fit, options, checks, arguments, kept_of(channel))
+                yield channel, functools.partial(identify_recordings, *words)
 
+        shape: Any = None
+        recordings: Callable[[str], Recordings] = read
+        coupling = None
+        if coupled:
+            coupling, apart = recordings_apart({channel: read(channel) for channel in channels})
+            recordings = apart.__getitem__
+        if common_shape:
+            arguments = arguments_of(_names(recordings(channels[0])[0]), [], chosen | dict(patterns.patterns))
+            shape = shared_shape(channels, lambda one: recordings(one)[0], options, arguments, jobs).model
+            options = options_of_channel(options)
         found, said = {}, {}
         for one in good_ones(run_jobs(calls(), jobs), Work(jobs), "channel", Outcome(), len(channels)):
             assert one.value is not None
@@ -218,7 +251,21 @@ def identify_set(
             said[one.name] = one.value.remarks.warnings
     for text in summed_up(said, "channel"):
         warnings.warn(text, DboWarning, stacklevel=3)
-    return ModelSet(found)
+    return ModelSet(found, coupling)
+
+
+def _opened(
+    logs: Sequence[Any], reading: ReadingOptions, patterns: Columns, stack: contextlib.ExitStack
+) -> list[_Log]:
+    """Open logs that all have the same channels (InputError where one has not)."""
+    opened = [_Log(one, reading, patterns, stack) for one in logs]
+    if any(set(one.channels) != set(opened[0].channels) for one in opened):
+        raise InputError("the logs have other channels than the first one")
+    return opened
+
+
+def _names(logs: Sequence[RecordedLog]) -> list[str]:
+    return [str(one.record["name"]) for one in logs]
 
 
 class _Log:
@@ -254,4 +301,4 @@ def read_model_set(path: str | os.PathLike[str]) -> ModelSet:
         The file cannot be read, is no set, or contradicts itself; the message names file and key.
     """
     found: SetFile = read_set(os.fspath(path))
-    return ModelSet({channel: Model(found[channel]) for channel in found})
+    return ModelSet({channel: Model(found[channel]) for channel in found}, found.coupling)

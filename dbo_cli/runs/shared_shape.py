@@ -2,7 +2,8 @@
 
 The actuators of a mirror come from one batch: their loops differ in gain and offset, and hardly in shape. The
 mean over channels has less noise than any of them, one long fit serves all, and each channel needs three
-numbers. Whether there is one shape is asked of channels that took no part in the mean.
+numbers. Channels that are driven differently have no mean: some of them are fitted together, as logs of one
+actuator. Whether there is one shape is asked of channels that took no part in the mean.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ from dbo_cli.runs.jobs import named, run_jobs
 Floats = NDArray[np.float64]
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
+MOST_UNLIKE = (
+    8  # channels of which each is a log of one fit, where they are driven differently: it takes as long
+)
+LEAST_GAIN = 0.1  # of the middle one: a channel with less is dead, and takes no part
 LEFT_OUT = 3  # channels, at most, that take no part in the mean and are asked about it
 FEWEST = 4  # channels: of fewer, none could be left out
 WORSE = 1.1
@@ -49,7 +54,7 @@ def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
 
 def shared_shape(
     channels: Sequence[str],
-    read: Callable[[str], list[RecordedLog]],
+    read: Callable[[str], Sequence[RecordedLog]],
     options: IdentificationOptions,
     arguments: Sequence[str],
     processes: int = 1,
@@ -72,7 +77,7 @@ def shared_shape(
     Raises
     ------
     UsageError
-        There are too few channels, or their drives differ.
+        There are too few channels.
     FitError
         Channels that took no part in the mean are followed worse than by models of their own.
     """
@@ -81,7 +86,11 @@ def shared_shape(
     chosen = _spread(channels, MOST_POOLED + LEFT_OUT)
     asked = _spread(chosen, min(LEFT_OUT, len(chosen) // FEWEST))
     logs = {channel: read(channel) for channel in chosen}
-    mean = _mean_of({channel: logs[channel] for channel in chosen if channel not in asked})
+    others = {channel: logs[channel] for channel in chosen if channel not in asked}
+    alike = _are_driven_alike(others)
+    if not alike:
+        others = {channel: others[channel] for channel in _spread(list(others), MOST_UNLIKE)}
+    mean = _mean_of(others) if alike else _of_one_gain(others, options)
     own_options = options_of_channel(options)
     jobs = {"the mean": functools.partial(identify_recordings, mean, options, (), arguments)}
     jobs |= {channel: functools.partial(identify_recordings, logs[channel], options) for channel in asked}
@@ -95,11 +104,11 @@ def shared_shape(
             f"for all leaves {middle:.3g} times what their own models leave on cycles left out; leave "
             "`shared_shape` out, or identify like channels together (`force` keeps it)"
         )
-    count = len(chosen) - len(asked)
+    what = "the mean" if alike else "fitted to the logs"
     return SharedShape(
         shape,
-        f"one shape, the mean of {count} channels: on {named(asked)}, left out of it, it leaves {middle:.3g} "
-        "times what their own models leave on cycles left out",
+        f"one shape, {what} of {len(others)} channels: on {named(asked)}, left out of it, it leaves "
+        f"{middle:.3g} times what their own models leave on cycles left out",
     )
 
 
@@ -133,6 +142,55 @@ def _ratio(
     return error / left_out
 
 
+def _are_driven_alike(logs: Mapping[str, Sequence[RecordedLog]]) -> bool:
+    """Tell whether all channels have the same drive, so that their displacements have a mean."""
+    first, *others = logs.values()
+    return all(
+        np.array_equal(one.recording.voltage, other.recording.voltage)
+        for own in others
+        for one, other in zip(first, own, strict=True)
+    )
+
+
+def _of_one_gain(
+    logs: Mapping[str, Sequence[RecordedLog]], options: IdentificationOptions
+) -> list[RecordedLog]:
+    """Return the logs of channels that are driven differently, as of one actuator, their gains made equal.
+
+    A gain is the slope over the drive at first, then over what a model of all of them gives for that drive.
+    """
+    explained = {channel: [one.recording.voltage for one in own] for channel, own in logs.items()}
+    for last in (False, True):
+        slopes = {channel: _slope(explained[channel], own) for channel, own in logs.items()}
+        middle = float(np.median(list(slopes.values())))
+        logs = {channel: own for channel, own in logs.items() if slopes[channel] / middle > LEAST_GAIN}
+        scaled = [
+            dataclasses.replace(one, recording=dataclasses.replace(
+                one.recording, displacement=one.recording.displacement * (middle / slopes[channel])
+            ))
+            for channel, own in logs.items() for one in own
+        ]  # fmt: skip
+        if not last:
+            model = identify_recordings(scaled, options).model
+            explained = {channel: [_predicted(model, one) for one in own] for channel, own in logs.items()}
+    return scaled
+
+
+def _slope(explained: Sequence[Floats], logs: Sequence[RecordedLog]) -> float:
+    """Return the slope of a channel's displacements over something, each log with its own offset."""
+    pairs = zip(explained, (one.recording.displacement for one in logs), strict=True)
+    x, y = (
+        np.concatenate(one) for one in zip(*((a - a.mean(), b - b.mean()) for a, b in pairs), strict=True)
+    )
+    return float(x @ y) / float(x @ x)
+
+
+def _predicted(model: ActuatorModel, log: RecordedLog) -> Floats:
+    drive, seconds = log.recording.voltage, log.recording.seconds()
+    steps = None if seconds is None else np.diff(seconds, prepend=2.0 * seconds[0] - seconds[1])
+    return model.simulate(drive, model.start(float(drive[0]), "auto"), time_step=steps).y
+
+
 def _mean_of(logs: Mapping[str, Sequence[RecordedLog]]) -> list[RecordedLog]:
     """Return the mean of channels that are driven alike, each brought to the mean gain and offset.
 
@@ -141,19 +199,12 @@ def _mean_of(logs: Mapping[str, Sequence[RecordedLog]]) -> list[RecordedLog]:
     names = list(logs)
     means = []
     for place, first in enumerate(logs[names[0]]):
-        drive = first.recording.voltage
-        for channel in names:
-            if not np.array_equal(logs[channel][place].recording.voltage, drive):
-                raise UsageError(
-                    f"channel {channel} is driven otherwise than channel {names[0]}: `shared_shape` takes "
-                    "the mean of channels that are driven alike"
-                )
         table = np.column_stack([logs[channel][place].recording.displacement for channel in names])
         table = table - table.mean(axis=0)
         mean = table[:, 0]
         for _ in range(2):
             gains = table.T @ mean / float(mean @ mean)
-            moving = np.abs(gains) > 0.1 * np.median(np.abs(gains))  # a dead channel has no part in it
+            moving = np.abs(gains) > LEAST_GAIN * np.median(np.abs(gains))
             mean = (table[:, moving] / gains[moving]).mean(axis=1) * float(np.median(gains[moving]))
         recording = dataclasses.replace(first.recording, displacement=np.ascontiguousarray(mean))
         means.append(dataclasses.replace(first, recording=recording))

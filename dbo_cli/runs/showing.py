@@ -16,6 +16,7 @@ from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
+APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")  # of `fit`: elsewhere, or long
 
 
 def show_model(
@@ -53,12 +54,16 @@ def _show_set(model_file: str, output: Address, form: str | None, figures: str |
         )
     chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     check_document(output, "what is shown", chosen)
-    models = {channel: contents(model) for channel, model in read_set(model_file).items()}
+    there = read_set(model_file)
+    models = {channel: contents(model) for channel, model in there.items()}
     if chosen == "json":
         whole = {"format": "dbo-show-set", "version": 1, "models": models}
+        if there.coupling is not None:
+            whole["coupling"] = {"condition": there.coupling.condition, **there.coupling.values()}
         text = json.dumps(whole, indent=2, ensure_ascii=False)
     else:
-        text = "\n".join(_set_lines(models))
+        lines = _set_lines(models)
+        text = "\n".join(lines if there.coupling is None else [*lines, "", there.coupling.summary()])
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     return []
 
@@ -106,11 +111,10 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "delay_seconds": delay,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
         "drive_lag_seconds": _drive_lag(model),
-        "fit": {
-            key: fit[key] for key in fit if key not in ("warnings", "logs", "validation", "alternatives")
-        },
+        "fit": {key: fit[key] for key in fit if key not in APART},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
+        "notes": fit.get("notes", []),
         "warnings": fit.get("warnings", []),
         "program": provenance.get("program"),
         "arguments": provenance.get("arguments", []),
@@ -154,7 +158,7 @@ def as_text(content: Mapping[str, Any]) -> str:
         lines.append(f"from {names}, by {content['program']}")
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
-    lines += [f"warning: {text}" for text in content["warnings"]]
+    lines += [f"{kind[:-1]}: {text}" for kind in ("notes", "warnings") for text in content[kind]]
     return "\n".join(_wrapped(line) for line in lines)
 
 

@@ -55,7 +55,7 @@ INSTRUMENT_FILES = [
                ask={"displacement": "Current Position"}, units=NO_UNITS),
     FormatFile("PI GCS array, another number of columns than stated", f"{HAND} (PI's GCS manual)", ".dat",
                text("# DIM = 3", "# NDATA = 4", "# SAMPLE_TIME = 0.001", "# END_HEADER", *rows("\t", (V, D))),
-               refusal=":5: 2 cells where the header states DIM = 3 columns (`skip_lines` and `header_lines` 0 read it "
+               refusal=":5: 2 cells where the header states DIM = 3 columns (`skip_lines` 4 and `header_lines` 0 read it "
                        "without the header)"),
     FormatFile("LabVIEW .lvm, one X column, units", f"{HAND} (NI's specification)", ".lvm",
                text(*lvm("One"), *rows("\t"))),
@@ -92,7 +92,7 @@ INSTRUMENT_FILES = [
                text("x-axis,1,2", "second,Volt,Volt", *rows()), ask={"voltage": "number=2", "displacement": "number=3"},
                units=VV),
     FormatFile("Keysight InfiniiVision, a number that is a name, too", f"{HAND} (Keysight 3000 X-Series manual)", ".csv",
-               text("x-axis,1,2", "second,Volt,Volt", *rows()), ask={"voltage": "1", "displacement": "2"},
+               text("x-axis,1,2", "second,Volt,Volt", *rows()), ask={"voltage": "1", "displacement": "number=3"},
                refusal=": `voltage` 1: column 1, 'x-axis', or column 2, which is named '1'? (`voltage` number=1 or name=1)"),
     FormatFile("Keysight Infiniium, X and Y", f"{HAND} (Keysight Infiniium manual)", ".csv",
                text("Revision:,0", "Type:,raw", "Points:,4", "XInc:,1.0E-03", "XOrg:,-1.0E-03", "YUnits:,Volt",

@@ -178,7 +178,7 @@ LABORATORY_FILES = [
                mat({"exp": {"run": {"t": np.array(T), "signals": {"voltage": np.array(V), "displacement": np.array(D)}}}}),
                units=NO_UNITS),
     FormatFile("MATLAB, two structs, deeper", "scipy.io.savemat", ".mat",
-               mat({"exp": {"a": {"voltage": np.array(V)}, "b": {"voltage": np.array(V)}}}),
+               mat({"exp": {key: {"voltage": np.array(V), "displacement": np.array(D)} for key in "ab"}}),
                refusal=": columns in 2 structs, exp.a, exp.b: which one? (write {file}::exp.a)"),
     FormatFile("MATLAB, one of two structs, deeper", "scipy.io.savemat", ".mat",
                mat({"exp": {"a": {"voltage": np.array(V)}, "b": {"voltage": np.array(V), "displacement": np.array(D)}}}),

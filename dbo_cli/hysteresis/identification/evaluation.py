@@ -12,6 +12,7 @@ from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
+    DriveShape,
     Floats,
     Integers,
     Recording,
@@ -23,6 +24,7 @@ from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
 
 BLOCK_ROWS = 65536
+TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0
 WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
 """What becomes of a lag: a log cannot tell whether the actuator or its sensor is late."""
 
@@ -140,11 +142,16 @@ def white_noise(left: Sequence[Floats]) -> float:
     return sum(float(part @ part) for part in noise) / sum(part.size for part in noise) / 6.0
 
 
+def most_noise(noise: float, rows: int) -> float:
+    """Return the largest mean square that so many rows of white noise of this mean square may have."""
+    return (1.0 + WHITE * float(np.sqrt(2.0 / rows))) * noise
+
+
 def beyond_noise(left: Sequence[Floats]) -> float:
     """Return the mean square of what is left over beyond white noise, 0 where that may be all."""
     rows = sum(part.size for part in left)
     total = sum(float(part @ part) for part in left) / rows
-    return max(total - (1.0 + WHITE * float(np.sqrt(2.0 / rows))) * white_noise(left), 0.0)
+    return max(total - most_noise(white_noise(left), rows), 0.0)
 
 
 def straight_line(recording: Recording, log: PreparedLog) -> float:
@@ -180,10 +187,12 @@ SPEED_CORRELATION = 0.35
 SATURATION = 0.15  # slope at an end, relative to the median slope
 GAINS_APART = 1.01  # greatest over least gain of logs: a piezo's own scatter between runs is below a percent
 GAIN_EXPLAINS = 0.5
-"""Of the squared error, at most, is left where each log has a gain of its own, or one that changes along it.
+"""Of the squared error, at most, is left where each log has a gain of its own, or, noise aside, one that
+changes along it.
 
-On 11 kinds of plants (benchmarks/foreign_plants.py) a gain that warms up by 3 % left 0.10 to 0.44 after four
-of five kinds of logs, creep over five decades once 0.42 (0.3 % of gain), everything else 0.8 and more.
+On 11 kinds of plants (benchmarks/foreign_plants.py) a gain that warms up by 3 % left 0.10 to 0.44 after five
+kinds of logs and 0.2 beyond noise after the sixth, creep over five decades 0.4 twice (0.3 % of gain),
+everything else 0.8 and more.
 """
 SLEWED = 4.0
 """Times as many rows near the greatest speed as the model has: something holds the speed at a limit.
@@ -194,7 +203,7 @@ kinds of plants of benchmarks/foreign_plants.py.
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
 
 
-def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[str]:
+def log_warnings(recordings: Sequence[Recording], shapes: Sequence[DriveShape]) -> list[str]:
     """Warnings about the recordings themselves."""
     warnings = []
     for log in recordings:
@@ -221,20 +230,7 @@ def log_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list[st
                     f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time with more "
                     "digits"
                 )
-    if prepared.one_amplitude:
-        warnings.append(
-            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, loop width "
-            "and delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a "
-            "drive)"
-        )
-    if prepared.doubtful_drift:
-        unit = f" {recordings[0].displacement_unit}" if recordings[0].displacement_unit else ""
-        size = f"{prepared.doubtful_drift * abs(prepared.scale):.2g}{unit}"
-        warnings.append(
-            f"the logs' slow part may be sensor drift or creep: a drift of {size} explains them as well, and "
-            "creep was taken; where the sensor had just been switched on, record again with it warm"
-        )
-    if all(shape.cycle_count < 2 for shape in prepared.shapes):
+    if all(shape.cycle_count < 2 for shape in shapes):
         warnings.append(
             "less than two whole cycles: nothing could be left out to test the model on; record at least "
             "three"
@@ -271,6 +267,55 @@ def rated_warnings(lowest: float, highest: float, rated: tuple[float, float] | N
     return warnings
 
 
+def swapped_warnings(recordings: Sequence[Recording], clockwise: float) -> list[str]:
+    """Warn of a loop that runs clockwise in logs, as they were given, whose voltage is the noisier signal."""
+    if clockwise <= CLOCKWISE or any(
+        _roughness(log.voltage) <= _roughness(log.displacement) for log in recordings
+    ):
+        return []
+    return [
+        "the loop runs clockwise, and the voltage is noisier than the displacement: voltage and displacement "
+        "are swapped, or the voltage was read back: check `voltage` and `displacement`"
+    ]
+
+
+def _roughness(signal: Floats) -> float:
+    """Return the median of the sixth differences, to which a smooth signal adds little, over the range."""
+    return float(np.median(np.abs(np.diff(signal, 6)))) / max(float(np.ptp(signal)), TINY)
+
+
+def fit_notes(unit: str | None, prepared: Prepared, clockwise: float, trend: float | None) -> list[str]:
+    """Return what is good to know of the logs and is in the figure: none of it tells moves that err by more.
+
+    Of 528 moves of 11 kinds of plants (benchmarks/foreign_plants.py), 63 % within 1.5 times what was stated,
+    these were said of 132 within and 55 beyond twice, most of them after one amplitude, which now widens it.
+    """
+    notes = []
+    if prepared.one_amplitude:
+        notes.append(
+            "all cycles go over one and the same range: smaller loops are extrapolated, and lag, loop width "
+            "and delay can hardly be told apart; record several amplitudes ('dbo excite' writes such a "
+            "drive)"
+        )
+    if prepared.doubtful_drift:
+        size = f"{prepared.doubtful_drift * abs(prepared.scale):.2g} {unit or ''}".rstrip()
+        notes.append(
+            f"the logs' slow part may be sensor drift or creep: a drift of {size} explains them as well, and "
+            "creep was taken; where the sensor had just been switched on, record again with it warm"
+        )
+    if clockwise > CLOCKWISE:
+        notes.append(
+            "the loop runs clockwise: the displacement leads the voltage, since the actuator softens after a "
+            "turn (friction, magnetics)"
+        )
+    if trend is not None:
+        notes.append(
+            f"the gain changes by {100.0 * trend:+.1f} % along the log, and this makes most of the error: "
+            "let the actuator warm up, or settle, before recording"
+        )
+    return notes
+
+
 def fit_warnings(
     recordings: Sequence[Recording],
     prepared: Prepared,
@@ -286,12 +331,6 @@ def fit_warnings(
         warnings.append(
             f"{rows} rows for {choice.basis.gears} unknown slopes are fewer than the {ROWS_PER_SLOPE} for "
             "each that are safe: record longer, or give fewer gears (`gears`)"
-        )
-    if choice.clockwise > CLOCKWISE:
-        warnings.append(
-            "the loop runs clockwise: the displacement leads the voltage. Either the actuator softens after "
-            "a turn (friction, magnetics), or voltage and displacement are swapped: check `voltage` and "
-            "`displacement`"
         )
     if 100.0 * rmse / span > POOR_PERCENT:
         warnings.append(
@@ -318,7 +357,7 @@ def _gain_warnings(recordings: Sequence[Recording], residuals: Sequence[Residual
         left = residual.values - residual.values.mean()
         predicted = log.displacement[residual.rows] - residual.values
         predicted = predicted - predicted.mean()
-        more = float(np.sum(left * predicted)) / max(float(np.sum(predicted**2)), np.finfo(float).tiny)
+        more = float(np.sum(left * predicted)) / max(float(np.sum(predicted**2)), TINY)
         gains.append(1.0 + more)
         before += float(np.sum(left**2))
         own += float(np.sum((left - more * predicted) ** 2))

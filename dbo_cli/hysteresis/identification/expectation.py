@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.evaluation import GAIN_EXPLAINS, pooled, residual_of
+from dbo_cli.hysteresis.identification.evaluation import GAIN_EXPLAINS, most_noise, pooled, residual_of
 from dbo_cli.hysteresis.identification.left_out import groups_left_out, swings_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     Solution,
@@ -25,13 +25,14 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     squared_error,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import Floats, Recording, drive_shape
+from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.refinement import Fitted, corners, stages_of
 from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.search import Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 from dbo_cli.hysteresis.model import ActuatorModel, ScaleStage
-from dbo_cli.hysteresis.move_error import Alternative, changed_gain, played, rms, spread
+from dbo_cli.hysteresis.move_error import Alternative, changed_gain, played, rms, spread, stated
+from dbo_cli.hysteresis.swings import swings_between_turns, thinned, unlike
 
 LIKELIHOOD_WIDTH = 0.1  # a model whose RMSE is this share above the chosen one's counts exp(-1)
 FEWEST_SWINGS = 4  # twice up and down: of fewer the error that came was up to ten times the one expected
@@ -45,15 +46,17 @@ class Expectation:
     """The expected error of the invented moves and its parts, in the displacement's unit.
 
     ``known`` is the error on what was left out of the fit; ``fitted`` the equation error that was fitted, in
-    the normalised output; ``alternatives`` the models that explain the logs as well, and ``apart`` how far
-    they are on the invented moves; ``left_out`` names what was left out; ``swings`` are those of the logs;
-    ``gain_trend`` by how much the gain changes along one where that makes most of the error.
+    the normalised output; ``alternatives`` the models that explain the logs as well, and ``figure`` the
+    expected RMSE of the invented moves; ``seen`` some of the logs' swings, ``swings`` their number;
+    ``left_out`` names what was left out; ``gain_trend`` by how much the gain changes along a log where that
+    makes most of the error.
     """
 
     known: float
     fitted: float
-    apart: float
+    figure: float
     alternatives: tuple[Alternative, ...]
+    seen: Floats
     left_out: tuple[str, ...]
     swings: int
     gain_trend: float | None
@@ -61,19 +64,25 @@ class Expectation:
     @property
     def rmse(self) -> float | None:
         """The expected RMSE; None where the logs have no way up and down that another one could predict."""
-        return None if self.swings < FEWEST_SWINGS else float(np.hypot(self.known, self.apart))
+        return None if self.swings < FEWEST_SWINGS else self.figure
+
+    def swing_values(self) -> list[list[float]]:
+        """Return the logs' swings for the model file: from which voltage to which."""
+        return [[float(f"{volt:.4g}") for volt in swing] for swing in self.seen.tolist()]
 
     def words(self) -> str:
         """Say what the figure rests on, or why there is none."""
         if self.swings < FEWEST_SWINGS:
             return "the logs go up and down less than twice, so nothing could be left out: record more"
-        spread = "how far other models that explain the logs as well go apart"
+        spread = "how far other models that explain the logs as well go apart (more for swings unlike theirs)"
         if not self.left_out:
             return f"whole cycles left out of the fit (nothing else could be), and {spread}"
         return f"{' and '.join(self.left_out)} left out of the fit in turn, and {spread}"
 
 
-def expect(prepared: Prepared, choice: Choice, model: ActuatorModel, delivered: float) -> Expectation:
+def expect(
+    prepared: Prepared, choice: Choice, model: ActuatorModel, delivered: float, noise: float
+) -> Expectation:
     """Estimate the error on new moves.
 
     Parameters
@@ -83,6 +92,7 @@ def expect(prepared: Prepared, choice: Choice, model: ActuatorModel, delivered: 
     model : what was made of it
     delivered : RMSE of the model's output on its own logs; the equation error, which counts on the wrong side
         of the asymmetry, is brought over by the ratio of the two
+    noise : the share of its mean square that is white
     """
     some = fewer_rows(prepared.logs)
     statistics = gather(some, choice.basis, choice.structure.segments)
@@ -91,14 +101,21 @@ def expect(prepared: Prepared, choice: Choice, model: ActuatorModel, delivered: 
     fitted = max(float(np.sqrt(squared_error(gram, own.vector) / rows)), 1e-12)
     cycles = max(choice.score.rmse, fitted)
     held_out, left_out = groups_left_out(some, choice.basis, choice.structure, cycles)
-    trend = _gain_trend(some, choice, own, fitted)
-    kept, apart = _alternatives(prepared, some, choice, model, trend)
-    swings = sum(len(drive_shape(log.voltage).turns) + 1 for log in some)
-    return Expectation(delivered * held_out / fitted, fitted, apart, kept, left_out, swings, trend)
+    known = delivered * held_out / fitted
+    trend = _gain_trend(some, choice, own, fitted**2, noise)
+    swings = np.vstack([swings_between_turns(log.voltage, choice.basis.span)[1] for log in some])
+    seen = thinned(swings, choice.basis.span)
+    moves = _invented_moves(some, choice.basis)
+    own_moves, kept, apart = _alternatives(prepared, some, choice, model, moves)
+    distance = unlike(moves[0], seen, choice.basis.span, len(moves[0]) - len(own_moves))
+    figure = stated(known, distance, apart, changed_gain(own_moves, trend))
+    return Expectation(known, fitted, figure, kept, seen, left_out, len(swings), trend)
 
 
-def _gain_trend(logs: Sequence[PreparedLog], choice: Choice, own: Solution, fitted: float) -> float | None:
-    """Return by how much the gain changes along a log, where that explains most of the error.
+def _gain_trend(
+    logs: Sequence[PreparedLog], choice: Choice, own: Solution, fitted: float, noise: float
+) -> float | None:
+    """Return by how much the gain changes along a log, where that explains most of the error beyond noise.
 
     A part of the output that grows along the log, and a part of 1 (the sensor's zero need not be that of the
     gain), go through the slope of the asymmetry's inverse as a change of the output does.
@@ -112,7 +129,8 @@ def _gain_trend(logs: Sequence[PreparedLog], choice: Choice, own: Solution, fitt
     statistics = gather(changing, choice.basis, choice.structure.segments)
     gram, rows = statistics.total()
     solution = solve(gram, statistics.columns, choice.structure, rows)
-    if squared_error(gram, solution.vector) / rows > GAIN_EXPLAINS * fitted**2:
+    left, floor = squared_error(gram, solution.vector) / rows, noise * fitted
+    if fitted <= most_noise(floor, rows) or left - floor > GAIN_EXPLAINS * (fitted - floor):
         return None
     last = np.cumsum([log.drift.shape[1] for log in changing]) - 1
     return float(max(solution.drift[last], key=abs))
@@ -123,13 +141,13 @@ def _alternatives(
     logs: Sequence[PreparedLog],
     choice: Choice,
     model: ActuatorModel,
-    trend: float | None,
-) -> tuple[tuple[Alternative, ...], float]:
-    """Return the other models, of each kind of change the farthest, and how far they go on invented moves.
+    moves: tuple[Floats, Floats],
+) -> tuple[Floats, tuple[Alternative, ...], float]:
+    """Return what the model makes of invented moves, the other models, and how far these are from it there.
 
-    A gain that changes by ``trend`` takes the moves as far away as it does.
+    Of each kind of change the one that goes farthest is kept.
     """
-    drive, seconds = _invented_moves(logs, choice.basis)
+    drive, seconds = moves
     begin = int(np.argmax(drive >= choice.basis.high - 1e-9 * choice.basis.span))
     steps = None if logs[0].seconds is None else np.diff(seconds, prepend=0.0)
     own = played(model, drive, steps)[2 * begin :]  # the first two swings wipe out the start
@@ -158,7 +176,7 @@ def _alternatives(
         if kind not in farthest or apart > farthest[kind][0]:
             farthest[kind] = apart, one, predicted
     found = [(one, predicted) for _, one, predicted in farthest.values()]
-    return tuple(one for one, _ in found), float(np.hypot(spread(own, found), changed_gain(own, trend)))
+    return own, tuple(one for one, _ in found), spread(own, found)
 
 
 def _changes(choice: Choice, logs: Sequence[PreparedLog]) -> Iterator[tuple[str, Basis, Structure]]:

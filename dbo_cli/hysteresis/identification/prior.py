@@ -55,7 +55,8 @@ that error, noise and all; a loop a tenth wider 0.9 to 7 times, a quarter wider 
 """
 KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history, as in ``validation_of``
 KEPT = ("gears", "different_slopes", "points", "drive_bend", "slopes", "smoothness", "loop_width_percent",
-        "relaxation_seconds", "fastest_drive", "dynamics", "trusted_hz", "interpretation")  # fmt: skip
+        "relaxation_seconds", "fastest_drive", "swings", "dynamics", "trusted_hz",
+        "interpretation")  # fmt: skip
 """What a prior's file says of its shape."""
 
 

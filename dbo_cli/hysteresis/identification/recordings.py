@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.swings import SMALLEST_TURN, turning_points
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -16,7 +17,6 @@ Integers = NDArray[np.int64]
 FEWEST_ROWS = 40
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
-SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn
 
 
 @dataclass(frozen=True)
@@ -69,36 +69,6 @@ class DriveShape:
     def cycle_count(self) -> int:
         """Number of whole cycles."""
         return max(len(self.cycles) - 1, 0)
-
-
-def turning_points(signal: Floats, threshold: float) -> Integers:
-    """Rows where ``signal`` reverses by more than ``threshold``: alternating maxima and minima.
-
-    The first sample of a plateau counts as the turn. The two ends of the signal are not turning points.
-    """
-    slope = np.sign(np.diff(signal))
-    moving = np.flatnonzero(slope)
-    if len(moving) == 0:
-        return np.empty(0, np.int64)
-    changes = np.flatnonzero(np.diff(slope[moving]))
-    candidates = np.concatenate(([0], moving[changes] + 1, [len(signal) - 1]))
-    values = signal[candidates]
-    turns: list[int] = []
-    best = 0
-    direction = 0.0
-    for place in range(1, len(candidates)):
-        change = values[place] - values[best]
-        if direction == 0.0:
-            if abs(change) > threshold:
-                direction = np.sign(change)
-                best = place
-        elif change * direction >= 0.0:
-            best = place
-        elif abs(change) > threshold:
-            turns.append(int(candidates[best]))
-            direction = -direction
-            best = place
-    return np.asarray(turns, dtype=np.int64)
 
 
 def drive_shape(voltage: Floats) -> DriveShape:

@@ -34,11 +34,16 @@ def is_group(node: Any) -> bool:
 
 def attribute(node: Any, *names: str) -> Any:
     """Give the first attribute of these names (case aside), or None."""
-    there = {str(name).lower(): name for name in node.attrs}
-    for name in names:
-        if name.lower() in there:
-            return node.attrs[there[name.lower()]]
-    return None
+    return _among(node, _attribute_names(node), *names)
+
+
+def _attribute_names(node: Any) -> dict[str, str]:
+    return {str(name).lower(): name for name in node.attrs}
+
+
+def _among(node: Any, there: dict[str, str], *names: str) -> Any:
+    found = next((there[name.lower()] for name in names if name.lower() in there), None)
+    return None if found is None else node.attrs[found]
 
 
 def attribute_text(node: Any, *names: str) -> str:
@@ -169,9 +174,10 @@ def _unit_of(dataset: Any, index: int) -> str:
 
 def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     """Apply netCDF's conventions and a plain ``scale``; note what looks like a factor and is not used."""
+    there = _attribute_names(dataset)
 
     def number(name: str) -> float | None:
-        return number_in(attribute(dataset, name), index)
+        return number_in(_among(dataset, there, name), index)
 
     unsigned = attribute_text(dataset, "_Unsigned").lower() == "true"
     filled = dataset.dtype.kind == "f" and dataset.fillvalue == NETCDF_FILL

@@ -30,7 +30,7 @@ from dbo_cli.logs.column_table import (
     with_unit,
     without_scalars,
 )
-from dbo_cli.logs.columns import split_header
+from dbo_cli.logs.columns import fits_pattern, split_header
 from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,
@@ -50,6 +50,7 @@ from dbo_cli.logs.stated_clock import Statement, is_clock_name
 
 # What h5py raises at damaged bytes.
 _DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError, IndexError)
+_MOST = 1 << 14  # members of a group that are all looked at: four columns of each of 4,096 actuators, 7 s
 _DEEPEST = 8  # levels looked through for a table; LabOne's is the deepest known (/000/dev/demods/0/sample)
 # What NXlog, Bluesky's writers (EPOCH) and LabOne call values, stamps and what stands beside them.
 _VALUES = ("value", "values", "data", "average_value")
@@ -103,10 +104,15 @@ def _find_columns(file: Any, address: Address, selectors: Sequence[str]) -> tupl
         if not sources:
             raise InputError(f"{place}: this dataset holds no columns of numbers ({_shape_of(node)})")
         return node, sources
-    start, sources = node, columns_in(node)
+    start = node
+    sources = columns_in(node) if len(node) <= _MOST or not selectors else []
     others: list[tuple[Any, list[ColumnSource]]] = []
-    if not sources:  # what is wanted often lies further down
-        others = tables_below(node)
+    if not sources and len(node) <= _MOST:  # what is wanted often lies further down
+        try:
+            others = tables_below(node)
+        except InputError:
+            if not selectors:
+                raise
         if len(others) == 1:
             node, sources = others[0]
     sources = sources + list(_by_path(start, node, sources, selectors))
@@ -124,12 +130,28 @@ def _by_path(
         path = selector.strip()
         if path in known or path.isdigit() or not path:
             continue
+        if "*" in path and not any(fits_pattern(label, path) for label in known):
+            for name in _dataset_paths(start):
+                found = columns_of(start.get(name), "") if fits_pattern(name, path) else []
+                if len(found) == 1 and name not in known:
+                    known.add(name)
+                    yield replace(found[0], label=name)
+            continue
         for base in (node, start):
             other = base.get(path)
             found = columns_of(other, "") if is_dataset(other) else []
             if len(found) == 1:
                 yield replace(found[0], label=path)
                 break
+
+
+def _dataset_paths(group: Any, above: str = "", depth: int = 0) -> Iterator[str]:
+    """Give the paths of the datasets below a group."""
+    for name, node in _members(group):
+        if is_dataset(node):
+            yield above + name
+        elif is_group(node) and depth < _DEEPEST:
+            yield from _dataset_paths(node, f"{above}{name}/", depth + 1)
 
 
 def _nearest_clock(node: Any) -> list[Statement]:
@@ -144,12 +166,28 @@ def _nearest_clock(node: Any) -> list[Statement]:
 
 def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[ColumnSource]]]) -> str:
     text = f"{address.text}: no columns of numbers in this group: {_list_groups(file)}"
+    whole = [
+        clean_text(node.name)
+        for node, sources in tables
+        if sum(one.label.lower() not in TIME_NAMES for one in sources) > 1
+    ]
+    if whole:
+        return f"{text} (write {address.path}::{whole[0]} for the first of {len(whole)} tables)"
     if tables:
-        first = clean_text(tables[0][0].name)
-        return f"{text} (write {address.path}::{first} for the first of {len(tables)} tables)"
+        paths = list(_dataset_paths(file))
+        node = tables[0][0].name.strip("/") + "/"
+        end = _short_end(next(path for path in paths if path.startswith(node)), paths)
+        return f"{text} (the end of an address is enough: `voltage` '*{clean_text(end)}')"
     objects = file.get("#subsystem#") is not None
     members = (node for name in file if (node := file.get(name)) is not None)
     return f"{text}{MATLAB_OBJECTS}" if objects or any(map(_is_object, members)) else text
+
+
+def _short_end(path: str, paths: Sequence[str]) -> str:
+    """Return the last parts of an address that no other one ends with."""
+    parts = path.split("/")
+    ends = ("/" + "/".join(parts[-count:]) for count in range(1, len(parts)))
+    return next((end for end in ends if sum(one.endswith(end) for one in paths) == 1), path)
 
 
 def _is_object(node: Any) -> bool:
@@ -174,7 +212,20 @@ def _shape_of(dataset: Any) -> str:
 
 
 def columns_in(group: Any) -> list[ColumnSource]:
-    """List the columns of one group, whoever arranged it; scalars (a sample rate, a remark) are none."""
+    """List the columns of one group, whoever arranged it; scalars (a sample rate, a remark) are none.
+
+    Raises
+    ------
+    InputError
+        There are so many members that to look at each takes minutes.
+    """
+    if len(group) > _MOST:
+        path = clean_text(group.name).strip("/")
+        name = f"{path}/NAME" if path else "NAME"
+        raise InputError(
+            f"{clean_text(group.file.filename)}: /{path} has {len(group):,} members, more than {_MOST:,}: "
+            f"name the datasets that are meant (`voltage` {name} `displacement` {name} `time` {name})"
+        )
     return (
         pandas_columns(group) or laboratory_columns(group) or _plain_columns(group) or _logged_columns(group)
     )
@@ -216,8 +267,10 @@ def _plain_columns(group: Any) -> list[ColumnSource]:
     for name, node in nodes:
         if not (node.size == 1 and is_clock_name(name)):
             sources += columns_of(node, name, stamps)
+    there = set(group)
     sources = [
-        with_unit(source, lambda name: stored_text(group.get(name))) for source in without_scalars(sources)
+        with_unit(source, lambda name: stored_text(group.get(name)) if name in there else None)
+        for source in without_scalars(sources)
     ]
     if attribute_text(group, "NX_class") in ("NXdata", "NXlog"):
         sources = _nexus_scaled(group, sources)

@@ -193,7 +193,7 @@ def _pi_array(place: str, lines: list[str], end: int) -> InstrumentHeader | None
     if stated is not None and int(stated) != width:
         raise InputError(
             f"{place}:{end + 2}: {width} cells where the header states DIM = {int(stated)} columns "
-            "(`skip_lines` and `header_lines` 0 read it without the header)"
+            f"(`skip_lines` {end + 1} and `header_lines` 0 read it without the header)"
         )
     names = [settings.get(f"NAME{number}", "") for number in range(width)]
     clock = _step("SAMPLE_TIME", settings.get("SAMPLE_TIME", ""), " s")
