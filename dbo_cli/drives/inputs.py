@@ -46,7 +46,7 @@ class Inputs:
     ----------
     source : Source
         Where the signal comes from.
-    taken : Quantity
+    input : Quantity
         What the model takes of it; its name is the signal's role in the blocks.
     delay : float
         Seconds to be read ahead by.
@@ -63,7 +63,7 @@ class Inputs:
     """
 
     source: Source
-    taken: Quantity
+    input: Quantity
     delay: float = 0.0
     dynamics: DynamicsStage | None = None
     bandwidth: float | None = None
@@ -77,7 +77,7 @@ class Inputs:
     _corners: int = 0
     _starts_off: float = 0.0
 
-    def blocks(self, given: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
+    def blocks(self, read: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
         """Return each block with what goes into the model, ``begun`` being the state before the first.
 
         Raises
@@ -88,9 +88,9 @@ class Inputs:
         UsageError
             The low-pass cannot be had at this rate.
         """
-        role, last, dynamics = self.taken.quantity, self.last_row, self.dynamics
+        role, last, dynamics = self.input.quantity, self.last_row, self.dynamics
         self.start, step = begun or self.start, 0.0
-        blocks = given if last is None else _split(given, last)
+        blocks = read if last is None else _split(read, last)
         if last is None and dynamics is None and self.bandwidth is None and self.delay == 0.0:
             for block in blocks:
                 yield block, block.values[role]
@@ -114,14 +114,14 @@ class Inputs:
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the transformed signal so far."""
-        found, unit, name = Remarks(), self.taken.suffix, self.source.name
+        found, unit, name = Remarks(), self.input.suffix, self.source.name
         if self._smoothed:
             rms = math.sqrt(self._squares / self._smoothed)
             found.notes.append(
                 f"{name}: `bandwidth` {self.bandwidth:g} takes off {rms:.3g}{unit} (RMS), "
                 f"{self._largest:.3g}{unit} at most"
             )
-        if abs(self._starts_off) > STARTS_MOVING * self.taken.span:
+        if abs(self._starts_off) > STARTS_MOVING * self.input.span:
             found.warn(
                 f"{name}: begins on the move, which an actuator at rest cannot: it rings at first, by about "
                 f"{abs(self._starts_off):.3g}{unit} (let it begin and end at rest; `lead` auto writes "
@@ -138,7 +138,7 @@ class Inputs:
 
     def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass) -> Iterator[Taken]:
         for block, x in low_pass.blocks(taken):
-            self.note_rounding(block.values[self.taken.quantity], x)
+            self.note_rounding(block.values[self.input.quantity], x)
             yield block, x
 
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
@@ -150,7 +150,7 @@ class Inputs:
 
     def _undone(self, taken: Iterable[Taken], inverter: DynamicsInverter) -> Iterator[Taken]:
         """Undo the dynamics; from a state's memory where the signal goes on from it, else from a rest."""
-        low, high = self.taken.minimum, self.taken.maximum
+        low, high = self.input.minimum, self.input.maximum
         rest = iter(taken)
         first = next(rest, None)
         memory = None if first is None else self._memory_at(first[0], inverter)
