@@ -6,8 +6,8 @@
 Drives are written (dbo excite --channels), played by sample_data/virtual_mirror.py, and models identified in
 four ways; each compensates the same move, which is played again. The error is what the actuators do, without
 the sensors' noise, minus what was wanted, in % of the stroke; offsets aside, since a sensor's zero is its
-own. Up to four actuators are a scanner with 1 % of crosstalk (1 kHz), more a mirror with 2 % of its
-neighbours (400 Hz).
+own. Ways without coupling get the rows in which all move together alone. Up to four actuators are a scanner
+with 1 % of crosstalk (1 kHz), more a mirror with 2 % of its neighbours (400 Hz).
 """
 
 from __future__ import annotations
@@ -68,6 +68,8 @@ def main() -> None:
     run("excite", "--v-max", 100, *pace, "--channels", options.actuators, "-q", "-o", folder / "drives.h5")
     table = read_table(str(folder / "drives.h5"))
     volts = np.column_stack([table[f"voltage_{k}"] for k in range(1, options.actuators + 1)])
+    together = int(np.argmax((volts != 0.0).sum(axis=1)[::-1] > 1))
+    together = len(volts) - together
     shown = mirror.play(table["time"], volts, seed=1)
     columns = {"time_s": table["time"]}
     for k in range(options.actuators):
@@ -84,7 +86,8 @@ def main() -> None:
             continue
         model, drives = folder / f"{name.strip('-')}.json", folder / f"{name.strip('-')}.drive.h5"
         words = ("-q", "-j", options.jobs, "-o")
-        taken = run("identify", folder / "log.h5", *COLUMNS, *more, *words, model)
+        rows = () if "--coupling" in more else ("--rows", f"1:{together}")
+        taken = run("identify", folder / "log.h5", *COLUMNS, *more, *rows, *words, model)
         played = run("compensate", model, folder / "move.h5", "--displacement", "desired_{}", *words, drives)
         low, high, worst = np.quantile(errors(mirror, drives), (0.5, 0.9, 1.0))
         print(f"{name:14} {low:7.3f} {high:7.3f} {worst:7.3f} {taken:8.0f} s {played:9.1f} s", flush=True)

@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.model import (
     ScaleStage,
     Stage,
 )
+from dbo_cli.logs.sources import ArraySource, WholeSource
 from dbo_cli.runs.model import Model
 
 RATE = 20_000.0
@@ -336,6 +337,14 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
         assert np.abs(reached[-300:] - wanted).max() < 1e-9
     with pytest.raises(LimitError, match="the drive comes from 0, and 2000 per second does not bring it to"):
         Model(model).compensate(wanted, from_=0.0, max_slew=2000.0, **asked)
+
+
+def test_what_is_read_whole_is_handed_on_in_parts() -> None:
+    wanted = np.arange(150_000.0)
+    whole = WholeSource(ArraySource({"displacement": wanted}, sample_rate=1e3))
+    parts = [block.values["displacement"] for block in whole.blocks()]
+    assert [part.size for part in parts] == [65_536, 65_536, 18_928]
+    assert np.array_equal(np.concatenate(parts), wanted)
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import struct
 from pathlib import Path
@@ -229,13 +230,13 @@ GAP = TIME + np.where(np.arange(200) > 50, 0.01, 0.0)
 @pytest.mark.parametrize(
     ("line", "code", "message"),
     [
-        ("gap.csv --to npy -o o.npy", 3, "gap.csv: row 52: a gap in time"),
+        ("gap.csv --to npy -o o.npy", 3, "gap.csv: row 52: a gap in time (--rows A:B plays a part, --resample HZ goes straight through)"),
         ("odd.csv --to npy -o o.npy", 1, "odd.csv: the samples are not evenly spaced in time, and a generator plays even steps (--resample HZ interpolates)"),
         ("bad.csv --to npy -o o.npy", 1, "bad.csv:5: column 'voltage_V' is not a number: 'OVLD' (--skip-bad drops such rows)"),
         ("notime.csv --to npy -o o.npy", 1, "notime.csv: no time column and no sample rate, and a generator plays even steps (--time COLUMN or --sample-rate HZ)"),
-        ("drive.csv --rows 1:50 --to npy --loop -o o.npy", 3, "drive.csv: from the last row, 89.9803, to the first, 50, is a step of 40 where the largest inside is 1.26: the loop does not close"),
+        ("drive.csv --rows 1:50 --to npy --loop -o o.npy", 3, "drive.csv: from the last row, 89.9803, to the first, 50, is a step of 40 where the largest inside is 1.26: the loop does not close (compensate's --periodic makes one that does; without --loop it is played once)"),
         ("drive.csv --to int16 -o o.bin", 2, "--volts LOW:HIGH: say what the lowest and the highest code of int16 mean"),
-        ("drive.csv --to int16 --volts -10:10 -o o.bin", 3, "drive.csv: the drive takes 10 to 90 V of the generator, and --volts gives -10 to 10 (--gain is 1)"),
+        ("drive.csv --to int16 --volts -10:10 -o o.bin", 3, "drive.csv: the drive takes 10 to 90 V of the generator, and --volts gives -10 to 10 (wider --volts, or the amplifier's --gain, which is 1)"),
         ("drive.csv --to npy --gain 0 -o o.npy", 2, "--gain 0: an amplifier of no gain moves nothing (give its volts out per volt in)"),
         ("drive.csv --to npy --codes 0:10 -o o.npy", 2, "--codes: npy files hold volts, no codes"),
         ("drive.csv --to tdms --volts 0:10 -o o.tdms", 2, "--volts: tdms files hold volts, no codes"),
@@ -369,3 +370,40 @@ def test_the_circle_from_a_trajectory_to_the_report_closes(dbo: Any, model: Any)
     assert done.code == 3 and "before the amplifier an amplitude of 105 % and an offset of" in done.err, (
         done.err
     )
+
+
+def test_a_summary_of_each_drive(bench: Any) -> None:
+    words = ("--to", "int16", "--volts", "0:5", "--gain", 20, "-o", "two.bin", "--summary", "two.json")
+    ok(bench("waveform", "drive.csv", *words))
+    done = json.loads(Path("two.json").read_text())
+    back = np.fromfile("two.bin", "<i2")
+    assert (done["format"], done["rows"], done["clipped"]) == ("dbo-summary", len(DRIVE), 0)
+    assert done["read"][0]["file"] == "drive.csv" and done["read"][0]["rows"] == len(DRIVE)
+    assert done["range"] == pytest.approx([DRIVE.min() / 20.0, DRIVE.max() / 20.0], abs=5.0 / 65535)
+    assert done["largest_step"] == pytest.approx(np.abs(np.diff(back.astype(float))).max() * 5.0 / 65535)
+    assert any("amplitude" in note for note in done["notes"])
+    assert bench("waveform", "drive.csv", *words[:-1], "drive.csv").code == 2
+    ok(
+        bench(
+            "trajectory",
+            "raster",
+            "--rate",
+            1000,
+            "--range",
+            "0:5",
+            "--frequency",
+            5,
+            "--lines",
+            4,
+            "--unit",
+            "um",
+            "-o",
+            "r.csv",
+            "--summary",
+            "r.json",
+        )
+    )
+    table = np.loadtxt("r.csv", delimiter=",", skiprows=1)
+    both = json.loads(Path("r.json").read_text())
+    assert [one["range"] for one in both] == [[column.min(), column.max()] for column in table[:, 1:].T]
+    assert {one["rows"] for one in both} == {len(table)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -16,7 +17,7 @@ MAKE, SNAKEMAKE = shutil.which("make"), shutil.which("snakemake")
 DBO = f"{sys.executable} -m dbo_cli"
 NAMES = ("left", "right", "spare")
 OPTIONS = "--gears 8 --points 0 --delay 0 --relaxation 0"
-KINDS = ("model.json", "drive.csv", "report.json", "report.csv")
+KINDS = ("model.json", "drive.csv", "drive.json", "report.json", "report.csv")
 
 
 @pytest.fixture
@@ -81,6 +82,12 @@ def test_only_what_changed_is_made_again(engine, bench: Path) -> None:  # type: 
     summary = (bench / "results" / "summary.csv").read_text().splitlines()
     assert len(summary) == 1 + len(NAMES)
     assert [line.split(",")[0] for line in summary[1:]] == ["left.csv", "right.h5", "spare.csv.gz"]
+    assert summary[0].endswith(",clipped,expected_rmse,expected_percent")
+    for name, line in zip(NAMES, summary[1:], strict=True):
+        told = json.loads((bench / "results" / f"{name}.drive.json").read_text())
+        keys = ("clipped", "expected_rmse", "expected_percent")
+        assert line.split(",")[-3:] == ["" if told[key] is None else str(told[key]) for key in keys]
+        assert told["clipped"] == 0
 
     engine(bench)
     assert made_at(bench) == first
@@ -90,6 +97,22 @@ def test_only_what_changed_is_made_again(engine, bench: Path) -> None:  # type: 
     engine(bench)
     changed = {name for name, stamp in made_at(bench).items() if stamp != first[name]}
     assert changed == {f"left.{kind}" for kind in KINDS} | {"summary.csv"}
+
+
+@pytest.mark.skipif(MAKE is None, reason="make is not here")
+def test_what_cannot_be_followed_is_refused_or_counted(bench: Path) -> None:
+    rows = "".join(f"{k / 100},{2.0 + k / 100}\n" for k in range(1000))
+    (bench / "trajectory.csv").write_text("time_s,displacement_um\n" + rows)
+    words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), "-k", f"DBO={DBO}", f"IDENTIFY={OPTIONS}"]
+    environment = os.environ | {"PYTHONPATH": str(WORKFLOW.parent), "MAKEFLAGS": ""}
+    done = subprocess.run(words, cwd=bench, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 2
+    assert "dbo: error: trajectory.csv: " in done.stderr and "(--on-limit clip goes on)" in done.stderr
+    assert not (bench / "results" / "spare.drive.csv").exists()
+    finished([*words, "COMPENSATE=--on-limit clip"], bench)
+    lines = (bench / "results" / "summary.csv").read_text().splitlines()
+    clipped = [int(line.split(",")[-3]) for line in lines[1:]]
+    assert clipped[1] == 0 < clipped[0] < clipped[2]
 
 
 def small_log(folder: Path, name: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 from dbo_cli.cli import options
 from dbo_cli.cli.commands import COMMANDS, Command, Given
 from dbo_cli.cli.options import REQUIRED, Option
@@ -73,7 +75,12 @@ def trajectory(given: Given) -> None:
     from dbo_cli.runs.trajectories import write_trajectory
 
     asked = TrajectoryOptions(given.shape, **given.of(MOVE))
-    given.reporter.notes(write_trajectory(given.output, asked, given.model or (), given.unit, given.format))
+    command = shlex.join(["dbo", *given.typed])
+    given.reporter.notes(
+        write_trajectory(
+            given.output, asked, given.model or (), given.unit, given.format, given.summary, command
+        )
+    )
 
 
 def waveform(given: Given) -> None:
@@ -85,13 +92,34 @@ def waveform(given: Given) -> None:
     from dbo_cli.runs.waveform_files import WaveformOptions, write_waveform
 
     asked = WaveformOptions(**given.of(WAVEFORM), voltage=tuple(given.voltage or ()))
-    given.reporter.remarks(write_waveform(given.drive, given.output, given.reading, asked))
+    command = shlex.join(["dbo", *given.typed])
+    given.reporter.remarks(
+        write_waveform(given.drive, given.output, given.reading, asked, given.summary, command)
+    )
 
 
 COMMANDS["trajectory"] = Command(
-    trajectory, (SHAPE, *options.REPORTING, *MOVE, MOVE_MODEL, UNIT, options.OUTPUT_FORMAT, options.OUTPUT)
+    trajectory,
+    (
+        SHAPE,
+        *options.REPORTING,
+        *MOVE,
+        MOVE_MODEL,
+        UNIT,
+        options.OUTPUT_FORMAT,
+        options.SUMMARY,
+        options.OUTPUT,
+    ),
 )
 COMMANDS["waveform"] = Command(
     waveform,
-    (DRIVES, *options.READING_OF_LOGS, *options.REPORTING, *WAVEFORM, DRIVE_COLUMNS, options.OUTPUT),
+    (
+        DRIVES,
+        *options.READING_OF_LOGS,
+        *options.REPORTING,
+        *WAVEFORM,
+        DRIVE_COLUMNS,
+        options.SUMMARY,
+        options.OUTPUT,
+    ),
 )

@@ -13,6 +13,7 @@ from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
 from dbo_cli.logs.output_files import is_replaceable
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened
 from dbo_cli.version import program_version_string
@@ -94,7 +95,9 @@ class TextWriter:
     def _append(self, arrays: Sequence[ArrayLike]) -> None:
         if np.size(arrays[0]):
             require_finite(self._columns, self._headers, arrays)
-            self._stream.write(rows_as_text(arrays, self._delimiter))
+            for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
+                rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
+                self._stream.write(rows_as_text(rows, self._delimiter))
 
 
 class _Keeper:

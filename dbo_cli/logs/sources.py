@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import TimeCheck, require_even
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows, checked_rate
+from dbo_cli.logs.reading_options import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
 from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.logs.units import ONE, UnitFactor, match_units
@@ -281,8 +281,10 @@ class WholeSource(Source):
         return require_even(self.name, self.block.time, why)
 
     def blocks(self) -> Iterator[SampleBlock]:
-        """Return the one block."""
-        yield dataclasses.replace(self.block, values=self.in_units(self.block.values))
+        """Return the one block, in parts: what a model makes of it then takes no memory for each row."""
+        for start in range(0, max(len(self.block), 1), BLOCK_ROWS):
+            part = self.block.part(start, start + BLOCK_ROWS)
+            yield dataclasses.replace(part, values=self.in_units(part.values))
 
 
 def table_source(

@@ -14,7 +14,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbo_cli.drives.compensation import Compensation
-from dbo_cli.drives.gate import DriveFigures, DriveGate
+from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import OutputError, UsageError
@@ -259,7 +259,7 @@ def write_response(
             write_whole(destination.save_state, state_to_bytes(run.state, run.model))
         if destination.summary is not None:
             done = summary_of(run, log.reading_record(), figures, destination.command)
-            write_whole(destination.summary, (json.dumps(done, indent=2, ensure_ascii=False) + "\n").encode())
+            write_summary(destination.summary, [done])
     remarks = run.remarks()
     if destination.live:
         remarks.read.clear()  # printed when the stream began
@@ -284,12 +284,32 @@ def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, co
             asked["settling"] = [one._asdict() for one in run.step_times()]
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
-    kept = {key: read[key] for key in ("rows", "seconds", "columns") if key in read}
+    return _summary(
+        command, read_record(run.source.name, read), figures, remarks, clipped, expected, percent, **asked
+    )
+
+
+def read_record(name: str, read: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a summary says of a file that was read."""
+    return {"file": name, **{key: read[key] for key in ("rows", "seconds", "columns") if key in read}}
+
+
+def _summary(
+    command: str,
+    read: Mapping[str, Any] | None,
+    figures: DriveFigures,
+    remarks: Remarks,
+    clipped: int = 0,
+    expected: float | None = None,
+    percent: float | None = None,
+    **asked: Any,
+) -> dict[str, Any]:
+    """Return what was done as plain values (``dbo-summary``)."""
     return {
         "format": "dbo-summary",
         "version": 1,
         "command": command,
-        "read": [{"file": run.source.name, **kept}],
+        "read": [] if read is None else [read],
         "rows": figures.rows,
         "clipped": clipped,
         "range": [figures.low, figures.high],
@@ -300,6 +320,21 @@ def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, co
         "notes": [plain(text) for text in remarks.notes],
         "warnings": [plain(text) for text in remarks.warnings],
     }
+
+
+def summary_of_values(
+    command: str, read: Mapping[str, Any] | None, values: Floats, remarks: Remarks
+) -> dict[str, Any]:
+    """Return what was done as plain values, of a signal at hand."""
+    figures = DriveFigures()
+    figures.see(values, None)
+    return _summary(command, read, figures, remarks)
+
+
+def write_summary(output: Address, done: Sequence[Mapping[str, Any]]) -> None:
+    """Write a summary, or a list of them where there are several signals."""
+    content = done[0] if len(done) == 1 else done
+    write_whole(output, (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
 
 
 def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:

@@ -16,10 +16,11 @@ from dbo_cli.drives.shapes import TrajectoryOptions, move
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import read_model
-from dbo_cli.logs.addresses import Address, check_format, parse_output
+from dbo_cli.logs.addresses import Address, check_format
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.whole_output import check_output
-from dbo_cli.runs.files import shown_name
+from dbo_cli.logs.whole_output import all_or_none
+from dbo_cli.remarks import Remarks
+from dbo_cli.runs.files import Destination, shown_name, summary_of_values, write_summary
 from dbo_cli.runs.model import Model, require_known
 
 if TYPE_CHECKING:
@@ -136,16 +137,23 @@ def write_trajectory(
     models: Sequence[str] = (),
     unit: str | None = None,
     form: str | None = None,
+    summary: Address | None = None,
+    command: str = "",
 ) -> list[str]:
-    """Write a move, one column an axis, and return what is to be said of it."""
+    """Write a move, one column an axis, and what was done; return what is to be said of it."""
     check_format(form, [output])
-    parse_output(output)
-    check_output(output, models)
+    Destination(output, None, models, summary=summary).check()
     made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
     columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
     attributes = {"sample_rate": options.rate}
-    with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
-        writer.write(made.time, *made.axes.values())
+    with all_or_none():
+        with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
+            writer.write(made.time, *made.axes.values())
+        if summary is not None:
+            remarks = Remarks(made.notes)
+            write_summary(
+                summary, [summary_of_values(command, None, one, remarks) for one in made.axes.values()]
+            )
     return made.notes
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,15 +14,16 @@ from dbo_cli.drives.gate import DriveGate, Floats
 from dbo_cli.drives.options import check_range
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.clock import require_even
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
-from dbo_cli.logs.whole_output import check_output, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import Remarks
+from dbo_cli.runs.files import read_record, summary_of_values, write_summary
 from dbo_cli.waveforms.generator_files import (
     FORMATS,
     Coding,
@@ -34,6 +36,10 @@ from dbo_cli.waveforms.generator_files import (
 from dbo_cli.waveforms.points import Points, at_points
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
+_REMEDIES = {
+    "a gap in time": " (`rows` A:B plays a part, `resample` HZ goes straight through)",
+    "does not close": " (compensate's `periodic` makes one that does; without `loop` it is played once)",
+}
 PLAYS = "a generator plays even steps"
 
 
@@ -103,9 +109,14 @@ class WaveformOptions:
 
 
 def write_waveform(
-    drives: Sequence[Address], output: Address, reading: ReadingOptions, options: WaveformOptions
+    drives: Sequence[Address],
+    output: Address,
+    reading: ReadingOptions,
+    options: WaveformOptions,
+    summary: Address | None = None,
+    command: str = "",
 ) -> Remarks:
-    """Write a generator's file of one drive, or of several that are played together.
+    """Write a generator's file of one drive, or of several that are played together, and what was done.
 
     Raises
     ------
@@ -117,15 +128,17 @@ def write_waveform(
         What was written, read back, breaks a limit: this program's fault; nothing is left behind.
     """
     check_name("-" if output.is_stream else output.path, options.to)
-    check_output(output, drives)
+    check_outputs([one for one in (output, summary) if one is not None], drives)
+    if summary is not None:
+        check_document(summary, "a summary", "json")
     signals = _signals(drives, options.voltage)
     if len(signals) > 1 and not FORMATS[options.to].channels:
         raise UsageError(f"a {options.to} file holds one drive, not {len(signals)} (one file each)")
     names = [one.name if len(drives) == len(signals) else f"{one.name}, {column}" for one, column in signals]
     remarks, found = Remarks(), [_read(*one, reading, options) for one in signals]
-    for _, _, said in found:
+    for _, _, said, _ in found:
         remarks.add(said)
-    values, steps, _ = zip(*found, strict=True)
+    values, steps, _, records = zip(*found, strict=True)
     for name, one, step in zip(names, values, steps, strict=True):
         if one.size != values[0].size or abs(step / steps[0] - 1.0) > SAME_RATE:
             raise InputError(f"{name}: has other rows or another rate than {names[0]}: play them apart")
@@ -137,8 +150,15 @@ def write_waveform(
             f"{names[0]}: {played.volts.shape[1]:,} points move the drive by up to {played.moved:.3g} V, "
             f"more than {most:.3g} (more `points`, a higher `rate`, or `tolerance` VOLT)"
         )
-    data, lines = _encoded(played, names, options)
-    write_whole(output, data, protect=drives)
+    data, back, lines = _encoded(played, names, options)
+    with all_or_none():
+        write_whole(output, data, protect=drives)
+        if summary is not None:
+            done = (
+                summary_of_values(command, read, one, Remarks([*said.notes, line], said.warnings))
+                for read, one, (_, _, said, _), line in zip(records, back, found, lines, strict=True)
+            )
+            write_summary(summary, list(done))
     remarks.note(lines)
     return remarks
 
@@ -158,14 +178,14 @@ def _signals(drives: Sequence[Address], columns: Sequence[str]) -> list[tuple[Ad
 
 def _read(
     address: Address, column: str | None, reading: ReadingOptions, options: WaveformOptions
-) -> tuple[Floats, float, Remarks]:
-    """Return a drive in volts, read whole and within its limits, its even step (s), and remarks."""
+) -> tuple[Floats, float, Remarks, dict[str, Any]]:
+    """Return a drive in volts, read whole and within its limits, its even step (s), remarks, its record."""
     name = address.name
     with open_log(address, {"voltage": wish("voltage", column, option="voltage")}, reading) as log:
         log.require_time(PLAYS)
         log.convert("voltage", "V", "a generator's file")
         block = joined(list(log.blocks()))
-        said = remarks_of(log)
+        said, read = remarks_of(log), read_record(name, log.reading_record())
         assert block.time is not None
         rows = block.rows
         drive, stated = block.values["voltage"], log.stated_rate
@@ -175,12 +195,16 @@ def _read(
         drive, block.time, options.limits, loop=options.loop, place=lambda row: f"row {rows[row]:,}"
     )
     if checked.problems:
-        raise LimitError(f"{name}: {checked.problems[0]}")
-    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS), said
+        problem = checked.problems[0]
+        remedy = next((text for words, text in _REMEDIES.items() if words in problem), "")
+        raise LimitError(f"{name}: {problem}{remedy}")
+    return drive, 1.0 / stated if stated else require_even(name, block.time, PLAYS), said, read
 
 
-def _encoded(played: Points, names: Sequence[str], options: WaveformOptions) -> tuple[bytes, list[str]]:
-    """Return the bytes, which were read back and passed the gate, and a line on each drive."""
+def _encoded(
+    played: Points, names: Sequence[str], options: WaveformOptions
+) -> tuple[bytes, Floats, list[str]]:
+    """Return the bytes, the volts that passed the gate when read back, and a line on each drive."""
     form, rate = FORMATS[options.to], played.rate
     volts = played.volts / options.gain
     count = volts.shape[1]
@@ -195,7 +219,8 @@ def _encoded(played: Points, names: Sequence[str], options: WaveformOptions) -> 
     if volts.min() < ends[0] or volts.max() > ends[1]:
         raise LimitError(
             f"{names[0]}: the drive takes {volts.min():.6g} to {volts.max():.6g} V of the generator, and "
-            f"`volts` gives {ends[0]:.6g} to {ends[1]:.6g} (`gain` is {options.gain:g})"
+            f"`volts` gives {ends[0]:.6g} to {ends[1]:.6g} (wider `volts`, or the amplifier's `gain`, "
+            f"which is {options.gain:g})"
         )
     limits = options.limits
     within = (limits.v_min / options.gain, limits.v_max / options.gain)
@@ -209,9 +234,11 @@ def _encoded(played: Points, names: Sequence[str], options: WaveformOptions) -> 
     rounding = float(np.abs(back - volts).max())
     codes = options.codes or form.codes or ((-1, 1) if form.normal else None)
     mean = "" if codes is None else f"; {codes[0]:g} to {codes[1]:g} mean {ends[0]:.6g} to {ends[1]:.6g} V"
-    return data, [
-        _line(name, one, played, rounding, options) + mean for name, one in zip(names, back, strict=True)
-    ]
+    return (
+        data,
+        back,
+        [_line(name, one, played, rounding, options) + mean for name, one in zip(names, back, strict=True)],
+    )
 
 
 def _rounded(

@@ -68,10 +68,12 @@ def find_coupling(channels: Sequence[str], logs: Sequence[Frames]) -> Coupling:
                 f"coupling: channel {channels[int(np.argmin(spans))]} never moves (its {name} stays where it "
                 f"is), so that what it does to others is not known; {REMEDY}"
             )
+    logs = [log._replace(displacement=log.displacement - log.displacement.mean(axis=0)) for log in logs]
+    squares = [log.displacement.T @ log.displacement for log in logs]
     shown, least = np.zeros((2, len(channels), len(channels)))
     for place in range(len(channels)):
         others = np.arange(len(channels)) != place
-        found = _gains_in(channels, place, logs, AT_REST * ranges[place], strokes)
+        found = _gains_in(channels, place, logs, squares, AT_REST * ranges[place], strokes)
         shown[place, others], least[place, others] = found
     everything = np.eye(len(channels)) - shown
     if not np.linalg.cond(everything * strokes / strokes[:, None]) < 1.0 / np.finfo(float).eps:
@@ -79,26 +81,39 @@ def find_coupling(channels: Sequence[str], logs: Sequence[Frames]) -> Coupling:
     else:
         undone = np.asarray(np.linalg.inv(everything), dtype=np.float64)
         gains = undone / np.diag(undone)
-    first = max(logs, key=lambda log: len(log.seconds))
-    lowest = int(np.argmin(((first.voltage - moved[0].min(axis=0)) / ranges).sum(axis=1)))
+    lowest = int(np.argmin((moved[0] / ranges).sum(axis=1)))  # most nearly at rest, all of them
     kept = np.where(np.abs(gains) > least, gains, 0.0)
-    return Coupling(tuple(channels), kept, first.displacement[lowest].copy(), strokes)
+    return Coupling(tuple(channels), kept, moved[1][lowest].copy(), strokes)
 
 
 def _gains_in(
-    channels: Sequence[str], place: int, logs: Sequence[Frames], still: float, strokes: Floats
+    channels: Sequence[str],
+    place: int,
+    logs: Sequence[Frames],
+    squares: Sequence[Floats],
+    still: float,
+    strokes: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return how much of what each other channel shows is seen in one, and the least that is told from 0."""
+    """Return how much of what each other channel shows is seen in one, and the least that is told from 0.
+
+    ``squares`` are each log's displacements times themselves: only the rows that do not count are taken off,
+    of many channels the fewer ones.
+    """
     count = len(channels)
     products, moved, freedom = np.zeros((count, count)), np.zeros(count), 1 - count
-    for log in logs:
+    for log, square in zip(logs, squares, strict=True):
+        moving = np.ones(len(log.seconds), dtype=bool)
+        products += square
         for start, stop in stretches(log.voltage[:, place], still):
             seconds, seen = log.seconds[start:stop], log.displacement[start:stop]
             creep = _creep(seconds - seconds[0])
-            left = seen - creep @ (creep.T @ seen)
-            products += left.T @ left
+            crept = creep.T @ seen
+            products -= crept.T @ crept
             moved = np.maximum(moved, np.ptp(seen, axis=0))
             freedom += stop - start - creep.shape[1]
+            moving[start:stop] = False
+        unused = log.displacement[moving]
+        products -= unused.T @ unused
     others = np.arange(count) != place
     names = [channel for channel in channels if channel != channels[place]]
     unmoved = moved[others] < LEAST_MOVED * strokes[others]
@@ -134,8 +149,13 @@ def stretches(drive: Floats, still: float) -> list[tuple[int, int]]:
     quiet = np.concatenate([[0], spread <= still, [0]]).astype(int)
     turns = np.diff(quiet)
     found = zip(np.flatnonzero(turns == 1), np.flatnonzero(turns == -1) + SHORTEST - 1, strict=True)
-    # Where a drive creeps on all the time, no window shows it.
-    return [(int(a), int(b)) for a, b in found if np.ptp(drive[a:b]) <= 2.0 * still]
+    apart: list[tuple[int, int]] = []
+    for start, stop in found:
+        begin = max(int(start), apart[-1][1] if apart else 0)
+        # Where a drive creeps on all the time, no window shows it.
+        if stop - begin >= SHORTEST and np.ptp(drive[begin:stop]) <= 2.0 * still:
+            apart.append((begin, int(stop)))
+    return apart
 
 
 def _creep(seconds: Floats) -> Floats:
