@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from make_figures import write
 
+from dbo_cli.drives.learning import ORDER, RESONANCE_PART
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.initial_states import StartName
@@ -123,6 +124,25 @@ def lessons(frequency: float) -> dict[str, list[float]]:
     return found
 
 
+def learning_factor(axes: Axes) -> None:
+    """Paint what a pass multiplies what was learned by, Q(1 - M), and what r + Q e would, 1 - MQ."""
+    frequency = RESONANCE * np.geomspace(0.1, 2.0, 2000)
+    weight = 1.0 / (1.0 + (frequency / (RESONANCE / RESONANCE_PART)) ** (2 * ORDER))
+    model = Resonance(RESONANCE, 0.02).response(frequency)
+    for part, look in zip((0.75, 0.88, 1.12, 1.25), style.SEVERAL, strict=False):
+        ratio = Resonance(part * RESONANCE, 0.005).response(frequency) / model
+        name = f"{abs(round(100.0 * (part - 1.0)))} % {'lower' if part < 1.0 else 'higher'}"
+        axes.loglog(frequency, np.abs(weight * (1.0 - ratio)), label=name, **look)
+    usual = np.abs(1.0 - weight * Resonance(0.75 * RESONANCE, 0.005).response(frequency) / model)
+    axes.loglog(frequency, usual, label="r + Q e", color=style.INK, linewidth=0.9, linestyle=(0, (1, 1.6)))
+    axes.axhline(1.0, color=style.INK, linewidth=0.6)
+    axes.set(xlabel="Frequency (Hz)", ylabel="Factor of a pass", xlim=(80.0, 1600.0), ylim=(1e-5, 10.0))
+    axes.set_xticks([100.0, 200.0, 400.0, 800.0, 1600.0], ["100", "200", "400", "800", "1600"], minor=False)
+    axes.minorticks_off()
+    label_decades(axes.yaxis)
+    mark_curves(axes, columns=2)
+
+
 def learning(axes: Axes) -> None:
     """Paint the error by pass of a move at a thirtieth of the resonance."""
     for (name, errors), look in zip(lessons(RESONANCE / 30.0).items(), style.SEVERAL, strict=False):
@@ -153,6 +173,7 @@ def loop(axes: Axes) -> None:
 PLOTS = (
     Plot("fast-move", "A fast move", "Errors at a tenth of the resonance.", style.WIDE, fast_move),
     Plot("reading-ahead", "The inverse of a resonance", "A step and its input.", style.WIDE, reading_ahead),
+    Plot("learning-factor", "Learning", "Factor of a pass.", style.WIDE, learning_factor, head=0.26),
     Plot("learning", "Learning", "Error by pass for three models.", style.WIDE, learning, head=0.17),
     Plot("loop", "A loop", "Errors of a looped move.", style.WIDE, loop),
 )

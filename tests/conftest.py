@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +30,15 @@ SMALL_MODEL: dict[str, Any] = {
         {"type": "scale", "gain": 1.6, "offset": 1.0},
     ],
 }
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let all workers keep compiled objects in one folder (``cached_cc.py``)."""
+    if "DBO_TEST_OBJECTS" not in os.environ and os.name == "posix" and shutil.which("gcc"):
+        folder = tempfile.TemporaryDirectory(prefix="dbo-objects-")
+        config.add_cleanup(folder.cleanup)
+        os.environ["DBO_TEST_OBJECTS"] = folder.name
+        os.environ["CC"] = str(Path(__file__).with_name("cached_cc.py"))
 
 
 class Outcome(NamedTuple):

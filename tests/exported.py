@@ -17,7 +17,8 @@ from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 
 WARNINGS = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Werror -ffp-contract=off".split()
 SANITIZERS = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+CACHED = str(Path(__file__).with_name("cached_cc.py"))
+COMPILERS = [CACHED] * bool(shutil.which("gcc")) + ["clang"] * bool(shutil.which("clang"))
 TYPES: dict[str, Any] = {"double": np.float64, "float": np.float32, "q31": np.int32}
 
 HARNESS = """

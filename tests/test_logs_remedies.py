@@ -46,12 +46,15 @@ def remedies(message: str) -> Iterator[Way]:  # noqa: C901 - a list
     if found := re.search(r"\(write .*(::[^)]+?)(?: for the first of \d+ tables)?\)", message):
         yield {"suffix": found[1]}
     if found := re.search(r"which column is the (\w+), (.+?)\?.*choose with", message):
-        yield from ({found[1]: name} for name in re.findall(r"'([^']+)'", found[2]))
+        names = re.findall(r"(\d+) '[^']+'", found[2]) or re.findall(r"'([^']+)'", found[2])
+        yield from ({found[1]: name} for name in names)
     elif "no column is recognised" in message:
         numbers = [
             number for number, name in re.findall(r"(\d+) (\w+)", message) if name not in ("t", "time")
         ]
         yield {role: numbers[-2 + place] for place, role in enumerate(ROLES) if f"`{role}`" in message}
+    if found := re.search(r"\(`rows` (:\d+) reads", message):
+        yield {"rows": found[1]}
     if found := re.search(r"\(such as (.+)\)", message):
         yield dict(re.findall(r"`(\w+)` (\d+)", found[1]))
     if found := re.search(r"\(`(\w+)` ((?:number=|name=)?\w+) or ((?:number=|name=)?\w+)\)", message):
@@ -78,7 +81,7 @@ def follow_all(address: str, way: Way, least: int) -> None:
 # What cannot be done by an option: the file has to be written again.
 WRITE_AGAIN = re.compile(
     r"MATLAB objects|save arrays of numbers|write scale_factor|not JSON|no END|export|narrow the query|"
-    r"write a file for each|X_Columns|bring the signals"
+    r"write a file for each|X_Columns|bring the signals|leave it out|write a line a row"
 )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.model_run import Tally
-from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, soft_rise
+from dbo_cli.drives.pieces import NOTHING, SHORTEST_WAY, Before, ramp, require_rows, rest_samples, soft_rise
 from dbo_cli.errors import LimitError
 from dbo_cli.hysteresis.dynamics import undone
 from dbo_cli.hysteresis.kernel import towards
@@ -89,17 +89,22 @@ class BeforeLoop(Compensation):
 
         What the plan of the rest leaves out, gears that the run-in reaches, is measured and taken off.
         """
-        bias, within = 0.0, self._stated()[0]
+        bias, within, start = 0.0, self._stated()[0], self.came_from
+        seconds = (0.0, math.inf) if self.options.lead == "auto" else (float(self.options.lead or 0.0),) * 2
         for _ in range(REST_PLANS):
             self.rows, self.rows_before, self.clipped = 0, 0, Tally()  # of the last try alone
-            before = self._rest_before(bias)
+            before = self._rest_before(start, seconds, bias)
             wanted = self._approached(asked, float(before.expected[-1]))
             assert before.state is not None
             run_in, settled, begun = self._run_in(wanted, asked, before.state, self._settled(before.state))
             off, _ = settling(self.model, settled.done.y, self.step, begun, settled.before, within)
             if abs(off) <= 0.5 * within:
                 break
-            bias += off
+            if start is None:  # what an unknown start leaves crossed jumps with it: the next rests start here
+                start, rested = float(before.voltage[0]), self.step * (before.voltage.size - 1)
+                seconds = rested, rested
+            else:
+                bias += off
         rows = int(np.count_nonzero(before.voltage == before.voltage[-1]))
         self.remarks_before.notes.append(
             f"{self.source.name}: for the creep the drive rests {self.step * rows:.3g} s at "
@@ -112,16 +117,16 @@ class BeforeLoop(Compensation):
         passes = self.options.passes
         return first + _rise(asked.size, passes) * (np.tile(asked, passes) - first)
 
-    def _rest_before(self, bias: float) -> Before:
-        """Return the rest that brings the creep where the loop needs it, and the ramp there."""
-        model, step, last, lead = self.model, self.step, self.came_from, self.options.lead
+    def _rest_before(self, last: float | None, between: tuple[float, float], bias: float) -> Before:
+        """Return the rest that brings the creep where the loop needs it, and the ramp there from ``last``."""
+        model, step, come = self.model, self.step, self.came_from is not None
         known = self.start if isinstance(self.start, ModelState) else None
         settled, memory = self._settled(known or self._begun(float(self.period[0]))), None
-        within, between = self._stated()[0], (0.0, math.inf)
-        if isinstance(lead, float | int):
-            between = float(lead), float(lead)
-        elif last is not None:  # what the ramp made ring dies away
+        within, swing = self._stated()[0], self.options.approach
+        if come and between[1] > between[0]:  # what the ramp made ring dies away
             between = step * rest_samples(model, step), math.inf
+        if swing is None:
+            swing = "auto" if come or self.limits.max_slew is not None else SHORTEST_WAY
         passes, count = self.options.passes, self.period.size
         fade = _fade(passes * count, passes * count, (1.0, 1.0 / passes))
         rise = 1.0 - (1.0 - _rise(count, passes)) * (1.0 - fade)
@@ -129,7 +134,7 @@ class BeforeLoop(Compensation):
             level, seconds = creep_rest(model, settled, step, memory, rise, within, between, bias)
             voltage, begun = np.array([level]), known
             if last is not None:
-                voltage = ramp("approach", last, level, step, self.options.approach or "auto", self.limits)
+                voltage = ramp("approach", last, level, step, swing, self.limits)
                 if known is None:
                     voltage, begun = np.concatenate([[last], voltage]), model.start(last, self.start)
             done = model.simulate(voltage, begun or model.start(level, self.start), time_step=step)
