@@ -90,7 +90,8 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
     Raises
     ------
     FitError
-        Too few rows, a time that does not advance, constant voltage or displacement, a voltage that never turns, or units that differ.
+        Too few rows, a time that does not advance, constant voltage or displacement, a voltage that never
+        turns, or units that differ.
     """
     if not recordings:
         raise FitError("no log given: identify needs at least one log of voltage and displacement")
