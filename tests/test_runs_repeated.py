@@ -149,6 +149,19 @@ def test_a_repeated_move_is_learned(loop: float, frequency: float | None, reache
     assert any("the last pass was" in note for note in done.notes)
 
 
+def test_slow_bands_with_little_in_them_do_not_stop_learning() -> None:
+    """A burst has a thousandth of its energy at low frequencies, where another loop's width shows."""
+    plant, model, wanted = actuator(0.40, None), Model(actuator(0.45, None)), move()
+    tracked: Any = ()
+    errors = []
+    for k in range(4):
+        done = model.compensate(wanted, tracked=tracked, **WIDE)
+        y, measured = played(plant, done.values, seed=k)
+        errors.append(float(np.std(y - wanted)))
+        tracked = (done.values, measured)
+    assert max(errors[1:]) < 0.2 * errors[0]
+
+
 def test_several_recordings_of_one_drive_are_averaged() -> None:
     plant, model, wanted = actuator(), Model(actuator(0.36)), move()
     first = model.compensate(wanted, **WIDE)
