@@ -71,7 +71,7 @@ def _side_by_side(request: Request, table: TextTable) -> Table | None:
         if not table.source.is_regular:
             if names & set(SIGNALS) and not request.named:
                 raise InputError(
-                    f"{request.place}: a row for each value: give it as a file, not through a pipe"
+                    f"{table.place}: a row for each value: give it as a file, not through a pipe"
                 )
             return None
         found = side_by_side(request, table.dialect)
