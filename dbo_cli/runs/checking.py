@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
+from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
@@ -75,20 +75,23 @@ def check_file(
     check_output(output, inputs)
     block, unit, step, remarks = _read(drive, options.voltage, reading)
     values, rows = block.values["voltage"], np.asarray(block.rows)
+    if against is not None:
+        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
+        remarks.add(more)
+        slack = played_tolerance(other.values["voltage"], options.tolerance) / abs(options.gain)
     checked = check_drive(
         values,
         block.time,
         options.limits(),
         from_=options.from_,
         loop=options.loop,
+        tolerance=0.0 if against is None else slack,
         place=lambda row: f"row {int(rows[row]):,}",
     )
     missing = np.diff(rows) > 1
     if missing.any():
         checked.problems.insert(0, f"row {int(rows[np.argmax(missing)]) + 1:,}: holds no number")
     if against is not None:
-        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
-        remarks.add(more)
         check_played(checked, other.values["voltage"], values, (own, step), options.tolerance, options.gain)
     name = drive.name
     lines = _lines(name, checked, unit)
