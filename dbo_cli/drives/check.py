@@ -50,6 +50,7 @@ def check_drive(
     from_: float | None = None,
     loop: bool = False,
     place: Callable[[int], str] = lambda row: f"row {row + 1}",
+    suffix: str = "",
 ) -> CheckedDrive:
     """Return what is wrong with a drive.
 
@@ -65,6 +66,8 @@ def check_drive(
         The drive is looped: the step from its last row to its first counts, too.
     place
         How messages call a row (from 0).
+    suffix
+        The unit, behind a blank, for messages.
 
     Raises
     ------
@@ -76,7 +79,7 @@ def check_drive(
     if steps is None and limits.max_slew is not None:
         raise InputError("there is no time, and `max_slew` depends on it (`time` COLUMN or `sample_rate` HZ)")
     checked.figures.see(drive, steps)
-    gate = DriveGate(limits, from_)
+    gate = DriveGate(limits, from_, suffix)
     before = np.concatenate([[drive[0] if from_ is None else from_], drive[:-1]])
     bad = gate.broken(drive, steps)
     if bad.any():
@@ -90,9 +93,9 @@ def check_drive(
             checked.problems.append(f"from the last row to the first: {seam.reason}")
         elif abs(drive[0] - drive[-1]) > 3.0 * inside:  # as a period that does not close (see ``loops``)
             checked.problems.append(
-                f"from the last row, {drive[-1]:.6g}, to the first, {drive[0]:.6g}, is a step of "
-                f"{abs(drive[0] - drive[-1]):.3g} where the largest inside is {inside:.3g}: the loop does "
-                "not close"
+                f"from the last row, {drive[-1]:.6g}{suffix}, to the first, {drive[0]:.6g}{suffix}, is a "
+                f"step of {abs(drive[0] - drive[-1]):.3g}{suffix} where the largest inside is "
+                f"{inside:.3g}{suffix}: the loop does not close"
             )
     return checked
 
