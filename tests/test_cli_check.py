@@ -94,6 +94,26 @@ def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
     assert (done.code, "at another rate" in done.out) == (0, True)
 
 
+def test_the_tolerance_of_a_recording_holds_for_its_limits_too(bench: Any) -> None:
+    noise = np.random.default_rng(2).normal(0.0, 0.01, 400)
+    write("played.csv", "time_s,monitor_V", TIME, DRIVE + noise)
+    limits = ["--v-min", "10", "--v-max", "90", "--max-slew", "1257", "--from", "50"]
+    done = bench("check", "played.csv", *limits)
+    assert done.code == 3 and "faster than 1257 V per second" in done.err
+    assert bench("check", "played.csv", *limits, "--against", "drive.csv").code == 0
+    low = ["check", "played.csv", "--v-min", "12", "--against", "drive.csv"]
+    assert "is outside 12 to inf V by more than the tolerance, 0.08 V (" in bench(*low).err
+    assert (
+        "1e-06" in bench("check", "played.csv", *limits, "--against", "drive.csv", "--tolerance", "1e-6").err
+    )
+    write(
+        "before.csv", "time_s,monitor_V", TIME, (DRIVE + noise) / 20.0
+    )  # its limits are before the amplifier
+    words = ["--against", "drive.csv", "--gain", "20", "--v-min"]
+    assert bench("check", "before.csv", *words, "0.5").code == 0
+    assert bench("check", "before.csv", *words, "0.51").code == 3
+
+
 def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
     words = ["--from", "0", "--approach", "0.2", "--return", "0.3", "--max-slew", "900"]
     done = bench("compensate", "model.json", "wish.csv", *words, "-o", "d.csv", "--summary", "s.json")

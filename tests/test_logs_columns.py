@@ -269,3 +269,10 @@ def test_the_only_column_of_a_unit_or_of_a_card_is_taken_with_a_note() -> None:
 def test_what_may_be_something_else_is_not_taken(header: str) -> None:
     with pytest.raises(InputError, match="no column is recognised as the"):
         taken(header)
+
+
+def test_a_name_of_which_only_brackets_are_left_may_be_meant() -> None:
+    """It stood beside 'Sensor voltage', which was taken for the displacement without a word."""
+    headers = (") (mm)", "time (hours)", "Voltage (V)", "Sensor voltage (V)")
+    columns = [column_info(name, number) for number, name in enumerate(headers, start=1)]
+    assert [one.number for one in matching_columns(columns, wish("displacement"))] == [1, 4]

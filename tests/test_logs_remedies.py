@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -46,12 +48,15 @@ def remedies(message: str) -> Iterator[Way]:  # noqa: C901 - a list
     if found := re.search(r"\(write .*(::[^)]+?)(?: for the first of \d+ tables)?\)", message):
         yield {"suffix": found[1]}
     if found := re.search(r"which column is the (\w+), (.+?)\?.*choose with", message):
-        yield from ({found[1]: name} for name in re.findall(r"'([^']+)'", found[2]))
+        names = re.findall(r"(\d+) '[^']+'", found[2]) or re.findall(r"'([^']+)'", found[2])
+        yield from ({found[1]: name} for name in names)
     elif "no column is recognised" in message:
         numbers = [
             number for number, name in re.findall(r"(\d+) (\w+)", message) if name not in ("t", "time")
         ]
         yield {role: numbers[-2 + place] for place, role in enumerate(ROLES) if f"`{role}`" in message}
+    if found := re.search(r"\(`rows` (:\d+) reads", message):
+        yield {"rows": found[1]}
     if found := re.search(r"\(such as (.+)\)", message):
         yield dict(re.findall(r"`(\w+)` (\d+)", found[1]))
     if found := re.search(r"\(`(\w+)` ((?:number=|name=)?\w+) or ((?:number=|name=)?\w+)\)", message):
@@ -78,7 +83,7 @@ def follow_all(address: str, way: Way, least: int) -> None:
 # What cannot be done by an option: the file has to be written again.
 WRITE_AGAIN = re.compile(
     r"MATLAB objects|save arrays of numbers|write scale_factor|not JSON|no END|export|narrow the query|"
-    r"write a file for each|X_Columns|bring the signals"
+    r"write a file for each|X_Columns|bring the signals|leave it out|write a line a row"
 )
 
 
@@ -158,3 +163,14 @@ def test_of_too_many_datasets_those_that_are_named_are_read(
         f"(`voltage` {group}NAME `displacement` {group}NAME `time` {group}NAME)"
     )
     read(address, {"voltage": f"{group}c7", "displacement": f"{group}c8"})
+
+
+def test_a_long_table_through_a_pipe_is_asked_for_as_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = "time,channel,value\n" + "".join(f"{n},voltage,{n}\n{n},displacement,{n}\n" for n in range(9))
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BufferedReader(io.BytesIO(lines.encode()))))
+    assert refused("-", {}) == "standard input: a row for each value: give it as a file, not through a pipe"
+    path = tmp_path / "log.csv"
+    path.write_text(lines)
+    read(str(path), {})

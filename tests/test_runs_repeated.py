@@ -103,6 +103,26 @@ def test_clipping_by_corners_is_told_from_clipping_by_place() -> None:
     assert note == "`wanted`: `bandwidth` 100 takes off 0.0186 um (RMS), 0.248 um at most"
 
 
+def test_a_rounded_move_goes_on_where_it_ends() -> None:
+    """What the inverse reads ahead by is the rounded move; it was one that stops dead at the last row."""
+    corners = np.interp(TIME, [0.0, 0.1, 0.2, 0.3], [3.0, 3.0, 9.0, 5.0])
+    held = np.concatenate([corners, np.full(2000, corners[-1])])
+    for plant in (actuator(), actuator(delay=0.003), actuator(frequency=None, delay=0.003)):
+        model = Model(plant)
+        drive = model.compensate(corners, sample_rate=RATE, bandwidth=100.0, state="empty")
+        longer = model.compensate(held, sample_rate=RATE, bandwidth=100.0, state="empty")
+        assert np.abs(drive - longer[: drive.size]).max() < 1e-9
+
+
+def test_a_move_that_ends_on_the_move_is_warned_of() -> None:
+    wanted = np.interp(TIME, [0.0, 0.1, TIME[-1]], [3.0, 3.0, 9.0])
+    done = Model(actuator()).compensate(wanted, **WIDE)
+    assert any("ends on the move: its last rows brake" in text for text in done.warnings)
+    for quiet in (Model(actuator()).compensate(move(), **WIDE),
+                  Model(actuator()).compensate(wanted, bandwidth=100.0, **WIDE)):  # fmt: skip
+        assert not any("ends on the move" in text for text in quiet.warnings)
+
+
 def test_a_move_that_begins_on_the_move_is_warned_of() -> None:
     wanted = 6.0 + 3.0 * np.sin(2.0 * np.pi * 80.0 * TIME)
     done = Model(actuator()).compensate(wanted, **WIDE)
@@ -127,6 +147,19 @@ def test_a_repeated_move_is_learned(loop: float, frequency: float | None, reache
     assert errors[2] <= max(reached, errors[0])
     assert errors[4] <= reached
     assert any("the last pass was" in note for note in done.notes)
+
+
+def test_slow_bands_with_little_in_them_do_not_stop_learning() -> None:
+    """A burst has a thousandth of its energy at low frequencies, where another loop's width shows."""
+    plant, model, wanted = actuator(0.40, None), Model(actuator(0.45, None)), move()
+    tracked: Any = ()
+    errors = []
+    for k in range(4):
+        done = model.compensate(wanted, tracked=tracked, **WIDE)
+        y, measured = played(plant, done.values, seed=k)
+        errors.append(float(np.std(y - wanted)))
+        tracked = (done.values, measured)
+    assert max(errors[1:]) < 0.2 * errors[0]
 
 
 def test_several_recordings_of_one_drive_are_averaged() -> None:

@@ -145,6 +145,14 @@ def test_show_says_how_long_to_wait(dbo: Any) -> None:
     assert "settling" not in plain.out
     content = json.loads(dbo("show", "plant.json", "--settle", "0.05", "--format", "json").out)
     assert content["settling"] == {"distance": 0.05, "unit": "um", "seconds": seconds}
+    with open("sure.json", "wb") as file:
+        file.write(model_to_bytes(dataclasses.replace(plant, fit={"expected_rmse": 0.004})))
+    below = json.loads(dbo("show", "sure.json", "--settle", "3nm", "--format", "json").out)["settling"]
+    assert below["hint"] == "below the model's expected error of 0.004 um"
+    assert "(below the model's expected error" in " ".join(
+        dbo("show", "sure.json", "--settle", "3nm").out.split()
+    )
+    assert "hint" not in content["settling"]
     wrong = dbo("show", "plant.json", "--settle", "5mrad")
     assert wrong.code == 2
     assert wrong.err == "dbo: error: --settle 5mrad: cannot be converted; a figure in um is needed\n"

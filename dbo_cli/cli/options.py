@@ -330,7 +330,8 @@ CHECKING = (  # the fields of ``CheckOptions``
     Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", number, "1"),
     Option(
         "--tolerance VOLT",
-        "With --against, the largest difference allowed [default: a thousandth of the range].",
+        "With --against, the largest difference allowed, and by how much a recorded row may miss a "
+        "limit [default: a thousandth of the range].",
         figure_above_0,
     ),
 )

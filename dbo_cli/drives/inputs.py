@@ -76,6 +76,8 @@ class Inputs:
     _largest: float = 0.0
     _corners: int = 0
     _starts_off: float = 0.0
+    _ends_off: float = 0.0
+    _rest: SampleBlock | None = None
 
     def blocks(self, given: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
         """Return each block with what goes into the model, ``begun`` being the state before the first.
@@ -101,14 +103,14 @@ class Inputs:
             step, blocks = even_clock(self.source, blocks, why, undoing.time_step if undoing else None)
         taken: Iterable[Taken] = ((block, block.values[role]) for block in blocks)
         if self.bandwidth is not None:
-            taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step))
+            taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step), step)
         if self.delay > 0.0:
             timed = ((block, block.time, x) for block, x in taken if block.time is not None)
             taken = read_ahead(timed, self.delay)
         if dynamics is not None:
             taken = self._undone(taken, dynamics.inverter(step))
         for block, x in taken:
-            if last is not None and block.rows[0] > last:
+            if block is self._rest or (last is not None and block.rows[0] > last):
                 return
             yield block, x
 
@@ -127,6 +129,12 @@ class Inputs:
                 f"{abs(self._starts_off):.3g}{unit} (let it begin and end at rest; `lead` auto writes "
                 "the drive that it needs before; `periodic` for a loop)"
             )
+        stops_dead = self.last_row is None and self.bandwidth is None
+        if stops_dead and abs(self._ends_off) > STARTS_MOVING * self.taken.span:
+            found.warn(
+                f"{name}: ends on the move: its last rows brake the actuator, by a drive as for "
+                f"{abs(self._ends_off):.3g}{unit} more (let it end at rest; `bandwidth` HZ rounds it)"
+            )
         if self._corners and self.dynamics is not None:
             lowest = min((one.frequency for one in self.dynamics.resonances), default=None)
             propose = f" {lowest / PROPOSED_PART:.3g}" if lowest is not None else " HZ"
@@ -136,10 +144,26 @@ class Inputs:
             )
         return found
 
-    def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass) -> Iterator[Taken]:
-        for block, x in low_pass.blocks(taken):
-            self.note_rounding(block.values[self.taken.quantity], x)
+    def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass, step: float) -> Iterator[Taken]:
+        for block, x in low_pass.blocks(self._with_rest(taken, low_pass.reach, step)):
+            if block is not self._rest:
+                self.note_rounding(block.values[self.taken.quantity], x)
             yield block, x
+
+    def _with_rest(self, taken: Iterable[Taken], count: int, step: float) -> Iterator[Taken]:
+        """Add rows that hold the last value: rounded, the move goes on in them, and comes to rest.
+
+        What is read ahead by is then the rounded move, not one that stops dead at its last row.
+        """
+        block, x = None, np.zeros(0)
+        for block, x in taken:
+            yield block, x
+        if block is not None and x.size:
+            rows, times = np.arange(1, count + 1), step * np.arange(1.0, count + 1.0)
+            end = None if block.time is None else block.time[-1] + times
+            held = np.full(count, x[-1])
+            self._rest = SampleBlock(block.rows[-1] + rows, None, end, {self.taken.quantity: held})
+            yield self._rest, held
 
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
         """Add up what a low-pass took off."""
@@ -167,7 +191,7 @@ class Inputs:
             asked = (u < low) | (u > high)
             if asked.any():
                 self._corners += int(np.count_nonzero(asked & (x >= low) & (x <= high)))
-            self.memory = after
+            self.memory, self._ends_off = after, float(u[-1] - x[-1])
             yield block, u
 
     def _counted(self, taken: Iterable[Taken]) -> Iterator[tuple[Taken, FloatArray]]:

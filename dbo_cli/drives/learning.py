@@ -154,7 +154,7 @@ class RepeatedMove:
         drives = [one.drive_sha256 for one in history]
         if passed.drive_sha256 in drives:  # learned from before: what came of it is forgotten
             history = history[: drives.index(passed.drive_sha256)]
-        cutoff = self.options.bandwidth or self._trusted(believed, desired - error)
+        cutoff = self.options.bandwidth or self._trusted(name, believed, desired - error)
         low_pass = ZeroPhaseLowPass(cutoff, self.step, ORDER)
         smooth = low_pass.loop if self.options.periodic else low_pass.whole
         update, before = smooth(error), smooth(believed - desired)
@@ -286,10 +286,10 @@ class RepeatedMove:
                 ]
         return []
 
-    def _trusted(self, believed: FloatArray, measured: FloatArray) -> float:
+    def _trusted(self, name: str, believed: FloatArray, measured: FloatArray) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
         known = trusted_frequency(self.model)
-        frequency = _trusted_by_bands(believed, measured, self.step) if known is None else known
+        frequency = _trusted_by_bands(name, believed, measured, self.step) if known is None else known
         return min(frequency, 0.45 / self.step, _safe(self.model))
 
 
@@ -353,23 +353,26 @@ def _safe(model: ActuatorModel) -> float:
     return highest
 
 
-def _trusted_by_bands(believed: FloatArray, measured: FloatArray, step: float) -> float:
-    """Return the upper end of the last third of an octave in which the measured follows the believed."""
+def _trusted_by_bands(name: str, believed: FloatArray, measured: FloatArray, step: float) -> float:
+    """Return the upper end of the last third of an octave in which the measured follows the believed.
+
+    From the strongest one on: in those below, what a wrong loop makes of it exceeds the little asked there.
+    """
     window = np.hanning(believed.size)
     asked, got = (np.fft.rfft((x - x.mean()) * window) for x in (believed, measured))
     frequency = np.fft.rfftfreq(believed.size, step)
     band = np.floor(3.0 * np.log2(np.maximum(frequency[1:] / frequency[1], 1.0))).astype(int)
     energy = np.sqrt(np.bincount(band, np.abs(asked[1:]) ** 2))
     off = np.sqrt(np.bincount(band, np.abs(got[1:] - asked[1:]) ** 2))
-    good = -1
-    for k in np.flatnonzero(energy > ENERGY * energy.max()):
+    good, strongest = -1, int(np.argmax(energy))
+    for k in strongest + np.flatnonzero(energy[strongest:] > ENERGY * energy.max()):
         if off[k] > TRUSTED_ERROR * energy[k]:
             break
         good = int(k)
     if good < 0:
         raise InputError(
-            "the recording does not follow the drive's model at any frequency, so that nothing can be "
-            "learned (check columns, units and delay, or give `bandwidth` HZ)"
+            f"{name}: does not follow the drive's model at any frequency, so that nothing can be learned "
+            "(check columns, units and delay, or give `bandwidth` HZ)"
         )
     return float(frequency[1] * 2.0 ** ((good + 1) / 3.0))
 

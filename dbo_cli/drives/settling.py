@@ -106,6 +106,13 @@ def step_times(model: ActuatorModel, steps: Sequence[tuple[float, float]], dista
     return [StepTime(*step, found[step]) for step in steps]
 
 
+def below_error(model: ActuatorModel, distance: float) -> str:
+    """Return a hint where a model errs by more than a distance, so that its times say little."""
+    rmse = model.fit.get("expected_rmse")
+    below = isinstance(rmse, float) and distance < rmse
+    return f" (below the model's expected error of {rmse:.3g}{model.output.suffix})" if below else ""
+
+
 def settling_notes(
     name: str,
     model: ActuatorModel,
@@ -116,14 +123,11 @@ def settling_notes(
 ) -> list[str]:
     """Return how long a step over the whole drive has to be held, and the steps between held levels."""
     unit, volts = model.output.suffix, model.input.suffix
-    rmse = model.fit.get("expected_rmse")
-    below = isinstance(rmse, float) and distance < rmse
-    hint = f" (below the model's expected error of {rmse:.3g}{unit})" if below else ""
     begin, end = whole
     seconds = settling_seconds(model, begin, end, distance)
     notes = [
         f"{name}: after a step from {begin:.6g} to {end:.6g}{volts} that is held, creep and ringing stay "
-        f"within {distance:.6g}{unit} after {seconds:.3g} s{hint}"
+        f"within {distance:.6g}{unit} after {seconds:.3g} s{below_error(model, distance)}"
     ]
     said = [f"{one.seconds:.3g} s ({one.begin:.6g} to {one.end:.6g}{volts})" for one in times]
     held = f"{name}: within {distance:.6g}{unit},"

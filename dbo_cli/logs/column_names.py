@@ -18,7 +18,7 @@ MORE_TIME_NAMES = (
     "timestamp", "time_stamp", "timestamps", "elapsed", "seconds", "millis", "micros", "milliseconds",
     "microseconds", "nanoseconds", "msec", "usec", "datetime", "zeitstempel", "uhrzeit", "temps", "tiempo",
     "tempo", "date", "datum", "datenum", "tijd", "tid", "czas", "čas", "cas", "время", "时间", "時間",
-    "x-axis", "utc",
+    "x-axis", "utc", "ts", "epoch",
 )  # fmt: skip
 
 

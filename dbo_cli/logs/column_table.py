@@ -118,6 +118,7 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
 
     A value that is absent (None) is NaN.
     """
+    from dbo_cli.logs.text.lines import to_number
     from dbo_cli.logs.text.time_stamps import stamp_seconds
 
     first = next((one for one in values if one is not None), None)
@@ -126,7 +127,7 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
     numbers, bad = np.full(len(values), np.nan), []
     for index, value in enumerate(values):
         if stamps and isinstance(value, str):
-            value = stamp_seconds(value)
+            value = to_number(value, ".") if start is None else stamp_seconds(value)
             if value is not None and start is not None:
                 value, unit = round(value - start, 6), "s"  # a float64 of seconds since 1970 has no more
         if isinstance(value, int | float):
@@ -135,7 +136,11 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
             bad.append(index)
     if 2 * len(bad) >= len(values):
         return None
-    odd = f"column '{name}' is not a number in record {bad[0] + 1}: {values[bad[0]]!r}" if bad else ""
+    odd = (
+        f"column '{name}' is not a number in record {bad[0] + 1}: {values[bad[0]]!r} (leave it out)"
+        if bad
+        else ""
+    )
     return ColumnSource(name, len(values), lambda start, stop: numbers[start:stop], unit, problem=odd)
 
 

@@ -291,6 +291,7 @@ def _suspects(
         if any(name in _letters(column) for name in long_names)  # positionmm, Posi)tion
         or any(_letters(column).startswith(name) for name in wish.guesses if len(name) == 3)  # Wegccm
         or _runs_into_unit(column, wish)
+        or (column.unit is None and is_torn(column.quantity))  # nothing of the name is left: ) (mm)
         or set(_words(column.quantity)) & set(wish.letters)
         or (not sure and column.unit is None and _is_unknown(column, wish))
     ]

@@ -373,7 +373,10 @@ def find_time_column(
         notes = [f"{place}: `sample_rate` replaces the column '{one.name}'" for one in found[:1]]
         return FoundTime(None, found if len(found) == 1 else [], notes)
     if len(found) > 1:
-        names = any_of([f"'{column.name}'" for column in found])
+        same = len({column.name for column in found}) < len(found)
+        names = any_of(
+            [f"{column.number} '{column.name}'" if same else f"'{column.name}'" for column in found]
+        )
         raise InputError(f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
     if not found:
         return FoundTime(None, [], [])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
+from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance
 from dbo_cli.drives.options import Figure, limits_in, plain_in
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
@@ -71,12 +71,18 @@ def check_file(
     check_output(output, inputs)
     block, unit, step, remarks = _read(drive, options.voltage, reading)
     values, rows = block.values["voltage"], np.asarray(block.rows)
+    if against is not None:
+        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
+        remarks.add(more)
+        most = None if options.tolerance is None else in_unit("tolerance", options.tolerance, unit)
+        slack = played_tolerance(other.values["voltage"], most) / abs(options.gain)
     checked = check_drive(
         values,
         block.time,
         limits_in(unit, options.v_min, options.v_max, options.max_slew),
         from_=None if options.from_ is None else in_unit("from_", options.from_, unit),
         loop=options.loop,
+        tolerance=0.0 if against is None else slack,
         place=lambda row: f"row {int(rows[row]):,}",
         suffix=f" {unit}" if unit else "",
     )
@@ -84,9 +90,6 @@ def check_file(
     if missing.any():
         checked.problems.insert(0, f"row {int(rows[np.argmax(missing)]) + 1:,}: holds no number")
     if against is not None:
-        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
-        remarks.add(more)
-        most = None if options.tolerance is None else in_unit("tolerance", options.tolerance, unit)
         check_played(checked, other.values["voltage"], values, (own, step), most, options.gain)
     name = drive.name
     if read := plain_in(

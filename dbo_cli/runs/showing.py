@@ -126,13 +126,15 @@ def _settling(model: ActuatorModel, settle: str | None) -> dict[str, Any]:
     """Return how long a step over the whole drive takes to stay within a distance, where it is asked for."""
     if settle is None:
         return {}
-    from dbo_cli.drives.settling import distance_in, settling_seconds
+    from dbo_cli.drives.settling import below_error, distance_in, settling_seconds
 
     forward = model if model.direction == "forward" else model.inverse()
     distance, drive = distance_in(settle, forward.output.unit), forward.input
     ways = ((drive.minimum, drive.maximum), (drive.maximum, drive.minimum))
     seconds = max(settling_seconds(forward, *way, distance) for way in ways)
-    return {"settling": {"distance": distance, "unit": forward.output.unit, "seconds": seconds}}
+    hint = below_error(forward, distance)
+    found = {"distance": distance, "unit": forward.output.unit, "seconds": seconds}
+    return {"settling": found | ({"hint": hint.strip(" ()")} if hint else {})}
 
 
 def as_text(content: Mapping[str, Any]) -> str:
@@ -148,6 +150,7 @@ def as_text(content: Mapping[str, Any]) -> str:
         lines.append(
             f"settling: {one['seconds']:.3g} s after a step over the whole drive, until creep and ringing "
             f"stay within {one['distance']:.6g} {one['unit'] or ''}".rstrip()
+            + (f" ({one['hint']})" if "hint" in one else "")
         )
     lines += _goodness(content, made["unit"])
     if content["inputs"]:

@@ -222,4 +222,41 @@ LABORATORY_FILES = [
                text("waveform\t[0]\t[1]", LABVIEW_HEAD[0][:-1] + "1", *LABVIEW_HEAD[1:], "time\tY[0]\tY[1]", *LABVIEW_ROWS),
                refusal=": the waveforms have different t0 or delta t, and rows of different times stand beside each other: "
                        "write a file for each, and name the other's column as FILE::COLUMN"),
+    FormatFile("JPK, a segment with other columns", f"{HAND} (JPK's export)", ".txt",
+               text("# columns: time voltage height", "# units: s V um", *rows(" "), "",
+                    "# columns: time height voltage", "# units: s um V", *rows(" ", (T, D, V))), ask={"displacement": "height"},
+               refusal=":8: the columns change here, from time voltage height to time height voltage "
+                       "(`rows` :4 reads what is above)"),
+    FormatFile("JSON lines, numbers as text, milliseconds since 1970", JSON, ".jsonl",
+               text(*(json.dumps({"ts": 1767323045000 + n, "voltage": str(V[n]), "displacement": str(D[n])}) for n in range(4))),
+               **STAMPED),
+    FormatFile("JSON lines, text among the numbers", JSON, ".jsonl",
+               text('{"voltage": 1, "displacement": 2}', '{"voltage": "off", "displacement": 2}', '{"voltage": 1, "displacement": 2}'),
+               refusal=": column 'voltage' is not a number in record 2: 'off' (leave it out)"),
+    FormatFile("JSON, channels with names and units", JSON, ".json",
+               text(json.dumps({"meta": {"fs": "1 kHz"}, "channels": [
+                   {"name": "voltage", "unit": "V", "data": V}, {"name": "displacement", "unit": "um", "data": D}]}))),
+    FormatFile("JSON, pairs of time and value", f"{HAND} (Prometheus' API)", ".json",
+               text(json.dumps({"data": {"result": [{"metric": {"name": "voltage"}, "values": [[0, "1"], [1, "2"]]}]}})),
+               refusal=": no columns of numbers: it holds data/result/metric/name, data/result/values "
+                       '(write a line a row: {"time": 0, "voltage": 1.5})'),
+    FormatFile("Igor text, a matrix, its rows in ms", IGOR, ".itx",
+               text("IGOR", "WAVES/D/N=(4,2)\trun", "BEGIN", *rows("\t", (V, D)), "END", 'X SetScale/P x 0,1,"ms", run'),
+               ask={"voltage": "run[1]", "displacement": "run[2]"}, units=NO_UNITS),
+    FormatFile("MATLAB, a struct a signal, with its times", "scipy.io.savemat", ".mat",
+               mat({name: {"Time": np.array(T), "Data": np.array(one)} for name, one in (("voltage", V), ("displacement", D))}),
+               units=NO_UNITS),
+    FormatFile("MATLAB, a struct a signal, with times of its own", "scipy.io.savemat", ".mat",
+               mat({name: {"Time": np.array(T) + at, "Data": np.array(V)} for at, name in enumerate(("voltage", "displacement"))}),
+               refusal=": which column is the time, 'voltage/time' or 'displacement/time'? (choose with `time` NAME or NUMBER)"),
+    FormatFile("SQL, time, sensor, value, unit", f"{HAND} (a data base)", ".csv",
+               text("time,sensor,value,unit", *(row for n in range(4) for row in (
+                   f"{T[n]},voltage,{MV[n]:g},mV", f"{T[n]},displacement,{NM[n]:g},nm"))), **SCALED),  # type: ignore[arg-type]
+    FormatFile("Grafana, series with times of their own", GRAFANA, ".csv",
+               text("Series,Time,Value", *(f"voltage,{stamp},1" for stamp in STAMPS), *(f"displacement,{stamp[:-1]}5Z,1" for stamp in STAMPS)),
+               refusal=": each signal has times of its own: put them side by side, then bring the signals to common times "
+                       "first (pandas: interpolate(method='index'), dropna)"),
+    FormatFile("Two columns called time", f"{HAND} (an oscilloscope's viewer)", ".csv",
+               text("Time (s),CH1 (V),Time (s),CH2 (um)", *rows(",", (T, V, T, D))),
+               refusal=": which column is the time, 1 'Time (s)' or 3 'Time (s)'? (choose with `time` NAME or NUMBER)"),
 ]  # fmt: skip

@@ -226,7 +226,10 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
     if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
         known = {source.label for source in sources}
         sources += [source for source in _channels("", group) if source.label not in known]
-    if all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
+    channels = {name: one for name, one in group.items() if isinstance(one, dict) and _is_signal(one)}
+    if len(channels) > 1:
+        sources += _with_their_times(channels)
+    elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
         sources += [one for one in _below(group) if one.length == sources[0].length]
     return [with_unit(source, group.get) for source in without_scalars(sources)]
 
@@ -234,11 +237,27 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
 def _below(group: dict[str, Any]) -> Iterator[ColumnSource]:
     """List the columns of the structs in a struct, at any depth, by their paths."""
     for name, value in group.items():
-        if isinstance(value, dict) and _is_channel(value):
-            yield from _channels(name, {_LABELS[0]: name} | value)
-        elif isinstance(value, dict):
+        if isinstance(value, dict):
             for one in [*_columns(value), *_below(value)]:
                 yield replace(one, label=f"{name}/{one.label}")
+
+
+def _is_signal(value: dict[str, Any]) -> bool:
+    return not _is_channel_list(value) and np.ndim(_first(value, _VALUES)) == 1
+
+
+def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSource]:
+    """List structs that hold a signal each, and their times (once, where all have the same)."""
+    times: dict[str, Any] = {}
+    for name, value in channels.items():
+        yield from _channels(name, {_LABELS[0]: name} | value)
+        for key in (key for key in value if key.lower() in TIME_NAMES and np.ndim(value[key]) == 1):
+            times[name] = value[key]
+    same = len(times) == len(channels) and all(
+        np.array_equal(one, next(iter(times.values()))) for one in times.values()
+    )
+    for name in list(times)[:1] if same else times:
+        yield array_source("time" if same else f"{name}/time", times[name])
 
 
 def _arrays(name: str, value: Any) -> list[ColumnSource]:

@@ -33,7 +33,7 @@ def open_json(request: Request) -> ColumnTable:
         found = [listed_source(name, values) for name, values in columns.items()]
     sources = without_scalars([source for source in found if source is not None])
     if not sources:
-        raise request.no_columns(columns or single)
+        raise request.no_columns(columns or single, ' (write a line a row: {"time": 0, "voltage": 1.5})')
     return ColumnTable(request, "JSON", sources, clock=statements_in(single))
 
 
@@ -67,12 +67,23 @@ def _columns(document: Any) -> tuple[dict[str, list[Any]], dict[str, Any]]:
     single: dict[str, Any] = {}
     for name, value in _leaves(document):
         if isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
-            columns |= {f"{name}/{inner}": values for inner, values in _columns(value)[0].items()}
+            columns |= dict(_named(value)) or {
+                f"{name}/{inner}": values for inner, values in _columns(value)[0].items()
+            }
         elif isinstance(value, list):
             columns[name] = value
         else:
-            single[name] = value
+            single[name.rpartition("/")[2]] = value
     return columns, single
+
+
+def _named(channels: list[dict[str, Any]]) -> Iterator[tuple[str, list[Any]]]:
+    """Take channels apart that have a name, values, and perhaps a unit each."""
+    for one in channels:
+        held = [value for value in one.values() if isinstance(value, list)]
+        name, unit = one.get("name", one.get("label")), one.get("unit", one.get("units"))
+        if len(held) == 1 and isinstance(name, str):
+            yield (f"{name} [{unit}]" if isinstance(unit, str) and unit else name), held[0]
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:

@@ -23,7 +23,7 @@ from dbo_cli.logs.libraries import keep_interrupts
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, FILL_GAPS, Rows, remedy_for
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
-from dbo_cli.logs.text.dialect import NUMBER_WITH_UNIT, PLAIN_NUMBERS, Dialect, is_comment
+from dbo_cli.logs.text.dialect import NUMBER_WITH_UNIT, PLAIN_NUMBERS, Dialect, is_comment, labelled
 from dbo_cli.logs.text.lines import RepeatedHeader, complain, is_text, split_cells, to_number
 
 _DIGIT = re.compile(r"\d")
@@ -136,7 +136,9 @@ class BlockParser:
             line = decoded(raw.removesuffix(b"\r"))
             if raw and self.repeated is not None and self.repeated.takes(line, number):
                 continue
-            if raw and not is_comment(line, self.dialect.comments):
+            if raw and is_comment(line, self.dialect.comments):
+                self._refuse_other_columns(line)
+            elif raw:
                 row = self._parse_row(line)
                 if row is not None:
                     if time is not None and self.repeated is not None:
@@ -149,6 +151,20 @@ class BlockParser:
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
         columns = {role: np.ascontiguousarray(table[:, number]) for number, role in enumerate(self.picks)}
         return SampleBlock(rows, lines, None, columns)
+
+    def _refuse_other_columns(self, line: str) -> None:
+        """Refuse a comment that names other columns than the one above the data (InputError)."""
+        found = labelled(line, self.dialect.comments) if self.dialect.labels else None
+        above = dict(self.dialect.labels).get(found[0]) if found is not None else None
+        if (
+            found is not None
+            and above not in (None, found[1])
+            and self.next_row <= (self.rows[1] or sys.maxsize)
+        ):
+            raise InputError(
+                f"{self.place}:{self.next_line}: the columns change here, from {above} to {found[1]} "
+                f"(`rows` :{self.next_row - 1} reads what is above)"
+            )
 
     def _parse_row(self, line: str) -> list[float] | None:
         """Read the wanted cells of one line; None for a row that is out of range, blank or dropped."""

@@ -44,7 +44,7 @@ class Dialect:
     where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
     in most rows; ``writings`` is how each column is written (``ColumnInfo.written``), where any holds time
     stamps; ``header_block`` is what stands again before each segment of the data; ``sparse`` tells that every
-    row leaves out a number that other rows have.
+    row leaves out a number that other rows have; ``labels`` are comments of names or units.
     """
 
     delimiter: str
@@ -58,6 +58,7 @@ class Dialect:
     writings: tuple[str, ...] = ()
     header_block: HeaderBlock | None = None
     sparse: bool = False
+    labels: tuple[tuple[str, str], ...] = ()
 
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""
@@ -127,7 +128,15 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         _writings([lines[number] for number in data[-SAMPLE_LINES:]], shape),
         find_header_block(lines, layout.first, shape.delimiter),
         _is_sparse([lines[number] for number in data[-SAMPLE_LINES:]], shape),
+        tuple(filter(None, (labelled(line, comments) for line in lines[: layout.first]))),
     )  # fmt: skip
+
+
+def labelled(line: str, comments: str) -> tuple[str, str] | None:
+    """Return the label of a comment that names columns or units, and what follows it; None for any other."""
+    body = line.strip().lstrip(comments).strip()
+    label = _LABEL.match(body) if line.strip()[:1] in comments else None
+    return None if label is None else (label[0], body[label.end() :])
 
 
 def _is_sparse(sample: list[str], shape: _Shape) -> bool:

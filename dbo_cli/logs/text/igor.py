@@ -11,7 +11,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source
 from dbo_cli.logs.plain_text import decoded
-from dbo_cli.logs.stated_clock import Statement
+from dbo_cli.logs.stated_clock import FACTORS, Statement, time_unit
 from dbo_cli.logs.text.lines import to_number
 
 _NAME = r"'[^']{1,255}'|\w+"
@@ -44,11 +44,16 @@ def open_igor(request: Request) -> ColumnTable:
         names = _names(block["names"])
         first = text.count("\n", 0, block.start("rows")) + 1
         lines = [line for line in enumerate(block["rows"].split("\n"), start=first) if line[1].strip()]
+        width = len(lines[0][1].split()) if lines else 0
+        if len(names) == 1 and width > 1:  # a matrix
+            names = [f"{names[0]}[{number}]" for number in range(1, width + 1)]
         rows = [_row(f"{request.place}:{number}", line, len(names)) for number, line in lines]
         columns = np.array(rows).reshape(len(rows), len(names)).T
         sources |= {name: array_source(name, one) for name, one in zip(names, columns, strict=True)}
     for found in _SCALE.finditer(text):
-        sources |= {name: _scaled(sources[name], found) for name in _names(found["names"]) if name in sources}
+        names = _names(found["names"])
+        for label in (label for label in sources if label.partition("[")[0] in names):
+            sources[label] = _scaled(sources[label], found)
     if not sources:
         raise request.no_columns(())
     return ColumnTable(request, "Igor text", list(sources.values()))
@@ -73,9 +78,11 @@ def _scaled(source: ColumnSource, found: re.Match[str]) -> ColumnSource:
     first, second = to_number(found["first"].strip(), "."), to_number(found["second"].strip(), ".")
     if found["axis"].lower() != "x":
         return replace(source, unit=found["unit"] or None)
-    if first is None or second is None or found["unit"] != "s":
+    unit = time_unit(found["unit"])
+    if first is None or second is None or unit is None:
         return source
     step = second if (found["how"] or "").upper() == "/P" else (second - first) / max(1, source.length - 1)
     if not step > 0.0:
         return source
-    return replace(source, start=first, clock=(Statement(f"'SetScale' {step:g} s", 1.0 / step),))
+    start, step = FACTORS[unit].apply(np.array([first, step])).tolist()
+    return replace(source, start=start, clock=(Statement(f"'SetScale' {step:g} s", 1.0 / step),))
