@@ -165,10 +165,10 @@ class Extent:
     low: float = math.inf
     high: float = -math.inf
 
-    def add(self, values: Floats) -> None:
+    def add(self, x: Floats) -> None:
         """See some values more."""
-        self.low = min(self.low, float(values.min(initial=math.inf)))
-        self.high = max(self.high, float(values.max(initial=-math.inf)))
+        self.low = min(self.low, float(x.min(initial=math.inf)))
+        self.high = max(self.high, float(x.max(initial=-math.inf)))
 
 
 @dataclass

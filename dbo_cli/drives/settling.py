@@ -57,13 +57,13 @@ class HeldLevels:
         self._level, self._rows, self._drive = math.nan, 0, math.nan
         self._before: tuple[float, float] | None = None
 
-    def add(self, given: FloatArray, drive: FloatArray) -> None:
-        """Take a block of what is wanted and of its drive."""
-        if not given.size:
+    def add(self, desired: FloatArray, drive: FloatArray) -> None:
+        """Take a block of what is desired and of its drive."""
+        if not desired.size:
             return
-        begins = np.concatenate([[0], np.flatnonzero(np.diff(given) != 0.0) + 1])
-        rows = np.diff(begins, append=given.size)
-        carried = self._rows if given[0] == self._level else 0
+        begins = np.concatenate([[0], np.flatnonzero(np.diff(desired) != 0.0) + 1])
+        rows = np.diff(begins, append=desired.size)
+        carried = self._rows if desired[0] == self._level else 0
         if not carried:
             self._close()
         for k in np.flatnonzero((rows >= FEWEST_HELD) | (begins == 0) | (begins == begins[-1])).tolist():
@@ -71,7 +71,7 @@ class HeldLevels:
             held = before + int(rows[k])
             if before < FEWEST_HELD <= held:
                 self._drive = float(drive[begins[k] + FEWEST_HELD - before - 1])
-            self._level, self._rows = float(given[begins[k]]), held
+            self._level, self._rows = float(desired[begins[k]]), held
             if k < rows.size - 1:
                 self._close()
 
