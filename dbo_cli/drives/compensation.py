@@ -21,7 +21,7 @@ from dbo_cli.drives.gate import DriveFigures, DriveGate, Extent
 from dbo_cli.drives.history import write_history
 from dbo_cli.drives.inputs import first_blocks
 from dbo_cli.drives.model_run import ModelRun, Response, Tally
-from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.options import DriveOptions, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.drives.settling import HeldLevels, StepTime, distance_in, settling_notes, step_times
 from dbo_cli.errors import InputError, LimitError, UsageError
@@ -29,6 +29,7 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
+from dbo_cli.logs.units import in_unit
 from dbo_cli.remarks import Remarks
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Compensation(ModelRun):
         super().__post_init__()
         self._run = functools.partial(self.model.compensate, limits=self.limits)
         self.came_from = self._comes_from()
-        self.gate = DriveGate(self.limits, self.came_from)
+        self.gate = DriveGate(self.limits, self.came_from, self.model.input.suffix)
 
     def responses(self) -> Iterator[Response]:
         """Return the drive, with the pieces before and after it that were asked for.
@@ -153,7 +154,8 @@ class Compensation(ModelRun):
 
     def _comes_from(self) -> float | None:
         """Return where the drive stands before the first row: a saved state, or what was said, knows it."""
-        asked, state = self.options.from_, self.start
+        given, state = self.options.from_, self.start
+        asked = None if given is None else in_unit("from_", given, self.model.input.unit)
         known = self.model.drive_of(state) if isinstance(state, ModelState) else None
         if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.output.span:
             raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
@@ -290,7 +292,6 @@ class Compensation(ModelRun):
     # --- what is said ---
 
     def _add_limits(self, remarks: Remarks) -> None:
-        drive, limits = self.model.input, self.limits
         if self.clipped.count:
             remarks.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
         elif self.beyond.count:
@@ -300,18 +301,17 @@ class Compensation(ModelRun):
                 f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.input.suffix} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
-        if limits.v_min < drive.minimum or limits.v_max > drive.maximum:
-            remarks.warn(
-                f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}"
-                f"{drive.suffix}, where the model was identified; it extrapolates there"
-            )
+        if beyond := self.limits.beyond(self.model.input):
+            remarks.warn(beyond)
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far, and what was said before."""
         remarks = Remarks()
         remarks.add(self.remarks_before)
         remarks.add(super().remarks())
+        read = self.options.plain_in(self.model.input.unit)
         texts = (
+            f"{self.source.name}: {read}" if read else "",
             self._first_row(),
             self._whose_volts(),
             self.expected_error(),
@@ -368,12 +368,14 @@ class Compensation(ModelRun):
 
     def _load(self) -> str:
         """Say what the drive asks of the amplifier, where its load is known."""
-        farad, drive = self.options.capacitance, self.drive
+        farad, drive = self.options.farad, self.drive
         if farad is None or not drive.seconds:
             return ""
+        volts = float(volts_a_unit(self.model))
+        coulombs, joules = farad * volts * drive.travel, farad * volts**2 * drive.work
         return (
-            f"{self.source.name}: into {farad:g} F the drive takes {farad * drive.fastest:.3g} A at most, "
-            f"{farad * drive.travel / drive.seconds:.3g} A and {farad * drive.work / drive.seconds:.3g} W "
+            f"{self.source.name}: into {farad:g} F the drive takes {farad * volts * drive.fastest:.3g} A at "
+            f"most, {coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W "
             "(voltage times current) on average"
         )
 

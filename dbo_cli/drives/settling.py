@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from dbo_cli.hysteresis.linear_sections import Lag, Section
 from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.units import is_known_unit, normalise_unit, unit_factor
+from dbo_cli.logs.units import in_unit
 
 FOR_EVER = 50.0  # of the longest time constant: what creeps is over to 2e-22
 SHORTEST = 1e-9  # s: shorter than any converter's row
@@ -25,7 +24,6 @@ ROWS_A_PERIOD = 64.0
 MOST_SAID = 12  # steps in a note
 MOST_TIMED = 300  # different steps that are timed: 7 ms each
 FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
-_DISTANCE = re.compile(r"\s*(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*([^\s\d].*?)?\s*")
 
 
 def distance_in(given: float | str, unit: str | None) -> float:
@@ -36,20 +34,10 @@ def distance_in(given: float | str, unit: str | None) -> float:
     UsageError
         It is no distance above 0, or its unit is no known one or of another kind.
     """
-    found = _DISTANCE.fullmatch(str(given)) if isinstance(given, str) else None
-    value, own = (found[1], found[2]) if found else (given, None)
-    try:
-        size = float(value)
-    except ValueError:
-        size = math.nan
+    size = in_unit("settle", given, unit)
     if not 0.0 < size < math.inf:
         raise UsageError(f"`settle` {given}: give a distance above 0, such as 0.005 or 5nm")
-    if own is None:
-        return size
-    factor = unit_factor(normalise_unit(own), unit) if is_known_unit(own) and unit is not None else None
-    if factor is None:
-        raise UsageError(f"`settle` {given}: {own} is not to be had in the model's {unit or 'output'}")
-    return float(factor.apply(np.array([size]))[0])
+    return size
 
 
 class HeldLevels:
