@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -305,3 +306,15 @@ def test_identify_of_patterns_gives_a_set(tmp_path: Path) -> None:
     assert str(read["1"].actuator.stages) == str(made["1"].actuator.stages)
     with pytest.raises(UsageError, match="`displacement` is not given where `voltage` 'V\\{\\}' is many"):
         dbo.identify(frame, voltage="V{}", **QUICK)
+
+
+@pytest.mark.parametrize("dac", [None, np.linspace(0.0, 100.0, 4096)])
+def test_a_bank_goes_on_in_another_process(either_kernel: str, dac: Any) -> None:
+    options: dict[str, Any] = {"v_min": 0.0, "v_max": 100.0, "max_slew": 9000.0, "dac": dac}
+    stays = SET.controller(RATE, **options)
+    for frame in frames()[:150]:
+        stays.step(frame)
+    gone = pickle.loads(pickle.dumps(stays))
+    for frame in frames()[150:]:
+        assert gone.step(frame).tolist() == stays.step(frame).tolist()
+    assert gone.clipped.tolist() == stays.clipped.tolist()

@@ -59,7 +59,7 @@ class Bank:
         self._codes = None if dac is None else Codes(dac, self._controllers)
         count = len(self.channels)
         self._live: Any = None
-        self._volts = np.zeros(count)
+        self._volts, self._stand = np.zeros(count), np.zeros(count)
         self._clipped_now = np.zeros(count, np.uint8)
         self.clipped = np.zeros(count, np.int64)
         self.planned: NDArray[Any] | None = None
@@ -141,10 +141,24 @@ class Bank:
         """The committed state of each channel, to go on from; None before the first."""
         return {name: one.state for name, one in zip(self.channels, self._controllers, strict=True)}
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle the committed states; what was planned stays behind."""
+        return self.__dict__ | {"planned": None, "_live": self._live is not None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on from committed states."""
+        self.__dict__.update(state)
+        live, self._live = self._live, None
+        if live:
+            limits = self._bounds()
+            limits[3] = self._stand
+            self._live = self._make(limits)
+
     def _go_on(self, applied: Floats | None) -> None:
         """Go on in the kernel: from the plan, or from other voltages (of codes)."""
         if applied is None and self._codes is None:
             self._live.commit()
+            self._stand[:] = self._volts
             return
         volts = self._volts if applied is None else applied
         if self._codes is not None and applied is not None:
@@ -154,18 +168,27 @@ class Bank:
             raise InputError(f"channel {self.channels[bad]}: what was applied is not a finite number")
         if self._codes is not None:
             self._codes.commit(volts)
+        self._stand[:] = volts
 
     def _begin(self) -> None:
         """Put the channels that have begun into one bank of the kernel."""
+        limits = self._bounds()
+        self._live, self._stand = self._make(limits), limits[3].copy()
+        if self._codes is not None and self._live is not None:
+            self._codes.begin(limits)
+
+    def _bounds(self) -> Floats:
+        """Return rows low, high, most and last, a column of each channel."""
+        return np.ascontiguousarray(np.array([one.bounds for one in self._controllers]).T)
+
+    def _make(self, limits: Floats) -> Any:
+        """Return the bank of the kernel, or None where what looks ahead, or lags, goes on one by one."""
         begun = [one.begun for one in self._controllers]
         parts = [one for one in begun if one is not None]
-        if len(parts) < len(begun):  # what looks ahead, or has a lag before its gears, goes on one by one
-            return
-        limits = np.array([one.bounds for one in self._controllers]).T
+        if len(parts) < len(begun):
+            return None
         steppers, before, after = zip(*parts, strict=True)
-        self._live = make_bank(steppers, before, after, limits)
-        if self._codes is not None:
-            self._codes.begin(limits)
+        return make_bank(steppers, before, after, limits)
 
     def _one_by_one(self, wanted: Floats) -> NDArray[Any]:
         planned = []

@@ -7,6 +7,7 @@ live sample would pay each time (``benchmarks/live_speed.py``). The bits are the
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +132,7 @@ class BacklashStepper:
         decay = terms.decay(time_step) if terms and time_step is not None else np.zeros((0, 0))
         step = math.nan if bound.step is None else float(np.asarray(bound.step))
         make = PythonStepper if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Stepper
-        self._operator = operator
+        self._operator, self._made_with = operator, (time_step, limits)
         self.inner = make(
             operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, gain,
             terms.reference if terms else 0.0, operator.memory_on == "output", decay, limits is not None,
@@ -140,6 +141,10 @@ class BacklashStepper:
         self._words, self._memory = operator._words(state), np.zeros(gain.size)
         self.plan, self.commit, self.apply = self.inner.plan, self.inner.commit, self.inner.apply
         self.set(state, last)
+
+    def __reduce__(self) -> Any:
+        """Pickle the committed state; what was planned stays behind."""
+        return BacklashStepper, (self._operator, self.state, self.last, *self._made_with)
 
     @property
     def clipped(self) -> int:
