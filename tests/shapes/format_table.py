@@ -15,8 +15,8 @@ list, so it cannot say anything else. A file says by its first bytes what it is,
 stands, time, voltage, displacement and their units come out right with it; what is said on the way stands behind it. In messages a parameter stands in backticks: `sample_rate` is
 `--sample-rate` on the command line.
 
-Excel needs `pip install "dbo-cli[excel]"`, TDMS `pip install "dbo-cli[tdms]"`, UFF `pip install "dbo-cli[uff]"`, all three
-`pip install "dbo-cli[formats]"`;
+Excel needs `pip install fastexcel`, TDMS `pip install npTDMS`, UFF `pip install pyuff`, in the environment of `dbo`; all three come
+with `pip install -e ".[formats]"` in a checkout;
 everything else is read by what `dbo` needs anyway.
 
 `FILE::NAME` addresses a part: an HDF5 group or dataset, a MATLAB struct, a workbook's sheet, a TDMS group. Where
