@@ -153,7 +153,7 @@ def test_a_saved_state_is_where_the_drive_comes_from() -> None:
     model = Model(actuator(frequency=None))
     _, state = model.simulate(np.full(20, 91.9), sample_rate=RATE, return_state=True)
     fall = np.full(400, 5.0)
-    with pytest.raises(LimitError, match=r"comes from 91\.9, .*`approach` SECONDS ramps there"):
+    with pytest.raises(LimitError, match=r"comes from 91\.9 V, .*`approach` SECONDS ramps there"):
         model.compensate(fall, **prompt(state=state, v_max=50.0, max_slew=100.0))
     done = model.compensate(fall, **prompt(state=state, v_max=50.0, max_slew=2000.0, approach="auto"))
     assert done.time is not None and done.time[0] < 0.0 and done.values[0] < 91.9

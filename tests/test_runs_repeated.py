@@ -368,7 +368,9 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
         assert np.abs(np.diff(done.values)).max() <= 1.001 * np.abs(np.diff(drive)).max()
         reached, _ = played(model, np.concatenate([before, np.tile(drive, 3)]), start=start)
         assert np.abs(reached[-300:] - wanted).max() < 1e-9
-    with pytest.raises(LimitError, match="the drive comes from 0, and 2000 per second does not bring it to"):
+    with pytest.raises(
+        LimitError, match="the drive comes from 0 V, and 2000 V per second does not bring it to"
+    ):
         Model(model).compensate(wanted, from_=0.0, max_slew=2000.0, **asked)
 
 

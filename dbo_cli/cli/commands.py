@@ -312,16 +312,22 @@ def excite(given: Given) -> None:
     more, and longer below 60 Hz). With --channels N there is a column for each of N channels.
     """
     from dbo_cli.hysteresis.excitation import excitation_of
+    from dbo_cli.logs.units import in_unit
     from dbo_cli.runs.files import write_excitation
 
     if given.channels is not None and given.points is not None:
         raise UsageError(
             "`points` and `channels` exclude each other: channels that move one by one take more rows"
         )
-    asked = excitation_of(**given.of(options.EXCITATION))
+    words = given.of(options.EXCITATION)
+    volts = {
+        key: None if words[key] is None else in_unit(key, words[key], "V", "s" if key == "max_slew" else None)
+        for key in ("v_min", "v_max", "max_slew", "sweep_amplitude")
+    }
+    asked = excitation_of(**words | volts)
     rows = write_excitation(given.output, asked, given.format, given.channels)
     given.reporter.detail(
-        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
+        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {asked.v_min:g} to {asked.v_max:g} V"
     )
     if given.v_min:
         given.reporter.note(
@@ -338,9 +344,10 @@ def export(given: Given) -> None:
     """
     from dbo_cli.export import export_model
     from dbo_cli.hysteresis.model_set import read_model
+    from dbo_cli.remarks import Remarks
 
     summary = export_model(read_model(given.model), given.output, **given.of(options.EXPORTING))
-    given.reporter.notes(_summary_lines(summary))
+    given.reporter.remarks(Remarks(_summary_lines(summary), list(summary.warnings)))
 
 
 @_command(

@@ -7,6 +7,7 @@ shell shows as the option.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,20 @@ def positive(option: str, text: str) -> float:
     if value <= 0.0:
         raise UsageError(f"`{option}`: must be above 0, not {text}")
     return value
+
+
+_WITH_UNIT = re.compile(r"(.*[\d.])\s*[^\W\d][^\d]*")
+
+
+def with_unit(parse: Parser) -> Parser:
+    """Return a parser of figures that may have a unit (``1.2kV``): a text then, to be converted."""
+
+    def parse_figure(option: str, text: str) -> float | str:
+        found = _WITH_UNIT.fullmatch(text.strip())
+        value: float = parse(option, found[1] if found else text)
+        return text if found else value
+
+    return parse_figure
 
 
 def not_negative(option: str, text: str) -> float:

@@ -51,6 +51,7 @@ def check_drive(
     loop: bool = False,
     tolerance: float = 0.0,
     place: Callable[[int], str] = lambda row: f"row {row + 1}",
+    suffix: str = "",
 ) -> CheckedDrive:
     """Return what is wrong with a drive.
 
@@ -68,6 +69,8 @@ def check_drive(
         By how much a row may miss a limit: the noise of what is a recording of the drive, not the drive.
     place
         How messages call a row (from 0).
+    suffix
+        The unit, behind a blank, for messages.
 
     Raises
     ------
@@ -83,13 +86,13 @@ def check_drive(
     waits = steps
     if steps is not None and limits.max_slew:  # both rows of a step may miss by the tolerance
         waits = steps + 2.0 * tolerance / limits.max_slew
-    gate = DriveGate(allowed, from_)
+    gate = DriveGate(allowed, from_, suffix)
     before = np.concatenate([[drive[0] if from_ is None else from_], drive[:-1]])
     bad = gate.broken(drive, waits)
     if bad.any():
         row = int(np.argmax(bad))
-        reason = DriveGate(limits).reason(float(drive[row]), float(before[row]))
-        reason += f" by more than the tolerance, {tolerance:.3g}" if tolerance else ""
+        reason = DriveGate(limits, suffix=suffix).reason(float(drive[row]), float(before[row]))
+        reason += f" by more than the tolerance, {tolerance:.3g}{suffix}" if tolerance else ""
         checked.problems.append(_problem(place, bad, reason))
     if loop:
         seam = gate.violation(drive[:1], None if waits is None else waits[:1])
@@ -98,9 +101,9 @@ def check_drive(
             checked.problems.append(f"from the last row to the first: {seam.reason}")
         elif abs(drive[0] - drive[-1]) > 3.0 * inside:  # as a period that does not close (see ``loops``)
             checked.problems.append(
-                f"from the last row, {drive[-1]:.6g}, to the first, {drive[0]:.6g}, is a step of "
-                f"{abs(drive[0] - drive[-1]):.3g} where the largest inside is {inside:.3g}: the loop does "
-                "not close"
+                f"from the last row, {drive[-1]:.6g}{suffix}, to the first, {drive[0]:.6g}{suffix}, is a "
+                f"step of {abs(drive[0] - drive[-1]):.3g}{suffix} where the largest inside is "
+                f"{inside:.3g}{suffix}: the loop does not close"
             )
     return checked
 

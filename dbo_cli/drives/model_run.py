@@ -120,11 +120,11 @@ class TimeSteps:
 
 
 class Response(NamedTuple):
-    """One block of a run: seconds (None where they are not known), what went in, and what came out."""
+    """One block of a run: seconds (None where they are not known), the model's input x, and its output y."""
 
     time: FloatArray | None
-    given: FloatArray
-    result: FloatArray
+    x: FloatArray
+    y: FloatArray
 
 
 @dataclass
@@ -147,6 +147,8 @@ class ModelRun:
         After the samples run so far.
     time_step : float, array or None
         Seconds between the samples of the block run last.
+    input, output : Quantity
+        What goes into the run and comes out of it: a compensation's are its model's, exchanged.
     """
 
     model: ActuatorModel
@@ -164,8 +166,8 @@ class ModelRun:
     fast: Tally = field(default_factory=Tally)
     assumed: float = 0.0
     time_step: float | FloatArray | None = None
-    taken: Quantity = field(init=False)
-    given: Quantity = field(init=False)
+    input: Quantity = field(init=False)
+    output: Quantity = field(init=False)
     displacement: Quantity = field(init=False)
     steps: TimeSteps = field(init=False)
     inputs: Inputs = field(init=False)
@@ -179,17 +181,17 @@ class ModelRun:
     def __post_init__(self) -> None:
         """Refuse a source without time where the model needs one."""
         model, begun = self.model, self.start if isinstance(self.start, ModelState) else None
-        self.taken, self.given = model.input, model.output
+        self.input, self.output = model.input, model.output
         if self.compensates:
-            self.taken, self.given = model.output, model.input
+            self.input, self.output = model.output, model.input
         inverting = self.compensates or model.direction == "inverse"
-        self.displacement = self.taken if inverting else self.given
+        self.displacement = self.input if inverting else self.output
         needed = model.needs_time or (inverting and reads_ahead(model))
         why = LAG_DEPENDS if needed else self.why_time
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
         self._run = functools.partial(model.simulate, outside=self.outside)
         delay, dynamics = (model.delay_seconds, model.dynamics) if inverting else (0.0, None)
-        self.inputs = Inputs(self.source, self.taken, delay, dynamics, self.bandwidth, self.last_row, begun)
+        self.inputs = Inputs(self.source, self.input, delay, dynamics, self.bandwidth, self.last_row, begun)
 
     @property
     def voltage_scale(self) -> str | None:
@@ -207,7 +209,7 @@ class ModelRun:
         InputError
             The source is bad, time goes backwards, or a sample is outside where that is refused.
         """
-        role = self.taken.quantity
+        role = self.input.quantity
         for block, x in self.inputs.blocks(self.source.blocks()):
             yield Response(block.time, block.values[role], self.feed(block, x).y)
 
@@ -282,8 +284,8 @@ class ModelRun:
         return f"{self.source.name}: {tally.count:,} of {self.rows:,} samples ({first})"
 
     def _range(self) -> str:
-        taken = self.taken
-        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{taken.suffix}"
+        low, high = self.input.minimum, self.input.maximum
+        return f"{self.input.quantity} {low:.6g} to {high:.6g}{self.input.suffix}"
 
     def _begun(self, first: float) -> ModelState:
         if self.start == "auto":

@@ -408,17 +408,6 @@ def _rigol_mso(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     return _header(lines, 1, names, units, clock=_step("tInc", found[2]), start=_number(found[1]) or 0.0)
 
 
-def _infiniivision(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
-    """Read Keysight's and Agilent's InfiniiVision files: ``x-axis,1,2`` over ``second,Volt,Volt``."""
-    first = _number_row(lines, 2)
-    if first is None:
-        return None
-    names, units = split_cells(lines[0], ","), split_cells(lines[1], ",")
-    if len(units) != len(names) or is_number(units[0], "."):
-        return None
-    return _header(lines, first, names, units)
-
-
 def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     """Read Keysight's Infiniium files: ``XInc``, ``XOrg``, ``YUnits`` and more above ``Data``."""
     setting = re.compile(r"([A-Za-z][A-Za-z ]*)[:,\t](.*)")
@@ -444,17 +433,6 @@ def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     return _header(lines, first, names, units, width, clock=clock, start=_number(settings["xorg"]) or 0.0)
 
 
-def _rohde_schwarz(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
-    """Read the RTB, RTM and RTA series' files: ``in s,CH1 in V,CH2 in V``."""
-    delimiter = "," if "," in lines[0] else ";"
-    cells = split_cells(lines[0], delimiter)
-    parts = [cell.rsplit(" in ", 1) for cell in cells[1:]]
-    names = ["time", *(part[0] for part in parts)]
-    units = [cells[0].removeprefix("in "), *(part[1] if len(part) == 2 else "" for part in parts)]
-    decimal = "," if delimiter == ";" and re.search(r"\d,\d", lines[1] if len(lines) > 1 else "") else "."
-    return _header(lines, 1, names, units, len(names), delimiter, decimal)
-
-
 class _Maker(NamedTuple):
     """Where the line stands that gives a maker away (one of the first ``within``), and who reads the rest."""
 
@@ -472,7 +450,5 @@ _MAKERS = (
     _Maker(re.compile(r"TIME,\s*[A-Z]"), _NEAR, _tektronix_table),
     _Maker(re.compile(r"\s*x\s*,", re.IGNORECASE), 1, _rigol_ds),
     _Maker(re.compile(r".*t0\s*=.*tInc\s*="), 1, _rigol_mso),
-    _Maker(re.compile("x-axis,", re.IGNORECASE), 1, _infiniivision),
     _Maker(re.compile(r"\s*[A-Za-z][A-Za-z ]*[:,\t]"), 1, _infiniium),
-    _Maker(re.compile(r"in (?:[munp]?s)\s*[,;]"), 1, _rohde_schwarz),
 )
