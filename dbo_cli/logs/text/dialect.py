@@ -28,8 +28,11 @@ _LABEL = re.compile(
     r"(?:\s*[:=]\s*|$)",
     re.IGNORECASE,
 )
-NUMBER_WITH_UNIT = re.compile(r"(?<![\w.:-])[-+]?\d[\d.,]* ?[^\W\d_]{1,4}\b")
-PLAIN_NUMBERS = "export them without units in the cells; Grafana: without Formatted data"
+# 1.5 V, as Grafana formats its cells; V:1.5, as the Arduino's plotter reads it.
+NUMBER_WITH_UNIT = re.compile(
+    r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
+)
+PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
 _THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = re.compile(
     r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
