@@ -367,7 +367,8 @@ def test_condition_prepends_a_sweep_in_negative_time(bench: Any) -> None:
 def test_excite_stays_inside_and_starts_and_ends_at_the_bottom(dbo: Any) -> None:
     done = dbo("excite", "--v-min", "-20", "--v-max", "120", "--sample-rate", "200", "--duration", "12")
     lines = done.out.splitlines()
-    assert (done.code, done.err, lines[0]) == (0, "", "time_s,voltage_V")
+    begins = "dbo: it begins and ends at -20 V: bring the amplifier there slowly first\n"
+    assert (done.code, done.err, lines[0]) == (0, begins, "time_s,voltage_V")
     table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
     assert len(table) == 2400
     assert (table[0, 1], table[:, 1].min(), table[:, 1].max()) == (-20.0, -20.0, 120.0)
