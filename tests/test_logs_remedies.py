@@ -83,7 +83,7 @@ def follow_all(address: str, way: Way, least: int) -> None:
 # What cannot be done by an option: the file has to be written again.
 WRITE_AGAIN = re.compile(
     r"MATLAB objects|save arrays of numbers|write scale_factor|not JSON|no END|export|narrow the query|"
-    r"write a file for each|X_Columns|bring the signals|leave it out|write a line a row"
+    r"write a file for each|X_Columns|bring the signals|leave it out|write them without|write a line a row"
 )
 
 

@@ -14,7 +14,8 @@ GENERATOR_FILES = (
     "npy", "wav", "int16", "uint16", "tdms", "pi-gcs", "keysight-arb", "tektronix-tfw", "rigol-raf",
     "picoscope",
 )  # fmt: skip
-SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", default=REQUIRED)
+SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
+SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", SHAPES, REQUIRED)
 MOVE = (  # the fields of ``TrajectoryOptions``
     Option("--rate HZ", "Rows a second.", positive, REQUIRED),
     Option(

@@ -329,6 +329,10 @@ def excite(given: Given) -> None:
     given.reporter.detail(
         f"{rows:,} rows, {rows / asked.sample_rate:g} s, {asked.v_min:g} to {asked.v_max:g} V"
     )
+    if given.v_min:
+        given.reporter.note(
+            f"it begins and ends at {given.v_min:g} V: bring the amplifier there slowly first"
+        )
 
 
 @_command(options.MODEL, *options.REPORTING, options.FOLDER, *options.EXPORTING)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
@@ -77,15 +78,18 @@ def whole(least: int) -> Parser:
     return parse
 
 
-def choice(choices: Sequence[str]) -> Parser:
-    """Return a parser of texts that are one of ``choices``."""
+@dataclass(frozen=True)
+class choice:
+    """A parser of texts that are one of ``choices``, which a shell offers."""
 
-    def parse(option: str, text: str) -> str:
-        if text not in choices:
-            raise UsageError(f"`{option}`: '{shown(text)}' is none of {', '.join(choices)}")
+    choices: Sequence[str]
+
+    def __call__(self, option: str, text: str) -> str:
+        """Return the text; raise ``UsageError`` for any other."""
+        if text not in self.choices:
+            place = f"`{option}`: " if option else ""  # an argument has no name to be found by
+            raise UsageError(f"{place}'{shown(text)}' is none of {', '.join(self.choices)}")
         return text
-
-    return parse
 
 
 def auto_or(parse: Parser) -> Parser:

@@ -69,7 +69,7 @@ def project_files(
         "DEFINES": "-DDBO_SMALL" if small else "", "SOURCE_FILES": compiled,
         "COMPILED_FILES": f"-DDBO_SMALL {compiled}" if small else compiled,
         "HEADER_FILES": " ".join(file for file in _ordered(sources) if file.endswith(".h")),
-        "SAMPLE": f"k < 10U ? {code.vectors[0].inputs[10]} : 0",
+        "SAMPLE": code.vectors[0].inputs[10],
         "INPUT_TEXT": _capitalised(plan.model.input), "OUTPUT_TEXT": _capitalised(plan.model.output),
     }  # fmt: skip
     page = fill("README.md", {**values, **_figures(plan, summary)})

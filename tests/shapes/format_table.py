@@ -17,8 +17,8 @@ right comes out bit for bit, what is refused is refused in these words, and the 
 stands, time, voltage, displacement and their units come out right with it; what is said on the way stands behind it. In messages a parameter stands in backticks: `sample_rate` is
 `--sample-rate` on the command line.
 
-Excel needs `pip install "dbo-cli[excel]"`, TDMS `pip install "dbo-cli[tdms]"`, UFF `pip install "dbo-cli[uff]"`, all three
-`pip install "dbo-cli[formats]"`;
+Excel needs `pip install fastexcel`, TDMS `pip install npTDMS`, UFF `pip install pyuff`, in the environment of `dbo`; all three come
+with `pip install -e ".[formats]"` in a checkout;
 everything else is read by what `dbo` needs anyway.
 
 JSON, UFF, Igor's text and tables of data bases (a row for each value, several rows a stamp) are read as a whole, and
