@@ -284,6 +284,19 @@ def test_a_coupled_set_needs_all_channels(dbo: Any) -> None:
     )
 
 
+def test_nothing_is_said_of_going_on_without_a_channel(dbo: Any) -> None:
+    write_set()
+    write_moves()
+    text = Path("moves.csv").read_text().splitlines()
+    Path("bad.csv").write_text("\n".join([*text[:3], text[3].rpartition(",")[0] + ",90.0", *text[4:]]) + "\n")
+    said = dbo(
+        "compensate", "set.json", "bad.csv", "--displacement", "R{}", "--on-limit", "error", "-o", "d.csv"
+    )
+    assert said.code == 3
+    assert said.err.startswith("dbo: error: channel 1: ") or said.err.startswith("dbo: error: channel 2: ")
+    assert "--keep-going" not in said.err
+
+
 def test_a_matrix_that_cannot_be_undone_is_refused(dbo: Any) -> None:
     with pytest.raises(
         ModelError, match="condition number of the gains is infinite: it is singular; above 100"
