@@ -35,6 +35,7 @@ $(VENV)/made:
 
 $(VENV)/installed: $(VENV)/made pyproject.toml $(KERNEL)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@mkdir -p $(VENV)/share/man/man1 && ln -sf $(CURDIR)/docs/man/*.1 $(VENV)/share/man/man1/  # no editable install does
 	@touch $@
 
 $(VENV)/installed-test: $(VENV)/installed

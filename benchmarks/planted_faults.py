@@ -109,7 +109,8 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/relaxation.py",
         MODEL,
-        ("np.exp(-steps / np.array(self.tau))", "1.0 / (1.0 + steps / np.array(self.tau))",
+        ("np.exp(-steps[:, np.newaxis] / np.array(self.tau))",
+         "1.0 / (1.0 + steps[:, np.newaxis] / np.array(self.tau))",
          "a_j = exp(-dt/tau_j)"),
         ("rows[0] = held[:] = drive[0] - self.reference", "rows[0] = held[:] = 0.0",
          "memories are at rest at the first sample, in the fit"),

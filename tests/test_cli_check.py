@@ -40,12 +40,12 @@ def test_a_drive_within_its_limits_passes(bench: Any) -> None:
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        ("--v-max 89", "row 44: 89.0366705 is outside -inf to 89 (30 rows in all)"),
-        ("--max-slew 1000", "row 2: from 50 to 51.2564304 in one row is faster than 1000 per second (167 "
-         "rows in all)"),
-        ("--from 0 --max-slew 2000", "row 1: from 0 to 50 in one row is faster than 2000 per second"),
-        ("--rows 1:250 --loop", "from the last row, 89.9803, to the first, 50, is a step of 40 where the "
-         "largest inside is 1.26: the loop does not close"),
+        ("--v-max 89", "row 44: 89.0366705 V is outside -inf to 89 V (30 rows in all)"),
+        ("--max-slew 1000", "row 2: from 50 to 51.2564304 V in one row is faster than 1000 V per "
+         "second (167 rows in all)"),
+        ("--from 0 --max-slew 2000", "row 1: from 0 to 50 V in one row is faster than 2000 V per second"),
+        ("--rows 1:250 --loop", "from the last row, 89.9803 V, to the first, 50 V, is a step of 40 V "
+         "where the largest inside is 1.26 V: the loop does not close"),
     ],
 )  # fmt: skip
 def test_what_breaks_a_limit_is_named(bench: Any, words: str, problem: str) -> None:
@@ -94,6 +94,26 @@ def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
     assert (done.code, "at another rate" in done.out) == (0, True)
 
 
+def test_the_tolerance_of_a_recording_holds_for_its_limits_too(bench: Any) -> None:
+    noise = np.random.default_rng(2).normal(0.0, 0.01, 400)
+    write("played.csv", "time_s,monitor_V", TIME, DRIVE + noise)
+    limits = ["--v-min", "10", "--v-max", "90", "--max-slew", "1257", "--from", "50"]
+    done = bench("check", "played.csv", *limits)
+    assert done.code == 3 and "faster than 1257 V per second" in done.err
+    assert bench("check", "played.csv", *limits, "--against", "drive.csv").code == 0
+    low = ["check", "played.csv", "--v-min", "12", "--against", "drive.csv"]
+    assert "is outside 12 to inf V by more than the tolerance, 0.08 V (" in bench(*low).err
+    assert (
+        "1e-06" in bench("check", "played.csv", *limits, "--against", "drive.csv", "--tolerance", "1e-6").err
+    )
+    write(
+        "before.csv", "time_s,monitor_V", TIME, (DRIVE + noise) / 20.0
+    )  # its limits are before the amplifier
+    words = ["--against", "drive.csv", "--gain", "20", "--v-min"]
+    assert bench("check", "before.csv", *words, "0.5").code == 0
+    assert bench("check", "before.csv", *words, "0.51").code == 3
+
+
 def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
     words = ["--from", "0", "--approach", "0.2", "--return", "0.3", "--max-slew", "900"]
     done = bench("compensate", "model.json", "wish.csv", *words, "-o", "d.csv", "--summary", "s.json")
@@ -119,7 +139,11 @@ def test_the_pieces_of_a_drive_from_the_command_line(bench: Any) -> None:
     [
         ("--approach auto", 2, "--approach needs --from VOLT (what the amplifier stands at) or a --state"),
         ("--approach 0", 2, "--approach: must be above 0, not 0"),
-        ("--from 50 --max-slew 10", 3, "the drive comes from 50, and 10 per second does not bring it to its"),
+        (
+            "--from 50 --max-slew 10",
+            3,
+            "the drive comes from 50 V, and 10 V per second does not bring it to its",
+        ),
         ("--periodic --return auto", 2, "--periodic and --return exclude each other: a loop goes on"),
         ("--max-current 1", 2, "--max-current and --capacitance belong together"),
         ("--v-min 5 --v-max 5", 2, "--v-min 5 must be below --v-max 5"),
@@ -207,3 +231,111 @@ def test_a_recording_between_the_rows_at_another_speed_or_before_the_amplifier(b
 def test_gains_that_mean_nothing(bench: Any, words: str, message: str) -> None:
     done = bench("check", "drive.csv", *words.split())
     assert (done.code, done.err.startswith(f"dbo: error: {message}")) == (2, True), done.err
+
+
+def test_what_the_way_there_leaves_is_not_said_of_the_file(bench: Any) -> None:
+    done = bench(
+        "compensate", "model.json", "wish.csv", "--from", "-2", "--v-min", "-3", "--approach", "auto"
+    )
+    assert done.code == 0 and float(done.out.splitlines()[1].split(",")[1]) < 1.0  # the model begins there
+    assert done.err == (
+        "dbo: warning: the limits of the drive reach beyond 0 to 10 V, where the model was identified; it "
+        "extrapolates there\n"
+    )
+
+
+# --- limits have units ---
+
+
+def in_other_unit(unit: str, volts: float) -> dict[str, Any]:
+    """Return the small model with its drive in a unit of so many volts: the same actuator."""
+    stage = SMALL_MODEL["stages"][0]
+    return SMALL_MODEL | {
+        "input": {"quantity": "voltage", "unit": unit, "min": 0.0, "max": 10.0 / volts},
+        "stages": [stage | {"dx": [one / volts for one in stage["dx"]]}, SMALL_MODEL["stages"][1]],
+    }
+
+
+@pytest.mark.parametrize(("unit", "volts"), [("kV", 1000.0), ("mV", 1e-3)])
+def test_limits_with_units_and_currents_mean_the_same_for_every_model(
+    bench: Any, unit: str, volts: float
+) -> None:
+    Path("other.json").write_text(json.dumps(in_other_unit(unit, volts)))
+    for limits in (
+        "--v-min 500mV --v-max 0.007kV --max-slew 80V/s --from 0.5V --max-current 1 --capacitance 4e-6",
+        "--max-current 0.4mA --capacitance 4uF --from 0V --approach auto",
+    ):
+        own = bench("compensate", "model.json", "wish.csv", *limits.split(), "-o", "own.csv")
+        done = bench("compensate", "other.json", "wish.csv", *limits.split(), "-o", "other.csv")
+        assert (own.code, done.code) == (0, 0), done.err
+        drives = [np.loadtxt(name, delimiter=",", skiprows=1, usecols=2) for name in ("own.csv", "other.csv")]
+        np.testing.assert_allclose(drives[1] * volts, drives[0], atol=1e-9)
+        load = [next(line for line in one.err.splitlines() if "into 4e-06 F" in line) for one in (own, done)]
+        assert load[0] == load[1] and "A at most" in load[0]
+        assert " A and " in load[0] and "without a unit" not in done.err
+    assert np.abs(np.diff(drives[0])).max() == pytest.approx(0.1, rel=1e-3)  # 0.4 mA / 4 uF, in 1 ms
+
+
+def test_plain_limits_are_said_to_be_in_the_drive_s_unit(bench: Any) -> None:
+    Path("kv.json").write_text(json.dumps(in_other_unit("kV", 1000.0)))
+    said = "limits without a unit are read in kV, the drive's (1.2kV, 2000V/s are converted)"
+    done = bench("compensate", "kv.json", "wish.csv", "--max-slew", "2000", "-o", "kv.csv")
+    assert done.code == 0 and done.err.count(f"dbo: wish.csv: {said}\n") == 1
+    done = bench("check", "kv.csv", "--v-max", "0.1", "--max-slew", "2kV/s")
+    assert (done.code, done.err) == (0, f"dbo: kv.csv: {said}\n")
+    done = bench("check", "kv.csv", "--v-max", "100V", "--max-slew", "2V/ms", "--from", "5V")
+    assert (done.code, done.err) == (0, "")
+    done = bench("check", "kv.csv", "--max-slew", "2V/s")
+    assert done.code == 3 and "kV in one row is faster than 0.002 kV per second" in done.err
+    done = bench("compensate", "model.json", "wish.csv", "--max-slew", "2000", "-o", "v.csv")
+    assert "without a unit" not in done.err
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("compensate model.json wish.csv --v-max 5um",
+         "--v-max 5um: cannot be converted; a figure in V is needed"),
+        ("compensate model.json wish.csv --max-slew 5V",
+         "--max-slew 5V: cannot be converted; a figure in V/s is needed"),
+        ("compensate model.json wish.csv --v-max 5V/s",
+         "--v-max 5V/s: cannot be converted; a figure in V is needed"),
+        ("compensate model.json wish.csv --max-slew=-5V/s", "--max-slew: must be above 0, not -5"),
+        ("compensate model.json wish.csv --v-max V", "--v-max: not a number: 'V'"),
+        ("compensate model.json wish.csv --v-min 2V --v-max 1500mV", "--v-min 2 must be below --v-max 1.5"),
+        ("compensate none.json wish.csv --v-max 5V",
+         "--v-max 5V: cannot be converted; a figure without a unit is needed"),
+        ("compensate counts.json wish.csv --max-current 1 --capacitance 1e-6",
+         "--max-current and --capacitance: the drive is in counts, no voltage"),
+        ("check drive.csv --max-slew 2000Hz",
+         "--max-slew 2000Hz: cannot be converted; a figure in V/s is needed"),
+    ],
+)  # fmt: skip
+def test_limits_in_units_that_are_none_are_refused(bench: Any, words: str, problem: str) -> None:
+    for name, unit in (("none", None), ("counts", "counts")):
+        Path(f"{name}.json").write_text(
+            json.dumps(SMALL_MODEL | {"input": SMALL_MODEL["input"] | {"unit": unit}})
+        )
+    done = bench(*words.split())
+    assert (done.code, done.err) == (2, f"dbo: error: {problem}\n")
+
+
+def test_waveform_and_excite_take_limits_in_units(bench: Any) -> None:
+    done = bench("waveform", "drive.csv", "--to", "npy", "--max-slew", "1kV/s", "-o", "o.npy")
+    assert done.code == 3
+    assert "row 2: from 50 to 51.2564304 V in one row is faster than 1000 V per second" in done.err
+    done = bench("waveform", "drive.csv", "--to", "npy", "--v-max", "0.1kV", "-o", "o.npy")
+    assert done.code == 0, done.err
+    plain = bench("excite", "--v-max", "100", "--max-slew", "2000", "--duration", "4")
+    assert bench("excite", "--v-max", "0.1kV", "--max-slew", "2V/ms", "--duration", "4").out == plain.out
+
+
+def test_export_takes_limits_in_units_and_warns_beyond_the_model(bench: Any) -> None:
+    done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0")
+    warning = (
+        "the limits of the drive reach beyond 0 to 10 V, where the model was identified; it extrapolates "
+    )
+    warning += "there"
+    assert done.code == 0 and f"dbo: warning: {warning}\n" in done.err
+    assert "0.0 ... 15.0 V" in done.err and f"- {warning}\n" in Path("out/README.md").read_text()
+    assert "warning" not in bench("export", "model.json", "-o", "in", "--v-max", "10").err

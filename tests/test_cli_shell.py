@@ -231,6 +231,9 @@ def test_completion_scripts_are_printed(shell: str) -> None:
         ("dbo identify log.csv other.csv --displacement w", "where"),
         ("dbo identify missing.csv model.json --voltage ", ""),
         ("dbo identify 'log.csv --voltage ", ""),
+        ("dbo help co", "compensate compare"),
+        ("dbo waveform drive.csv --to p", "pi-gcs picoscope"),
+        ("dbo trajectory s", "spiral staircase sine"),
     ],
 )
 def test_a_shell_is_told_what_could_be_typed(typed: str, offered: str, model_file: Path) -> None:

@@ -93,6 +93,13 @@ def test_logs_that_show_nothing_are_refused(
         check_recordings([Recording("a", voltage, displacement)])
 
 
+@pytest.mark.parametrize(("slope", "last"), [(-1.0, "-199"), (0.0, "1")])
+def test_a_clock_that_does_not_advance_is_refused(slope: float, last: str) -> None:
+    message = rf"^a: time does not advance from the first row \(1 s\) to the last \({last} s\): repair"
+    with pytest.raises(FitError, match=message):
+        check_recordings([Recording("a", sine(), sine(), 1.0 + slope * np.arange(201.0))])
+
+
 def test_a_number_no_instrument_measured_is_named() -> None:
     wrong = sine()
     wrong[7] = 1e308

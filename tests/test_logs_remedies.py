@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -81,7 +83,7 @@ def follow_all(address: str, way: Way, least: int) -> None:
 # What cannot be done by an option: the file has to be written again.
 WRITE_AGAIN = re.compile(
     r"MATLAB objects|save arrays of numbers|write scale_factor|not JSON|no END|export|narrow the query|"
-    r"write a file for each|X_Columns|bring the signals|leave it out|write a line a row"
+    r"write a file for each|X_Columns|bring the signals|leave it out|write them without|write a line a row"
 )
 
 
@@ -161,3 +163,14 @@ def test_of_too_many_datasets_those_that_are_named_are_read(
         f"(`voltage` {group}NAME `displacement` {group}NAME `time` {group}NAME)"
     )
     read(address, {"voltage": f"{group}c7", "displacement": f"{group}c8"})
+
+
+def test_a_long_table_through_a_pipe_is_asked_for_as_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = "time,channel,value\n" + "".join(f"{n},voltage,{n}\n{n},displacement,{n}\n" for n in range(9))
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BufferedReader(io.BytesIO(lines.encode()))))
+    assert refused("-", {}) == "standard input: a row for each value: give it as a file, not through a pipe"
+    path = tmp_path / "log.csv"
+    path.write_text(lines)
+    read(str(path), {})

@@ -103,6 +103,26 @@ def test_clipping_by_corners_is_told_from_clipping_by_place() -> None:
     assert note == "`wanted`: `bandwidth` 100 takes off 0.0186 um (RMS), 0.248 um at most"
 
 
+def test_a_rounded_move_goes_on_where_it_ends() -> None:
+    """What the inverse reads ahead by is the rounded move; it was one that stops dead at the last row."""
+    corners = np.interp(TIME, [0.0, 0.1, 0.2, 0.3], [3.0, 3.0, 9.0, 5.0])
+    held = np.concatenate([corners, np.full(2000, corners[-1])])
+    for plant in (actuator(), actuator(delay=0.003), actuator(frequency=None, delay=0.003)):
+        model = Model(plant)
+        drive = model.compensate(corners, sample_rate=RATE, bandwidth=100.0, state="empty")
+        longer = model.compensate(held, sample_rate=RATE, bandwidth=100.0, state="empty")
+        assert np.abs(drive - longer[: drive.size]).max() < 1e-9
+
+
+def test_a_move_that_ends_on_the_move_is_warned_of() -> None:
+    wanted = np.interp(TIME, [0.0, 0.1, TIME[-1]], [3.0, 3.0, 9.0])
+    done = Model(actuator()).compensate(wanted, **WIDE)
+    assert any("ends on the move: its last rows brake" in text for text in done.warnings)
+    for quiet in (Model(actuator()).compensate(move(), **WIDE),
+                  Model(actuator()).compensate(wanted, bandwidth=100.0, **WIDE)):  # fmt: skip
+        assert not any("ends on the move" in text for text in quiet.warnings)
+
+
 def test_a_move_that_begins_on_the_move_is_warned_of() -> None:
     wanted = 6.0 + 3.0 * np.sin(2.0 * np.pi * 80.0 * TIME)
     done = Model(actuator()).compensate(wanted, **WIDE)
@@ -348,7 +368,9 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
         assert np.abs(np.diff(done.values)).max() <= 1.001 * np.abs(np.diff(drive)).max()
         reached, _ = played(model, np.concatenate([before, np.tile(drive, 3)]), start=start)
         assert np.abs(reached[-300:] - wanted).max() < 1e-9
-    with pytest.raises(LimitError, match="the drive comes from 0, and 2000 per second does not bring it to"):
+    with pytest.raises(
+        LimitError, match="the drive comes from 0 V, and 2000 V per second does not bring it to"
+    ):
         Model(model).compensate(wanted, from_=0.0, max_slew=2000.0, **asked)
 
 

@@ -121,9 +121,9 @@ def test_distances_have_units_or_the_model_s() -> None:
     assert distance_in("5 nm", "nm") == 5.0
     assert distance_in("0.01", "um") == distance_in(0.01, None) == 0.01
     for text, why in {
-        "5 V": "5 V: V is not to be had in the model's um",
+        "5 V": "5 V: cannot be converted; a figure in um is needed",
         "0nm": "0nm: give a distance above 0, such as 0.005 or 5nm",
-        "near": "near: give a distance above 0, such as 0.005 or 5nm",
+        "near": "near: give a number, or one with its unit such as 5um",
         "-1nm": "-1nm: give a distance above 0, such as 0.005 or 5nm",
     }.items():
         with pytest.raises(UsageError) as raised:
@@ -155,7 +155,7 @@ def test_show_says_how_long_to_wait(dbo: Any) -> None:
     assert "hint" not in content["settling"]
     wrong = dbo("show", "plant.json", "--settle", "5mrad")
     assert wrong.code == 2
-    assert wrong.err == "dbo: error: --settle 5mrad: mrad is not to be had in the model's um\n"
+    assert wrong.err == "dbo: error: --settle 5mrad: cannot be converted; a figure in um is needed\n"
 
 
 def test_a_run_in_beyond_the_limits_counts_its_own_rows() -> None:

@@ -14,7 +14,8 @@ GENERATOR_FILES = (
     "npy", "wav", "int16", "uint16", "tdms", "pi-gcs", "keysight-arb", "tektronix-tfw", "rigol-raf",
     "picoscope",
 )  # fmt: skip
-SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", default=REQUIRED)
+SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
+SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", SHAPES, REQUIRED)
 MOVE = (  # the fields of ``TrajectoryOptions``
     Option("--rate HZ", "Rows a second.", positive, REQUIRED),
     Option(
@@ -54,13 +55,13 @@ WAVEFORM = (  # the fields of ``WaveformOptions``
     Option("--codes LOW:HIGH", "The lowest and the highest code [default: the format's].", span),
     Option("--volts LOW:HIGH", "What they mean at the generator [default: the drive's ends].", span),
     Option("--loop", "The drive repeats: it must close, and stays so at another rate."),
-    Option("--v-min VOLT", "Lowest drive allowed.", number),
-    Option("--v-max VOLT", "Highest drive allowed.", number),
+    Option("--v-min VOLT", "Lowest drive allowed.", options.figure),
+    Option("--v-max VOLT", "Highest drive allowed.", options.figure),
     options.MAX_SLEW,
     Option(
         "--tolerance VOLT",
         "By how much another rate may move the drive [default: a thousandth of its range].",
-        positive,
+        options.figure_above_0,
     ),
 )
 

@@ -312,17 +312,27 @@ def excite(given: Given) -> None:
     more, and longer below 60 Hz). With --channels N there is a column for each of N channels.
     """
     from dbo_cli.hysteresis.excitation import excitation_of
+    from dbo_cli.logs.units import in_unit
     from dbo_cli.runs.files import write_excitation
 
     if given.channels is not None and given.points is not None:
         raise UsageError(
             "`points` and `channels` exclude each other: channels that move one by one take more rows"
         )
-    asked = excitation_of(**given.of(options.EXCITATION))
+    words = given.of(options.EXCITATION)
+    volts = {
+        key: None if words[key] is None else in_unit(key, words[key], "V", "s" if key == "max_slew" else None)
+        for key in ("v_min", "v_max", "max_slew", "sweep_amplitude")
+    }
+    asked = excitation_of(**words | volts)
     rows = write_excitation(given.output, asked, given.format, given.channels)
     given.reporter.detail(
-        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {given.v_min:g} to {given.v_max:g} V"
+        f"{rows:,} rows, {rows / asked.sample_rate:g} s, {asked.v_min:g} to {asked.v_max:g} V"
     )
+    if given.v_min:
+        given.reporter.note(
+            f"it begins and ends at {given.v_min:g} V: bring the amplifier there slowly first"
+        )
 
 
 @_command(options.MODEL, *options.REPORTING, options.FOLDER, *options.EXPORTING)
@@ -340,6 +350,8 @@ def export(given: Given) -> None:
     remarks = Remarks()
     made = export_models(given.model, given.output, remarks, **given.of(options.EXPORTING))
     remarks.note(summed_up({channel: _summary_lines(one) for channel, one in made.items()}, "channel"))
+    warnings = {channel: list(one.warnings) for channel, one in made.items()}
+    remarks.warnings += summed_up(warnings, "channel")
     given.reporter.remarks(remarks)
 
 

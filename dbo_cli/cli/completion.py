@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shlex
 from collections.abc import Callable
 
@@ -22,9 +23,17 @@ def offers(option: Option) -> Callable[[str], list[str]] | None:
     value = option.metavar or ""
     if value == COLUMN:
         return columns_beginning
-    if "|" in value:
-        return lambda incomplete: [word for word in value.split("|") if word.startswith(incomplete)]
-    return None
+    words = value.split("|") if "|" in value else getattr(option.parse, "choices", ())
+    return (lambda incomplete: [word for word in words if word.startswith(incomplete)]) if words else None
+
+
+def without_help() -> None:
+    """Take ``help`` out of the words typed: ``dbo help COMMAND`` is completed as ``dbo COMMAND`` is."""
+    for name in TYPED:
+        line, taken = re.subn(r"^(\s*\S+\s+)help\s+", r"\1", os.environ.get(name, ""))
+        if taken:
+            os.environ[name] = line
+            os.environ["COMP_CWORD"] = str(int(os.environ.get("COMP_CWORD", "1")) - 1)
 
 
 def columns_beginning(incomplete: str) -> list[str]:

@@ -22,9 +22,11 @@ from dbo_cli.cli.values import (
     segment,
     times,
     whole,
+    with_unit,
     zero,
 )
 
+figure, figure_above_0 = with_unit(number), with_unit(positive)
 OPTIONS = "Options"
 READING_LOGS = "Reading logs"
 MESSAGES = "Output and messages"
@@ -259,10 +261,10 @@ STATE = Option(
 )
 SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", address, heading=STARTING)
 OUTSIDE = _choice("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
-VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].", number)
-VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].", number)
-MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive.", positive)
-FROM = Option("--from VOLT", "What the amplifier stands at before the first row.", number)
+VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].", figure)
+VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].", figure)
+MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive; 2V/ms as well.", figure_above_0)
+FROM = Option("--from VOLT", "What the amplifier stands at before the first row.", figure)
 DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read with the model
     VOLTAGE_MIN,
     VOLTAGE_MAX,
@@ -270,14 +272,14 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     Option(
         "--max-current AMPERE",
         "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
-        positive,
+        figure_above_0,
     ),
-    Option("--capacitance FARAD", "Of the actuator, with --max-current.", positive),
+    Option("--capacitance FARAD", "Of the actuator, with --max-current.", figure_above_0),
     _choice("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
     FROM,
     Option(
         "--approach SECONDS|auto",
-        "Ramp from there to the first row (time < 0); auto: as fast as the slew allows.",
+        "Ramp from there to the first row (time < 0); auto: within the slew limit, 0.1 s at least.",
         seconds_or_auto,
     ),
     Option("--condition", "Prepend the sweep that puts the actuator into the starting state (time < 0)."),
@@ -319,8 +321,8 @@ TRACKED = Option(
     repeated=True,
 )
 CHECKING = (  # the fields of ``CheckOptions``
-    Option("--v-min VOLT", "Lowest voltage allowed.", number),
-    Option("--v-max VOLT", "Highest voltage allowed.", number),
+    Option("--v-min VOLT", "Lowest voltage allowed.", figure),
+    Option("--v-max VOLT", "Highest voltage allowed.", figure),
     MAX_SLEW,
     FROM,
     Option("--loop", "The drive is looped: from its last row to its first, too."),
@@ -328,8 +330,9 @@ CHECKING = (  # the fields of ``CheckOptions``
     Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", number, "1"),
     Option(
         "--tolerance VOLT",
-        "With --against, the largest difference allowed [default: a thousandth of the range].",
-        positive,
+        "With --against, the largest difference allowed, and by how much a recorded row may miss a "
+        "limit [default: a thousandth of the range].",
+        figure_above_0,
     ),
 )
 
@@ -387,8 +390,8 @@ SAVE_MODELS = Option(
 
 # --- excite: the parameters of ``write_excitation`` ---
 EXCITATION = (  # of ``excitation_of``
-    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", number, REQUIRED),
-    Option("--v-min VOLT", "Lowest drive voltage.", number, "0"),
+    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", figure, REQUIRED),
+    Option("--v-min VOLT", "Lowest drive voltage.", figure, "0"),
     Option("--sample-rate HZ", "Rows per second [default: 1000].", positive),
     Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", whole(2)),
     Option("--duration SECONDS", "Length of the drive.", positive, "15"),
@@ -396,7 +399,7 @@ EXCITATION = (  # of ``excitation_of``
     MAX_SLEW,
     Option("--seed N", "Another number, another drive.", whole(0), "1"),
     Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics.", positive),
-    Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", positive),
+    Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", figure_above_0),
 )
 
 DRIVEN = Option(

@@ -23,7 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 from dbo_cli.cli import options
 from dbo_cli.cli.bench_commands import COMMANDS
 from dbo_cli.cli.commands import Given
-from dbo_cli.cli.completion import ASKED, offers
+from dbo_cli.cli.completion import ASKED, offers, without_help
 from dbo_cli.cli.manual import PAGES, exit_codes
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import UsageError
@@ -124,6 +124,7 @@ def completions() -> int:
     from typer.completion import completion_init  # type: ignore[attr-defined]
 
     completion_init()
+    without_help()
     try:
         root_command().main(args=[], prog_name="dbo", standalone_mode=True)
     except SystemExit as leaving:
@@ -225,7 +226,10 @@ def _parameter(option: Option) -> inspect.Parameter:
             autocompletion=offers(option),
         )
     else:
-        info = typer.Argument(metavar=option.metavar, show_default=False, help=option.meaning)
+        offered = offers(option)
+        info = typer.Argument(
+            metavar=option.metavar, show_default=False, help=option.meaning, autocompletion=offered
+        )
     key, keyword_only = option.key, inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=given)
 
@@ -246,6 +250,6 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
         raise UsageError(f"{name} is missing ({context.command_path} --help lists what there is)")
     if option is not None and option.parse is not None and value is not None:
         texts = value if option.repeated else [value]
-        parsed = [option.parse(option.key, one) for one in texts]
+        parsed = [option.parse(option.key if is_option else "", one) for one in texts]
         value = parsed if option.repeated else parsed[0]
     return parameter.callback(context, parameter, value) if parameter.callback else value

@@ -7,7 +7,9 @@ shell shows as the option.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
@@ -37,6 +39,20 @@ def positive(option: str, text: str) -> float:
     return value
 
 
+_WITH_UNIT = re.compile(r"(.*[\d.])\s*[^\W\d][^\d]*")
+
+
+def with_unit(parse: Parser) -> Parser:
+    """Return a parser of figures that may have a unit (``1.2kV``): a text then, to be converted."""
+
+    def parse_figure(option: str, text: str) -> float | str:
+        found = _WITH_UNIT.fullmatch(text.strip())
+        value: float = parse(option, found[1] if found else text)
+        return text if found else value
+
+    return parse_figure
+
+
 def not_negative(option: str, text: str) -> float:
     """Return a number of at least zero; raise ``UsageError`` for anything else."""
     value = number(option, text)
@@ -62,15 +78,18 @@ def whole(least: int) -> Parser:
     return parse
 
 
-def choice(choices: Sequence[str]) -> Parser:
-    """Return a parser of texts that are one of ``choices``."""
+@dataclass(frozen=True)
+class choice:
+    """A parser of texts that are one of ``choices``, which a shell offers."""
 
-    def parse(option: str, text: str) -> str:
-        if text not in choices:
-            raise UsageError(f"`{option}`: '{shown(text)}' is none of {', '.join(choices)}")
+    choices: Sequence[str]
+
+    def __call__(self, option: str, text: str) -> str:
+        """Return the text; raise ``UsageError`` for any other."""
+        if text not in self.choices:
+            place = f"`{option}`: " if option else ""  # an argument has no name to be found by
+            raise UsageError(f"{place}'{shown(text)}' is none of {', '.join(self.choices)}")
         return text
-
-    return parse
 
 
 def auto_or(parse: Parser) -> Parser:

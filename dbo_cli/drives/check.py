@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,7 +49,9 @@ def check_drive(
     *,
     from_: float | None = None,
     loop: bool = False,
+    tolerance: float = 0.0,
     place: Callable[[int], str] = lambda row: f"row {row + 1}",
+    suffix: str = "",
 ) -> CheckedDrive:
     """Return what is wrong with a drive.
 
@@ -63,8 +65,12 @@ def check_drive(
         Where the amplifier stands before the first row.
     loop
         The drive is looped: the step from its last row to its first counts, too.
+    tolerance
+        By how much a row may miss a limit: the noise of what is a recording of the drive, not the drive.
     place
         How messages call a row (from 0).
+    suffix
+        The unit, behind a blank, for messages.
 
     Raises
     ------
@@ -76,23 +82,28 @@ def check_drive(
     if steps is None and limits.max_slew is not None:
         raise InputError("there is no time, and `max_slew` depends on it (`time` COLUMN or `sample_rate` HZ)")
     checked.figures.see(drive, steps)
-    gate = DriveGate(limits, from_)
+    allowed = replace(limits, v_min=limits.v_min - tolerance, v_max=limits.v_max + tolerance)
+    waits = steps
+    if steps is not None and limits.max_slew:  # both rows of a step may miss by the tolerance
+        waits = steps + 2.0 * tolerance / limits.max_slew
+    gate = DriveGate(allowed, from_, suffix)
     before = np.concatenate([[drive[0] if from_ is None else from_], drive[:-1]])
-    bad = gate.broken(drive, steps)
+    bad = gate.broken(drive, waits)
     if bad.any():
         row = int(np.argmax(bad))
-        reason = gate.reason(float(drive[row]), float(before[row]))
+        reason = DriveGate(limits, suffix=suffix).reason(float(drive[row]), float(before[row]))
+        reason += f" by more than the tolerance, {tolerance:.3g}{suffix}" if tolerance else ""
         checked.problems.append(_problem(place, bad, reason))
     if loop:
-        seam = gate.violation(drive[:1], None if steps is None else steps[:1])
+        seam = gate.violation(drive[:1], None if waits is None else waits[:1])
         inside = float(np.abs(np.diff(drive)).max(initial=0.0))
         if seam is not None:
             checked.problems.append(f"from the last row to the first: {seam.reason}")
         elif abs(drive[0] - drive[-1]) > 3.0 * inside:  # as a period that does not close (see ``loops``)
             checked.problems.append(
-                f"from the last row, {drive[-1]:.6g}, to the first, {drive[0]:.6g}, is a step of "
-                f"{abs(drive[0] - drive[-1]):.3g} where the largest inside is {inside:.3g}: the loop does "
-                "not close"
+                f"from the last row, {drive[-1]:.6g}{suffix}, to the first, {drive[0]:.6g}{suffix}, is a "
+                f"step of {abs(drive[0] - drive[-1]):.3g}{suffix} where the largest inside is "
+                f"{inside:.3g}{suffix}: the loop does not close"
             )
     return checked
 
@@ -144,6 +155,11 @@ class Likeness(NamedTuple):
     left: float
 
 
+def played_tolerance(drive: Floats, tolerance: float | None) -> float:
+    """Return by how much a recording may differ from a drive (its unit), where nothing else was asked for."""
+    return TOLERANCE * float(np.ptp(drive)) if tolerance is None else tolerance
+
+
 def check_played(
     checked: CheckedDrive,
     drive: Floats,
@@ -165,7 +181,7 @@ def check_played(
     gain
         Of an amplifier behind the place of the recording: it is compared times that.
     """
-    most = TOLERANCE * float(np.ptp(drive)) if tolerance is None else tolerance
+    most = played_tolerance(drive, tolerance)
     own, other = steps
     count, ratio = drive.size, None
     if own is not None and other is not None and abs(other / own - 1.0) > SAME_RATE:

@@ -21,14 +21,16 @@ from dbo_cli.drives.gate import DriveFigures, DriveGate, Extent
 from dbo_cli.drives.history import write_history
 from dbo_cli.drives.inputs import first_blocks
 from dbo_cli.drives.model_run import ModelRun, Response, Tally
-from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.options import DriveOptions, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.drives.settling import HeldLevels, StepTime, distance_in, settling_notes, step_times
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.clock import even_step, median_step
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
+from dbo_cli.logs.units import in_unit
 from dbo_cli.remarks import Remarks
 
 if TYPE_CHECKING:
@@ -62,7 +64,8 @@ class Compensation(ModelRun):
     clipped: Tally = field(default_factory=Tally)
     missed: float = 0.0
     unreachable: int = 0
-    rows_before: int = 0
+    lost: float = 0.0  # of clipped samples: the sum of squares of what the move misses, and the most
+    most_lost: float = 0.0
     move: Extent = field(default_factory=Extent)
     drive: DriveFigures = field(default_factory=DriveFigures)
     kept: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
@@ -89,7 +92,7 @@ class Compensation(ModelRun):
         super().__post_init__()
         self._run = functools.partial(self.model.compensate, limits=self.limits)
         self.came_from = self._comes_from()
-        self.gate = DriveGate(self.limits, self.came_from)
+        self.gate = DriveGate(self.limits, self.came_from, self.model.input.suffix)
 
     def responses(self) -> Iterator[Response]:
         """Return the drive, with the pieces before and after it that were asked for.
@@ -103,7 +106,7 @@ class Compensation(ModelRun):
         GateError
             A row breaks a limit: this program's fault.
         """
-        blocks, role, step = self.source.blocks(), self.taken.quantity, 0.0
+        blocks, role, step = self.source.blocks(), self.input.quantity, 0.0
         if self.options.has_pieces:
             held, stamps = first_blocks(blocks)
             blocks = chain(held, blocks)
@@ -111,21 +114,21 @@ class Compensation(ModelRun):
                 step = self._usual_step(stamps)
             if held:
                 before = self._before(float(held[0].values[role][0]), step)
-                played, count = before.voltage.size, before.voltage.size + before.wanted.size
+                played, count = before.voltage.size, before.voltage.size + before.desired.size
                 # From one step before the first row on.
                 times = step * np.arange(-count - 1, 0.0) + (stamps[0] if stamps.size else 0.0)
                 yield from self._played(before, times[: played + 1], step)
                 if count > played:
-                    rows, wanted = range(1 + played - count, 1), {role: before.wanted}
-                    blocks = chain([SampleBlock(rows, None, times[played + 1 :], wanted)], blocks)
+                    rows, values = range(1 + played - count, 1), {role: before.desired}
+                    blocks = chain([SampleBlock(rows, None, times[played + 1 :], values)], blocks)
         for block, x in self.inputs.blocks(blocks, self.state):
-            drive, given = self.feed(block, x).y, block.values[role]
+            desired, drive = block.values[role], self.feed(block, x).y
             if block.rows[0] >= 1:
                 if self.lesson is not None:
                     end = self.rows - self.rows_before
-                    given = self.lesson.desired[end - drive.size : end]
-                self._see(given, drive)
-            yield Response(block.time, given, drive)
+                    desired = self.lesson.desired[end - drive.size : end]
+                self._see(desired, drive)
+            yield Response(block.time, desired, drive)
         if self.rows and self.unreachable >= self.rows - self.rows_before > 0:
             raise InputError(
                 f"{self.source.name}: every row is outside what the model reaches ({self._range()}): check "
@@ -134,10 +137,10 @@ class Compensation(ModelRun):
         if self.options.return_ is not None and self.state is not None and self.state.time is not None:
             yield self._return(self.state, self.state.time, step)
 
-    def _see(self, given: FloatArray, drive: FloatArray) -> None:
-        self.move.add(given)
+    def _see(self, desired: FloatArray, drive: FloatArray) -> None:
+        self.move.add(desired)
         if self.settle is not None:
-            self.held.add(given, drive)
+            self.held.add(desired, drive)
 
     def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
@@ -153,9 +156,10 @@ class Compensation(ModelRun):
 
     def _comes_from(self) -> float | None:
         """Return where the drive stands before the first row: a saved state, or what was said, knows it."""
-        asked, state = self.options.from_, self.start
+        given, state = self.options.from_, self.start
+        asked = None if given is None else in_unit("from_", given, self.model.input.unit)
         known = self.model.drive_of(state) if isinstance(state, ModelState) else None
-        if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.given.span:
+        if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.output.span:
             raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
         if asked is None and known is None and self.start in ("empty", "full"):
             end = self.model.drive_at(str(self.start))
@@ -208,11 +212,11 @@ class Compensation(ModelRun):
             creep = float(done.y[-1] - done.y[-2]) if done.y.size > 1 else 0.0
         elif options.approach is not None:
             there = self.model.displacement_of(state)
-        wanted = NOTHING
+        desired = NOTHING
         if options.approach is not None or options.condition:
             seconds = "auto" if options.condition or options.approach is None else options.approach
-            wanted = way(self.model, state, (there, first), creep, step, seconds, limits)
-        return Before(voltage, expected, np.concatenate([wanted, lead]), state)
+            desired = way(self.model, state, (there, first), creep, step, seconds, limits)
+        return Before(voltage, expected, np.concatenate([desired, lead]), state)
 
     def _lead_rows(self, step: float) -> int:
         """Return how many rows at the first value stand before a move."""
@@ -236,11 +240,11 @@ class Compensation(ModelRun):
             self.state = dataclasses.replace(done.state, time=float(time[-1]))
         return self._response(time, np.full(voltage.size, math.nan), voltage, step)
 
-    def _response(self, time: FloatArray, given: FloatArray, drive: FloatArray, step: float) -> Response:
+    def _response(self, time: FloatArray, desired: FloatArray, drive: FloatArray, step: float) -> Response:
         """Let voltages that are played as they are pass the gate."""
         self.gate.admit(drive, step)
         self.drive.see(drive, step)
-        return Response(time, given, drive)
+        return Response(time, desired, drive)
 
     # --- one block ---
 
@@ -251,17 +255,20 @@ class Compensation(ModelRun):
 
     def feed(self, block: SampleBlock, x: FloatArray) -> Simulated:
         """Run one block; count what the limits held back, and let the rows pass the gate."""
+        if self.state is None:
+            self.state = self._begun(float(x[0]))
+        before = self.state
         done, steps = super().feed(block, x), self.time_step
         if not self.drive.rows:
             self.gate.require_start(None if steps is None else float(np.ravel(steps)[0]))
-        if block.rows[0] < 1:  # what cannot be reached before a move is none of it
-            self.rows_before += len(x)
-        else:
+        if block.rows[0] >= 1:  # what cannot be reached before a move is none of it
             reach, slack = self.model.output, REACH_SLACK * self.model.output.span
-            wanted = x if self.model.dynamics is None else block.values[self.taken.quantity]
-            outside = (wanted < reach.minimum - slack) | (wanted > reach.maximum + slack)
+            desired = x if self.model.dynamics is None else block.values[self.input.quantity]
+            outside = (desired < reach.minimum - slack) | (desired > reach.maximum + slack)
             self.unreachable += int(np.count_nonzero(outside))
             self._clip(done, block)
+            if done.clipped_count:
+                self._miss(x - slow_model(self.model).follow(done.y, before, steps).y)
         self.missed = self.missed or done.first_missed
         self.gate.admit(done.y, steps)
         self.drive.see(done.y, steps)
@@ -270,7 +277,7 @@ class Compensation(ModelRun):
 
     def _keep(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
         """Keep the first rows, on which the error to expect is looked at in the end."""
-        kept = sum(one.size for one, _ in self.kept)
+        kept = sum(drive.size for drive, _ in self.kept)
         if kept < MOST_ROWS:
             every = None if steps is None else np.broadcast_to(steps, drive.shape)[: MOST_ROWS - kept]
             self.kept.append((drive[: MOST_ROWS - kept], every))
@@ -282,6 +289,14 @@ class Compensation(ModelRun):
         if self.options.on_limit == "error" and self.clipped.count:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
 
+    def _miss(self, missed: FloatArray) -> None:
+        """Add up by how much rows of the move miss what is wanted, where samples of them were clipped."""
+        self.lost += float(missed @ missed)
+        self.most_lost = max(self.most_lost, float(np.abs(missed).max()))
+
+    def _lost_rms(self) -> float:
+        return math.sqrt(self.lost / max(self.rows - self.rows_before, 1))
+
     def keep_history(self) -> None:
         """Write the history, where one is asked for."""
         if self.options.history is not None and self.lesson is not None:
@@ -290,28 +305,30 @@ class Compensation(ModelRun):
     # --- what is said ---
 
     def _add_limits(self, remarks: Remarks) -> None:
-        drive, limits = self.model.input, self.limits
         if self.clipped.count:
-            remarks.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
+            unit = self.model.output.suffix
+            remarks.warn(
+                f"{self._clipping()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} RMS, "
+                f"{self.most_lost:.3g}{unit} at worst (`on_limit` error refuses this)"
+            )
         elif self.beyond.count:
             super()._add_limits(remarks)
         if self.missed:
             remarks.warn(
-                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.taken.suffix} off the "
+                f"{self.source.name}: the drive starts {abs(self.missed):.3g}{self.input.suffix} off the "
                 "first value, which the actuator does not pass when it settles (`state` empty or `condition`)"
             )
-        if limits.v_min < drive.minimum or limits.v_max > drive.maximum:
-            remarks.warn(
-                f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}"
-                f"{drive.suffix}, where the model was identified; it extrapolates there"
-            )
+        if beyond := self.limits.beyond(self.model.input):
+            remarks.warn(beyond)
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the run so far, and what was said before."""
         remarks = Remarks()
         remarks.add(self.remarks_before)
         remarks.add(super().remarks())
+        read = self.options.plain_in(self.model.input.unit)
         texts = (
+            f"{self.source.name}: {read}" if read else "",
             self._first_row(),
             self._whose_volts(),
             self.expected_error(),
@@ -335,7 +352,7 @@ class Compensation(ModelRun):
 
     def _first_row(self) -> str:
         """Say how the drive begins, where it may step."""
-        unit, first = self.given.suffix, self.drive.first
+        unit, first = self.output.suffix, self.drive.first
         if first is None:
             return ""
         if self.came_from is None:
@@ -368,12 +385,14 @@ class Compensation(ModelRun):
 
     def _load(self) -> str:
         """Say what the drive asks of the amplifier, where its load is known."""
-        farad, drive = self.options.capacitance, self.drive
+        farad, drive = self.options.farad, self.drive
         if farad is None or not drive.seconds:
             return ""
+        volts = float(volts_a_unit(self.model))
+        coulombs, joules = farad * volts * drive.travel, farad * volts**2 * drive.work
         return (
-            f"{self.source.name}: into {farad:g} F the drive takes {farad * drive.fastest:.3g} A at most, "
-            f"{farad * drive.travel / drive.seconds:.3g} A and {farad * drive.work / drive.seconds:.3g} W "
+            f"{self.source.name}: into {farad:g} F the drive takes {farad * volts * drive.fastest:.3g} A at "
+            f"most, {coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W "
             "(voltage times current) on average"
         )
 
@@ -393,7 +412,7 @@ class Compensation(ModelRun):
                 f"{self.drive.high:.6g}{covered.suffix}, beyond what the model was identified on"
             )
         part = "" if percent is None else f" ({percent:.2g} % of the move)"
-        held = ", clipped samples aside" if self.clipped.count else ""
+        held = ", clipped samples included" if self.clipped.count else ""
         held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
         return f"{name}: expected error of the move {rmse:.3g}{self.model.output.suffix} RMS{part}{held}"
 
@@ -405,7 +424,7 @@ class Compensation(ModelRun):
         if self.lesson is not None or not isinstance(rmse, float) or beyond:
             return None, None
         found = self._move_error()
-        rmse = rmse if found is None else found.rmse
+        rmse = math.hypot(rmse if found is None else found.rmse, self._lost_rms())
         span = self.move.high - self.move.low
         return rmse, 100.0 * rmse / span if span > 0.0 else None
 
@@ -413,7 +432,7 @@ class Compensation(ModelRun):
         """Return what to expect of the rows that were kept."""
         if not self.kept:
             return None
-        drive = np.concatenate([one for one, _ in self.kept])
+        drive = np.concatenate([drive for drive, _ in self.kept])
         steps = [one for _, one in self.kept if one is not None]
         begin = min(self.rows_before, drive.size - 1)
         return move_error(self.model, drive, np.concatenate(steps) if steps else None, begin)
@@ -421,8 +440,8 @@ class Compensation(ModelRun):
     def _no_better(self) -> str:
         """Warn where the expected error is no better than a straight line's."""
         found = None if self.expected_rmse()[0] is None else self._move_error()
-        if found is None or found.rmse < found.straight_line:
-            return ""
+        if found is None or found.rmse < max(found.straight_line, self._lost_rms()):
+            return ""  # where clipping is the error, what is left of the move tells nothing of the logs
         unit = self.model.output.suffix
         return (
             f"{self.source.name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than "

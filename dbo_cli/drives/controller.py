@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.drives.converter import Converter
 from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.drives.lookahead import DriveLag, LookAhead
-from dbo_cli.drives.options import DriveOptions
+from dbo_cli.drives.options import DriveOptions, Figure
 from dbo_cli.drives.pieces import ramp
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis.bank import ROUNDING
@@ -26,6 +26,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 from dbo_cli.hysteresis.stepper import BacklashStepper
 from dbo_cli.logs.reading_options import checked_rate
+from dbo_cli.logs.units import in_unit
 
 UPDATE = 128
 """Samples after which dynamics follow the drive: so many take hardly longer than one of them alone."""
@@ -51,11 +52,11 @@ class Controller:
         model: ActuatorModel,
         sample_rate: float | None,
         *,
-        v_min: float | None = None,
-        v_max: float | None = None,
-        max_slew: float | None = None,
+        v_min: Figure = None,
+        v_max: Figure = None,
+        max_slew: Figure = None,
         state: StartName | ModelState = "auto",
-        from_: float | None = None,
+        from_: Figure = None,
         dac: ArrayLike | None = None,
         ahead: bool = False,
         lookahead: float | Literal["auto"] | None = None,
@@ -74,13 +75,13 @@ class Controller:
         self._planning = self._limits if dac is None else DriveLimits(self._limits.v_min, self._limits.v_max)
         self._inverse = model.inverse()
         self._start: StartName | ModelState = state
-        self._last = from_
+        self._last = None if from_ is None else in_unit("from_", from_, model.input.unit)
         if isinstance(state, ModelState):
             self._last = model.drive_of(state)
-        elif from_ is not None:
-            begun = model.start(from_, state)
-            self._start = model.simulate([from_], begun, time_step=self._step_seconds).state
-        self._gate = DriveGate(self._limits, self._last)
+        elif self._last is not None:
+            begun = model.start(self._last, state)
+            self._start = model.simulate([self._last], begun, time_step=self._step_seconds).state
+        self._gate = DriveGate(self._limits, self._last, model.input.suffix)
         self._dac = None if dac is None else Converter(dac, self._limits, self._most)
         self._ahead: LookAhead | None = None
         if lookahead is not None and sample_rate is not None:

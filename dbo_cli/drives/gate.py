@@ -44,10 +44,12 @@ class DriveGate:
     last : float, optional
         Where the drive stands before the first row, where that is known. From outside the range it may only
         come inwards.
+    suffix : str
+        The unit, behind a blank, for messages.
     """
 
-    def __init__(self, limits: DriveLimits, last: float | None = None) -> None:
-        self.limits, self.last = limits, last
+    def __init__(self, limits: DriveLimits, last: float | None = None, suffix: str = "") -> None:
+        self.limits, self.last, self.suffix = limits, last, suffix
 
     def broken(self, drive: Floats, time_step: float | Floats | None = None) -> Bools:
         """Return which rows break a limit; the gate goes on behind the last row.
@@ -87,12 +89,13 @@ class DriveGate:
 
     def reason(self, drive: float, before: float) -> str:
         """Say why a row behind another one breaks a limit."""
-        limits = self.limits
+        limits, unit = self.limits, self.suffix
         if not math.isfinite(drive):
             return f"{drive} is no voltage"
         if not limits.v_min <= drive <= limits.v_max:
-            return f"{drive:.9g} is outside {limits.v_min:.9g} to {limits.v_max:.9g}"
-        return f"from {before:.9g} to {drive:.9g} in one row is faster than {limits.max_slew:g} per second"
+            return f"{drive:.9g}{unit} is outside {limits.v_min:.9g} to {limits.v_max:.9g}{unit}"
+        most = f"{limits.max_slew:g}{unit} per second"
+        return f"from {before:.9g} to {drive:.9g}{unit} in one row is faster than {most}"
 
     def admit(self, drive: Floats, time_step: float | Floats | None = None) -> None:
         """Let rows pass.
@@ -124,7 +127,7 @@ class DriveGate:
         LimitError
             It is further away than the slew limit allows in one time step.
         """
-        limits, last = self.limits, self.last
+        limits, last, unit = self.limits, self.last, self.suffix
         step = limits.largest_change(time_step)
         if last is None or step is None:
             return
@@ -132,8 +135,8 @@ class DriveGate:
         if max(low - last, last - high) > step:
             aim = f"{first:.6g}" if first is not None else f"its limits, {low:.6g} to {high:.6g}"
             raise LimitError(
-                f"the drive comes from {last:.6g}, and {limits.max_slew:g} per second does not bring it to "
-                f"{aim}, in one row (`approach` SECONDS ramps there)"
+                f"the drive comes from {last:.6g}{unit}, and {limits.max_slew:g}{unit} per second does not "
+                f"bring it to {aim}{unit}, in one row (`approach` SECONDS ramps there)"
             )
 
 
@@ -162,10 +165,10 @@ class Extent:
     low: float = math.inf
     high: float = -math.inf
 
-    def add(self, values: Floats) -> None:
+    def add(self, x: Floats) -> None:
         """See some values more."""
-        self.low = min(self.low, float(values.min(initial=math.inf)))
-        self.high = max(self.high, float(values.max(initial=-math.inf)))
+        self.low = min(self.low, float(x.min(initial=math.inf)))
+        self.high = max(self.high, float(x.max(initial=-math.inf)))
 
 
 @dataclass

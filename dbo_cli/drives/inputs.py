@@ -46,7 +46,7 @@ class Inputs:
     ----------
     source : Source
         Where the signal comes from.
-    taken : Quantity
+    input : Quantity
         What the model takes of it; its name is the signal's role in the blocks.
     delay : float
         Seconds to be read ahead by.
@@ -63,7 +63,7 @@ class Inputs:
     """
 
     source: Source
-    taken: Quantity
+    input: Quantity
     delay: float = 0.0
     dynamics: DynamicsStage | None = None
     bandwidth: float | None = None
@@ -76,8 +76,10 @@ class Inputs:
     _largest: float = 0.0
     _corners: int = 0
     _starts_off: float = 0.0
+    _ends_off: float = 0.0
+    _rest: SampleBlock | None = None
 
-    def blocks(self, given: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
+    def blocks(self, read: Iterable[SampleBlock], begun: ModelState | None = None) -> Iterator[Taken]:
         """Return each block with what goes into the model, ``begun`` being the state before the first.
 
         Raises
@@ -88,9 +90,9 @@ class Inputs:
         UsageError
             The low-pass cannot be had at this rate.
         """
-        role, last, dynamics = self.taken.quantity, self.last_row, self.dynamics
+        role, last, dynamics = self.input.quantity, self.last_row, self.dynamics
         self.start, step = begun or self.start, 0.0
-        blocks = given if last is None else _split(given, last)
+        blocks = read if last is None else _split(read, last)
         if last is None and dynamics is None and self.bandwidth is None and self.delay == 0.0:
             for block in blocks:
                 yield block, block.values[role]
@@ -101,31 +103,37 @@ class Inputs:
             step, blocks = even_clock(self.source, blocks, why, undoing.time_step if undoing else None)
         taken: Iterable[Taken] = ((block, block.values[role]) for block in blocks)
         if self.bandwidth is not None:
-            taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step))
+            taken = self._rounded(taken, ZeroPhaseLowPass(self.bandwidth, step), step)
         if self.delay > 0.0:
             timed = ((block, block.time, x) for block, x in taken if block.time is not None)
             taken = read_ahead(timed, self.delay)
         if dynamics is not None:
             taken = self._undone(taken, dynamics.inverter(step))
         for block, x in taken:
-            if last is not None and block.rows[0] > last:
+            if block is self._rest or (last is not None and block.rows[0] > last):
                 return
             yield block, x
 
     def remarks(self) -> Remarks:
         """Return what is to be said of the transformed signal so far."""
-        found, unit, name = Remarks(), self.taken.suffix, self.source.name
+        found, unit, name = Remarks(), self.input.suffix, self.source.name
         if self._smoothed:
             rms = math.sqrt(self._squares / self._smoothed)
             found.notes.append(
                 f"{name}: `bandwidth` {self.bandwidth:g} takes off {rms:.3g}{unit} (RMS), "
                 f"{self._largest:.3g}{unit} at most"
             )
-        if abs(self._starts_off) > STARTS_MOVING * self.taken.span:
+        if abs(self._starts_off) > STARTS_MOVING * self.input.span:
             found.warn(
                 f"{name}: begins on the move, which an actuator at rest cannot: it rings at first, by about "
                 f"{abs(self._starts_off):.3g}{unit} (let it begin and end at rest; `lead` auto writes "
                 "the drive that it needs before; `periodic` for a loop)"
+            )
+        stops_dead = self.last_row is None and self.bandwidth is None
+        if stops_dead and abs(self._ends_off) > STARTS_MOVING * self.input.span:
+            found.warn(
+                f"{name}: ends on the move: its last rows brake the actuator, by a drive as for "
+                f"{abs(self._ends_off):.3g}{unit} more (let it end at rest; `bandwidth` HZ rounds it)"
             )
         if self._corners and self.dynamics is not None:
             lowest = min((one.frequency for one in self.dynamics.resonances), default=None)
@@ -136,10 +144,26 @@ class Inputs:
             )
         return found
 
-    def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass) -> Iterator[Taken]:
-        for block, x in low_pass.blocks(taken):
-            self.note_rounding(block.values[self.taken.quantity], x)
+    def _rounded(self, taken: Iterable[Taken], low_pass: ZeroPhaseLowPass, step: float) -> Iterator[Taken]:
+        for block, x in low_pass.blocks(self._with_rest(taken, low_pass.reach, step)):
+            if block is not self._rest:
+                self.note_rounding(block.values[self.input.quantity], x)
             yield block, x
+
+    def _with_rest(self, taken: Iterable[Taken], count: int, step: float) -> Iterator[Taken]:
+        """Add rows that hold the last value: rounded, the move goes on in them, and comes to rest.
+
+        What is read ahead by is then the rounded move, not one that stops dead at its last row.
+        """
+        block, x = None, np.zeros(0)
+        for block, x in taken:
+            yield block, x
+        if block is not None and x.size:
+            rows, times = np.arange(1, count + 1), step * np.arange(1.0, count + 1.0)
+            end = None if block.time is None else block.time[-1] + times
+            held = np.full(count, x[-1])
+            self._rest = SampleBlock(block.rows[-1] + rows, None, end, {self.input.quantity: held})
+            yield self._rest, held
 
     def note_rounding(self, before: FloatArray, after: FloatArray) -> None:
         """Add up what a low-pass took off."""
@@ -150,7 +174,7 @@ class Inputs:
 
     def _undone(self, taken: Iterable[Taken], inverter: DynamicsInverter) -> Iterator[Taken]:
         """Undo the dynamics; from a state's memory where the signal goes on from it, else from a rest."""
-        low, high = self.taken.minimum, self.taken.maximum
+        low, high = self.input.minimum, self.input.maximum
         rest = iter(taken)
         first = next(rest, None)
         memory = None if first is None else self._memory_at(first[0], inverter)
@@ -167,7 +191,7 @@ class Inputs:
             asked = (u < low) | (u > high)
             if asked.any():
                 self._corners += int(np.count_nonzero(asked & (x >= low) & (x <= high)))
-            self.memory = after
+            self.memory, self._ends_off = after, float(u[-1] - x[-1])
             yield block, u
 
     def _counted(self, taken: Iterable[Taken]) -> Iterator[tuple[Taken, FloatArray]]:

@@ -49,7 +49,7 @@ class Led(NamedTuple):
     """What is played before a loop, what the run-in follows and is, the loop, and the state before it."""
 
     before: Before
-    wanted: FloatArray
+    desired: FloatArray
     run_in: FloatArray
     settled: Settled
     begun: ModelState | None
@@ -78,8 +78,8 @@ class BeforeLoop(Compensation):
         before = self._before(float(asked[0]), self.step) if passes else self._ramp_before()
         settled = self._settled(before.state or self._begun(float(self.period[0])))
         if passes:
-            wanted = np.concatenate([before.wanted, self._approached(asked, float(asked[0]))])
-            return Led(before, wanted, *self._run_in(wanted, asked, before.state, settled))
+            desired = np.concatenate([before.desired, self._approached(asked, float(asked[0]))])
+            return Led(before, desired, *self._run_in(desired, asked, before.state, settled))
         if before.state is None:
             before, settled = self._of_its_own_start(settled)
         return Led(before, NOTHING, NOTHING, settled, before.state)
@@ -94,9 +94,9 @@ class BeforeLoop(Compensation):
         for _ in range(REST_PLANS):
             self.rows, self.rows_before, self.clipped = 0, 0, Tally()  # of the last try alone
             before = self._rest_before(start, seconds, bias)
-            wanted = self._approached(asked, float(before.expected[-1]))
+            desired = self._approached(asked, float(before.expected[-1]))
             assert before.state is not None
-            run_in, settled, begun = self._run_in(wanted, asked, before.state, self._settled(before.state))
+            run_in, settled, begun = self._run_in(desired, asked, before.state, self._settled(before.state))
             off, _ = settling(self.model, settled.done.y, self.step, begun, settled.before, within)
             if abs(off) <= 0.5 * within:
                 break
@@ -108,9 +108,9 @@ class BeforeLoop(Compensation):
         rows = int(np.count_nonzero(before.voltage == before.voltage[-1]))
         self.remarks_before.notes.append(
             f"{self.source.name}: for the creep the drive rests {self.step * rows:.3g} s at "
-            f"{before.voltage[-1]:.6g}{self.given.suffix} before the run-in"
+            f"{before.voltage[-1]:.6g}{self.output.suffix} before the run-in"
         )
-        return Led(before, wanted, run_in, settled, begun)
+        return Led(before, desired, run_in, settled, begun)
 
     def _approached(self, asked: FloatArray, first: float) -> FloatArray:
         """Return the passes of a run-in, which fade in from a rest."""
@@ -172,7 +172,7 @@ class BeforeLoop(Compensation):
             voltage = to(target)
             done = self.model.simulate(voltage, begun, time_step=self.step)
             ends, target = target, float(self._settled(done.state).done.y[0])
-            if abs(target - ends) <= SAME_DRIVE * self.given.span:
+            if abs(target - ends) <= SAME_DRIVE * self.output.span:
                 return Before(voltage, done.y, NOTHING, done.state)
         return None
 
@@ -214,8 +214,8 @@ class BeforeLoop(Compensation):
         count = before.voltage.size
         self.remarks_before.warn(
             f"{self.source.name}: no start leads to the loop: {count:,} row{'s' if count > 1 else ''} from "
-            f"{first:.6g}{self.given.suffix} on stand{'' if count > 1 else 's'} before the period, where the "
-            "actuator is taken to have settled (`state` empty needs none)"
+            f"{first:.6g}{self.output.suffix} on stand{'' if count > 1 else 's'} before the period, where "
+            "the actuator is taken to have settled (`state` empty needs none)"
         )
         return before, self._settled(before.state)
 
@@ -228,7 +228,7 @@ class BeforeLoop(Compensation):
         return float(np.abs(ends - aim).max())
 
     def _run_in(
-        self, wanted: FloatArray, asked: FloatArray, begun: ModelState | None, settled: Settled
+        self, desired: FloatArray, asked: FloatArray, begun: ModelState | None, settled: Settled
     ) -> tuple[FloatArray, Settled, ModelState]:
         """Return the drive up to the settled period, the period settled from the state it leaves, and that.
 
@@ -236,10 +236,10 @@ class BeforeLoop(Compensation):
         drive, within the slew limit.
         """
         model, limits = self.model, self.limits
-        signal = self._undone_before(wanted, asked, begun)
+        signal = self._undone_before(desired, asked, begun)
         start = begun or model.start_compensation(float(signal[0]), self.start, limits)
         time_step = self.step if model.needs_time or limits.max_slew is not None else None
-        followed = model.compensate(signal[: wanted.size], start, limits=limits, time_step=time_step)
+        followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=time_step)
         self.rows += followed.y.size
         self.rows_before += followed.y.size
         self._clip(followed, None)
@@ -261,17 +261,17 @@ class BeforeLoop(Compensation):
                     return found
         if found is None:
             raise LimitError(
-                f"{self.source.name}: the run-in ends {off:.3g}{self.given.suffix} off the settled loop "
+                f"{self.source.name}: the run-in ends {off:.3g}{self.output.suffix} off the settled loop "
                 "(more `passes`, or a larger `max_slew`)"
             )
         return found
 
-    def _undone_before(self, wanted: FloatArray, asked: FloatArray, begun: ModelState | None) -> FloatArray:
+    def _undone_before(self, desired: FloatArray, asked: FloatArray, begun: ModelState | None) -> FloatArray:
         """Return what the gears are to follow before the period, delay and dynamics undone."""
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
-        signal = shifted(np.concatenate([wanted, np.resize(asked, ahead)]), model.delay_seconds / step)
+        signal = shifted(np.concatenate([desired, np.resize(asked, ahead)]), model.delay_seconds / step)
         if inverter is not None:
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)
@@ -308,7 +308,7 @@ class BeforeLoop(Compensation):
         away = float(np.abs(closed - drive).max())
         most = self.limits.largest_change(self.step)
         seam = abs(float(closed[0]) - float(closed[-1]))
-        if away > SAME_DRIVE * self.given.span or (most is not None and seam > most):
+        if away > SAME_DRIVE * self.output.span or (most is not None and seam > most):
             raise LimitError(
                 f"{self.source.name}: the loop does not close within the limits: from its last row, "
                 f"{drive[-1]:.6g}, to its first, {drive[0]:.6g}, is a step that `max_slew` forbids"

@@ -18,7 +18,7 @@ from dbo_cli.drives.model_run import Response
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, require_rows
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.hysteresis.loops import Settled, settled_run, settling, undone_loop
+from dbo_cli.hysteresis.loops import Settled, settled_run, settling, slow_output, undone_loop
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
@@ -62,14 +62,15 @@ class LoopCompensation(BeforeLoop):
         self.whole = self.source if isinstance(self.source, WholeSource) else WholeSource(self.source)
         self.step = step = self.whole.even_step("`periodic` needs an even clock")
         block, passes = self.whole.block, self.options.passes
-        given = block.values[self.taken.quantity]
-        asked = self._rounded(given)
-        desired = given if self.lesson is None else self.lesson.desired
+        request = block.values[self.input.quantity]
+        asked = self._rounded(request)
+        desired = request if self.lesson is None else self.lesson.desired
         _require_closed(self.whole.name, desired)
         self.period = undone_loop(self.model, asked, step)
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
-        before, wanted, run_in, settled, begun = self.led_to_loop(asked)
+        led = self.led_to_loop(asked)
+        before, run_in, settled, begun = led.before, led.run_in, led.settled, led.begun
         played = before.voltage.size
         count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
@@ -78,7 +79,7 @@ class LoopCompensation(BeforeLoop):
         if played:
             yield self._response(times[:played], before.expected, before.voltage, step)
         if run_in.size:
-            yield self._response(times[played:], wanted, run_in, step)
+            yield self._response(times[played:], led.desired, run_in, step)
             self.remarks_before.notes.append(
                 f"{self.source.name}: before the first period stand {count:,} rows, {step * count:.3g} s, "
                 f"{passes} pass{'es' if passes > 1 else ''} of run-in among them"
@@ -104,10 +105,12 @@ class LoopCompensation(BeforeLoop):
 
     def _count(self, settled: Settled) -> None:
         """Count what is unusual in the settled period, and say how it closes."""
-        done, block, unit = settled.done, self.whole.block, self.given.suffix
+        done, block, unit = settled.done, self.whole.block, self.output.suffix
         self.rows += len(block)
         self.beyond.add(done.outside_count, done.first_outside, block)
         self._clip(done, block)
+        if done.clipped_count:
+            self._miss(self.period - slow_output(self.model, done.y, self.step, settled.before))
         seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
@@ -119,7 +122,7 @@ class LoopCompensation(BeforeLoop):
         away, move = self._away(settled, begun), float(np.ptp(self.period))
         if away > LOOP_ERROR * move:
             why = (
-                f"however often it is repeated, the model ends {away:.3g}{self.taken.suffix} off "
+                f"however often it is repeated, the model ends {away:.3g}{self.input.suffix} off "
                 f"({100.0 * away / move:.2g} % of the move); no start leads to it (`passes` 1 or `state` "
                 "empty fixes the start)"
             )
@@ -135,7 +138,7 @@ class LoopCompensation(BeforeLoop):
 
     def _settling(self, settled: Settled, begun: ModelState) -> str:
         """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
-        drive, unit, name = settled.done.y, self.taken.suffix, self.source.name
+        drive, unit, name = settled.done.y, self.input.suffix, self.source.name
         within, what = self._stated()
         what += f", {within:.3g}{unit}"
         first, passes = settling(self.model, drive, self.step, begun, settled.before, within)

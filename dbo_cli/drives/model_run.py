@@ -120,11 +120,11 @@ class TimeSteps:
 
 
 class Response(NamedTuple):
-    """One block of a run: seconds (None where they are not known), what went in, and what came out."""
+    """One block of a run: seconds (None where they are not known), the model's input x, and its output y."""
 
     time: FloatArray | None
-    given: FloatArray
-    result: FloatArray
+    x: FloatArray
+    y: FloatArray
 
 
 @dataclass
@@ -147,6 +147,8 @@ class ModelRun:
         After the samples run so far.
     time_step : float, array or None
         Seconds between the samples of the block run last.
+    input, output : Quantity
+        What goes into the run and comes out of it: a compensation's are its model's, exchanged.
     """
 
     model: ActuatorModel
@@ -160,12 +162,13 @@ class ModelRun:
     found_start: StartName | None = None
     last_drive: float | None = None
     rows: int = 0
+    rows_before: int = 0
     beyond: Tally = field(default_factory=Tally)
     fast: Tally = field(default_factory=Tally)
     assumed: float = 0.0
     time_step: float | FloatArray | None = None
-    taken: Quantity = field(init=False)
-    given: Quantity = field(init=False)
+    input: Quantity = field(init=False)
+    output: Quantity = field(init=False)
     displacement: Quantity = field(init=False)
     steps: TimeSteps = field(init=False)
     inputs: Inputs = field(init=False)
@@ -179,17 +182,17 @@ class ModelRun:
     def __post_init__(self) -> None:
         """Refuse a source without time where the model needs one."""
         model, begun = self.model, self.start if isinstance(self.start, ModelState) else None
-        self.taken, self.given = model.input, model.output
+        self.input, self.output = model.input, model.output
         if self.compensates:
-            self.taken, self.given = model.output, model.input
+            self.input, self.output = model.output, model.input
         inverting = self.compensates or model.direction == "inverse"
-        self.displacement = self.taken if inverting else self.given
+        self.displacement = self.input if inverting else self.output
         needed = model.needs_time or (inverting and reads_ahead(model))
         why = LAG_DEPENDS if needed else self.why_time
         self.steps = TimeSteps(self.source, why, begun.time if begun else None)
         self._run = functools.partial(model.simulate, outside=self.outside)
         delay, dynamics = (model.delay_seconds, model.dynamics) if inverting else (0.0, None)
-        self.inputs = Inputs(self.source, self.taken, delay, dynamics, self.bandwidth, self.last_row, begun)
+        self.inputs = Inputs(self.source, self.input, delay, dynamics, self.bandwidth, self.last_row, begun)
 
     @property
     def voltage_scale(self) -> str | None:
@@ -207,7 +210,7 @@ class ModelRun:
         InputError
             The source is bad, time goes backwards, or a sample is outside where that is refused.
         """
-        role = self.taken.quantity
+        role = self.input.quantity
         for block, x in self.inputs.blocks(self.source.blocks()):
             yield Response(block.time, block.values[role], self.feed(block, x).y)
 
@@ -226,7 +229,9 @@ class ModelRun:
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(done.state, time=time, undoing=self.inputs.memory)
         self.rows += len(x)
-        if done.outside_count:
+        if block.rows[0] < 1:  # what is before a move is not what the file asks for
+            self.rows_before += len(x)
+        elif done.outside_count:
             self.beyond.add(done.outside_count, done.first_outside, block)
         if steps is not None and self.model.direction == "forward":
             self._watch_speed(done.y if self.compensates else x, steps, block)
@@ -240,7 +245,7 @@ class ModelRun:
         before = drive[0] if self.last_drive is None else self.last_drive
         faster = np.abs(np.diff(drive, prepend=before)) > FASTER * fastest * steps
         self.last_drive = float(drive[-1])
-        if faster.any():
+        if faster.any() and block.rows[0] >= 1:
             self.fast.add(int(np.count_nonzero(faster)), int(np.argmax(faster)), block)
 
     def remarks(self) -> Remarks:
@@ -258,7 +263,7 @@ class ModelRun:
                 f"there ({self.remedies}`state` empty where it comes from its lower end)"
             )
         self._add_limits(remarks)
-        if self.fast.count > FAST_PART * self.rows:
+        if self.fast.count > FAST_PART * (self.rows - self.rows_before):
             remarks.warn(
                 f"{self._counted(self.fast)} move the drive more than {FASTER:g} times as fast as the logs "
                 "of the identification did: how late the actuator is there was not seen; identify at the "
@@ -279,11 +284,12 @@ class ModelRun:
     def _counted(self, tally: Tally) -> str:
         place = f"row {tally.first_row:,}" if tally.first_row > 0 else "the rows before row 1"
         first = place if tally.count == 1 else f"first in {place}"
-        return f"{self.source.name}: {tally.count:,} of {self.rows:,} samples ({first})"
+        rows = self.rows - (self.rows_before if tally.first_row > 0 else 0)
+        return f"{self.source.name}: {tally.count:,} of {rows:,} samples ({first})"
 
     def _range(self) -> str:
-        taken = self.taken
-        return f"{taken.quantity} {taken.minimum:.6g} to {taken.maximum:.6g}{taken.suffix}"
+        low, high = self.input.minimum, self.input.maximum
+        return f"{self.input.quantity} {low:.6g} to {high:.6g}{self.input.suffix}"
 
     def _begun(self, first: float) -> ModelState:
         if self.start == "auto":

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+from dbo_cli.logs.units import UnitFactor, in_unit, unit_factor
 
 Seconds = float | Literal["auto"] | None
+Figure = float | str | None
+"""A limit: a number in the unit of the drive, or a text with a unit of its own (``1.2kV``, ``2V/ms``)."""
 NEED_TIME = (
     "max_slew", "max_current", "condition", "approach", "lead", "return_", "periodic", "bandwidth"
 )  # fmt: skip
@@ -21,16 +27,17 @@ NEED_TIME = (
 class DriveOptions:
     """What is asked of the drive that makes an actuator follow a trajectory.
 
-    Voltages are in the unit of the model's input, times in seconds.
+    Voltages are in the unit of the model's input, or texts with their own (``"1.2kV"``); times in seconds.
 
     Attributes
     ----------
     v_min, v_max : float, optional
         The least and the greatest drive; the model's range where not given.
     max_slew : float, optional
-        Fastest change of the drive, per second.
+        Fastest change of the drive, per second (``"2V/ms"``).
     max_current, capacitance : float, optional
-        What the amplifier can deliver (A) into which load (F): a slew limit of their ratio.
+        What the amplifier can deliver (A) into which load (F): a slew limit of their ratio, converted from
+        volts a second.
     on_limit : {"clip", "error"}
         Clip and count where a limit is met, or raise LimitError.
     state : str or ModelState
@@ -38,7 +45,8 @@ class DriveOptions:
     from_ : float, optional
         What the amplifier stands at before the first row; a state knows it.
     approach : float or "auto", optional
-        Seconds of a ramp from there to the first row; auto: as fast as the slew allows, without one a second.
+        Seconds of a ramp from there to the first row; auto: within the slew limit, 0.1 s at least, without a
+        limit a second for the whole range.
     condition : bool
         Sweep the actuator into a known state first.
     lead : float or "auto", optional
@@ -69,14 +77,14 @@ class DriveOptions:
         A value is none, or two exclude each other.
     """
 
-    v_min: float | None = None
-    v_max: float | None = None
-    max_slew: float | None = None
-    max_current: float | None = None
-    capacitance: float | None = None
+    v_min: Figure = None
+    v_max: Figure = None
+    max_slew: Figure = None
+    max_current: Figure = None
+    capacitance: Figure = None
     on_limit: Literal["clip", "error"] = "clip"
     state: StartName | ModelState = "auto"
-    from_: float | None = None
+    from_: Figure = None
     approach: Seconds = None
     condition: bool = False
     lead: Seconds = None
@@ -92,6 +100,12 @@ class DriveOptions:
         """Check every value, and what excludes what, before anything is read."""
         if self.on_limit not in ("clip", "error"):
             raise UsageError(f"`on_limit`: '{self.on_limit}' is none of clip, error")
+        self._check_limits()
+        for name in ("approach", "lead", "return_"):
+            check_seconds(name, getattr(self, name))
+        self._check_pieces()
+
+    def _check_limits(self) -> None:
         if self.bandwidth is not None and not 0.0 < self.bandwidth < math.inf:
             raise UsageError(f"`bandwidth` {self.bandwidth:g}: give a positive number of Hz")
         for name in ("max_slew", "max_current", "capacitance", "settle"):
@@ -99,16 +113,15 @@ class DriveOptions:
             if value is not None and not isinstance(value, str) and not value > 0.0:
                 raise UsageError(f"`{name}` {value:g}: give a number above 0")
         for name in ("v_min", "v_max"):
-            if getattr(self, name) is not None and math.isnan(getattr(self, name)):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, str) and math.isnan(value):
                 raise UsageError(f"`{name}`: is not a number")
-        if self.from_ is not None and not math.isfinite(self.from_):
+        if isinstance(self.from_, int | float) and not math.isfinite(self.from_):
             raise UsageError(f"`from_` {self.from_:g}: give the voltage that the amplifier stands at")
         if (self.max_current is None) != (self.capacitance is None):
             raise UsageError("`max_current` and `capacitance` belong together: the one is the other's limit")
-        check_range(self.v_min, self.v_max)
-        for name in ("approach", "lead", "return_"):
-            check_seconds(name, getattr(self, name))
-        self._check_pieces()
+        if not isinstance(self.v_min, str) and not isinstance(self.v_max, str):
+            check_range(self.v_min, self.v_max)
 
     def _check_pieces(self) -> None:
         if self.passes and not self.periodic:
@@ -129,13 +142,24 @@ class DriveOptions:
 
     def limits(self, model: ActuatorModel) -> DriveLimits:
         """Return the limits of the drive of a forward model."""
-        low = model.input.minimum if self.v_min is None else self.v_min
-        high = model.input.maximum if self.v_max is None else self.v_max
-        check_range(low, high)
-        slew = math.inf if self.max_slew is None else self.max_slew
-        if self.max_current is not None and self.capacitance is not None:
-            slew = min(slew, self.max_current / self.capacitance)
-        return DriveLimits(low, high, slew)
+        drive = model.input
+        low = drive.minimum if self.v_min is None else self.v_min
+        high = drive.maximum if self.v_max is None else self.v_max
+        limits, farad = limits_in(drive.unit, low, high, self.max_slew), self.farad
+        if self.max_current is None or farad is None:
+            return limits
+        volts = np.array(in_unit("max_current", self.max_current, "A") / farad)  # a second
+        slew = float(volts_a_unit(model).inverse.apply(volts))
+        return dataclasses.replace(limits, max_slew=min(slew, limits.max_slew or math.inf))
+
+    @property
+    def farad(self) -> float | None:
+        """The load, where it is known."""
+        return None if self.capacitance is None else in_unit("capacitance", self.capacitance, "F")
+
+    def plain_in(self, unit: str | None) -> str:
+        """Say in which unit plain limits are read, where that is not volts."""
+        return plain_in(unit, self.v_min, self.v_max, self.max_slew, self.from_)
 
     @property
     def why_time(self) -> str | None:
@@ -157,6 +181,29 @@ def check_seconds(name: str, value: Seconds) -> None:
     if value is not None and value != "auto":
         if not isinstance(value, int | float) or isinstance(value, bool) or not 0.0 < value < math.inf:
             raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
+
+
+def volts_a_unit(model: ActuatorModel) -> UnitFactor:
+    """Return how many volts a unit of the drive is, one where it has no unit (UsageError)."""
+    found = unit_factor(model.input.unit, "V")
+    if found is None:
+        raise UsageError(f"`max_current` and `capacitance`: the drive is in {model.input.unit}, no voltage")
+    return found
+
+
+def limits_in(unit: str | None, v_min: Figure, v_max: Figure, max_slew: Figure) -> DriveLimits:
+    """Return limits in the unit of a drive, infinite where not given (UsageError)."""
+    low = -math.inf if v_min is None else in_unit("v_min", v_min, unit)
+    high = math.inf if v_max is None else in_unit("v_max", v_max, unit)
+    check_range(low, high)
+    return DriveLimits(low, high, None if max_slew is None else in_unit("max_slew", max_slew, unit, "s"))
+
+
+def plain_in(unit: str | None, *limits: Figure) -> str:
+    """Say in which unit plain limits are read, where that is not volts."""
+    if unit in (None, "V") or all(isinstance(one, str) or not one for one in limits):
+        return ""
+    return f"limits without a unit are read in {unit}, the drive's (1.2kV, 2000V/s are converted)"
 
 
 def check_range(v_min: float | None, v_max: float | None) -> None:

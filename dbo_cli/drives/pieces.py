@@ -40,7 +40,7 @@ class Before(NamedTuple):
     ----------
     voltage, expected : array
         Played as they are, and the displacement that the model expects of them.
-    wanted : array
+    desired : array
         Displacements that the inverse follows, up to the trajectory's first value.
     state : ModelState, or None
         After the voltages; None where the run finds its start itself.
@@ -48,7 +48,7 @@ class Before(NamedTuple):
 
     voltage: Floats
     expected: Floats
-    wanted: Floats
+    desired: Floats
     state: ModelState | None
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from dbo_cli.hysteresis.linear_sections import Lag, Section
 from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.units import is_known_unit, normalise_unit, unit_factor
+from dbo_cli.logs.units import in_unit
 
 FOR_EVER = 50.0  # of the longest time constant: what creeps is over to 2e-22
 SHORTEST = 1e-9  # s: shorter than any converter's row
@@ -25,7 +24,6 @@ ROWS_A_PERIOD = 64.0
 MOST_SAID = 12  # steps in a note
 MOST_TIMED = 300  # different steps that are timed: 7 ms each
 FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
-_DISTANCE = re.compile(r"\s*(\d*\.?\d+(?:[eE][+-]?\d+)?)\s*([^\s\d].*?)?\s*")
 
 
 def distance_in(given: float | str, unit: str | None) -> float:
@@ -36,20 +34,10 @@ def distance_in(given: float | str, unit: str | None) -> float:
     UsageError
         It is no distance above 0, or its unit is no known one or of another kind.
     """
-    found = _DISTANCE.fullmatch(str(given)) if isinstance(given, str) else None
-    value, own = (found[1], found[2]) if found else (given, None)
-    try:
-        size = float(value)
-    except ValueError:
-        size = math.nan
+    size = in_unit("settle", given, unit)
     if not 0.0 < size < math.inf:
         raise UsageError(f"`settle` {given}: give a distance above 0, such as 0.005 or 5nm")
-    if own is None:
-        return size
-    factor = unit_factor(normalise_unit(own), unit) if is_known_unit(own) and unit is not None else None
-    if factor is None:
-        raise UsageError(f"`settle` {given}: {own} is not to be had in the model's {unit or 'output'}")
-    return float(factor.apply(np.array([size]))[0])
+    return size
 
 
 class HeldLevels:
@@ -69,13 +57,13 @@ class HeldLevels:
         self._level, self._rows, self._drive = math.nan, 0, math.nan
         self._before: tuple[float, float] | None = None
 
-    def add(self, given: FloatArray, drive: FloatArray) -> None:
-        """Take a block of what is wanted and of its drive."""
-        if not given.size:
+    def add(self, desired: FloatArray, drive: FloatArray) -> None:
+        """Take a block of what is desired and of its drive."""
+        if not desired.size:
             return
-        begins = np.concatenate([[0], np.flatnonzero(np.diff(given) != 0.0) + 1])
-        rows = np.diff(begins, append=given.size)
-        carried = self._rows if given[0] == self._level else 0
+        begins = np.concatenate([[0], np.flatnonzero(np.diff(desired) != 0.0) + 1])
+        rows = np.diff(begins, append=desired.size)
+        carried = self._rows if desired[0] == self._level else 0
         if not carried:
             self._close()
         for k in np.flatnonzero((rows >= FEWEST_HELD) | (begins == 0) | (begins == begins[-1])).tolist():
@@ -83,7 +71,7 @@ class HeldLevels:
             held = before + int(rows[k])
             if before < FEWEST_HELD <= held:
                 self._drive = float(drive[begins[k] + FEWEST_HELD - before - 1])
-            self._level, self._rows = float(given[begins[k]]), held
+            self._level, self._rows = float(desired[begins[k]]), held
             if k < rows.size - 1:
                 self._close()
 

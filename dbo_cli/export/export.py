@@ -17,6 +17,7 @@ from dbo_cli.export.host_files import fmu_bytes, library_files
 from dbo_cli.export.project_files import ExportSummary, project_files
 from dbo_cli.export.single_code import single_code
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
+from dbo_cli.logs.units import in_unit
 
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
@@ -33,9 +34,9 @@ def export_model(
     arithmetic: Arithmetic = "double",
     sample_rate: float | None = None,
     gears: int | None = None,
-    v_min: float | None = None,
-    v_max: float | None = None,
-    max_slew: float | None = None,
+    v_min: float | str | None = None,
+    v_max: float | str | None = None,
+    max_slew: float | str | None = None,
     lookup: bool = False,
     arduino: bool = False,
     fmu: bool = False,
@@ -47,7 +48,8 @@ def export_model(
     ``model`` is forward or inverse; it is turned as ``direction`` says. ``folder`` appears whole or not at
     all; ``overwrite`` replaces one that an earlier export wrote. ``name`` begins the names of files, types
     and functions. An inverse takes displacement and gives the drive, as ``compensate``, between ``v_min``
-    and ``v_max`` (the model's range where not given) and changing by at most ``max_slew`` a second; a forward
+    and ``v_max`` (the model's range where not given) and changing by at most ``max_slew`` a second (texts
+    may have a unit, ``2kV/s``); a forward
     export takes the drive. double gives the bits of ``simulate`` and ``compensate``; float and q31 come with
     a derived bound. ``sample_rate`` is needed where relaxation, slew or a delay depends on it. ``gears``
     takes fewer than the model has. In double only: ``lookup`` (12 gears at most) is a table of all states in
@@ -75,7 +77,7 @@ def export_model(
     files = _files(plan, code, summary, words, arduino, fmu, shared)
     summary = replace(summary, files=(*sorted(files), MANIFEST))
     manifest = {"format": FORMAT, "version": 1, **asdict(summary)}
-    del manifest["folder"]
+    del manifest["folder"], manifest["warnings"]
     files[MANIFEST] = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
     write_folder(folder, {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}, overwrite)
     return summary
@@ -95,8 +97,8 @@ def _check_choices(arithmetic: str, direction: str, double_only: dict[str, bool]
 
 
 def _limits(
-    model: ActuatorModel, direction: Direction, v_min: float | None, v_max: float | None,
-    max_slew: float | None,
+    model: ActuatorModel, direction: Direction, v_min: float | str | None, v_max: float | str | None,
+    max_slew: float | str | None,
 ) -> DriveLimits | None:  # fmt: skip
     """Return the limits of an inverse's drive: those given, else the model's range."""
     if direction == "forward":
@@ -104,8 +106,10 @@ def _limits(
             raise UsageError("limits on the drive (`v_min`, `v_max`, `max_slew`) need `direction` inverse")
         return None
     drive = model.input if model.direction == "forward" else model.output
+    low = drive.minimum if v_min is None else in_unit("v_min", v_min, drive.unit)
+    high = drive.maximum if v_max is None else in_unit("v_max", v_max, drive.unit)
     return DriveLimits(
-        drive.minimum if v_min is None else v_min, drive.maximum if v_max is None else v_max, max_slew
+        low, high, None if max_slew is None else in_unit("max_slew", max_slew, drive.unit, "s")
     )
 
 
@@ -117,13 +121,14 @@ def _summary(
     rows = -(-plan.backlash.n // run)
     # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
     passes = 1 if plan.direction == "forward" else 2 if plan.model.drive_lag is None else 3
+    beyond = "" if plan.limits is None else plan.limits.beyond(plan.drive)
     return ExportSummary(
         folder=folder, name=name, direction=plan.direction, arithmetic=arithmetic, files=(),
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
         state_bytes=code.state_bytes, worst_blocks=-(-plan.backlash.n // 64) * passes,
         worst_gears=min(plan.backlash.n, ONE_BY_ONE) * passes,
         vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
-        notes=notes,
+        notes=notes, warnings=(beyond,) if beyond else (),
     )  # fmt: skip
 
 

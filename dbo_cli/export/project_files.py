@@ -34,8 +34,8 @@ class ExportSummary:
         Where gears were taken away: the largest and the RMS difference this makes on test moves.
     vectors : int
         Samples in the self-test.
-    notes : tuple of str
-        What the caller must know or do.
+    notes, warnings : tuple of str
+        What the caller must know or do, and what may spoil the result.
     """
 
     folder: str
@@ -54,6 +54,7 @@ class ExportSummary:
     bounds: Mapping[str, float] = field(default_factory=dict)
     gears_loss: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def project_files(
@@ -68,7 +69,7 @@ def project_files(
         "DEFINES": "-DDBO_SMALL" if small else "", "SOURCE_FILES": compiled,
         "COMPILED_FILES": f"-DDBO_SMALL {compiled}" if small else compiled,
         "HEADER_FILES": " ".join(file for file in _ordered(sources) if file.endswith(".h")),
-        "SAMPLE": f"k < 10U ? {code.vectors[0].inputs[10]} : 0",
+        "SAMPLE": code.vectors[0].inputs[10],
         "INPUT_TEXT": _capitalised(plan.model.input), "OUTPUT_TEXT": _capitalised(plan.model.output),
     }  # fmt: skip
     page = fill("README.md", {**values, **_figures(plan, summary)})
@@ -117,5 +118,5 @@ def _figures(plan: CascadePlan, summary: ExportSummary) -> Values:
         figures |= {f"{way}_NAME": quantity.quantity, f"{way}_RANGE": ends}
     return {
         **figures, "moving": plan.model.dynamics is not None,
-        "duties": "".join(f"- {note}\n" for note in summary.notes),
+        "duties": "".join(f"- {note}\n" for note in (*summary.notes, *summary.warnings)),
     }  # fmt: skip

@@ -82,11 +82,11 @@ def memory_free(stages: Sequence[Stage]) -> MemoryFree:
     return tuple(stage for stage in stages if isinstance(stage, DiscretePointOperator | ScaleStage))
 
 
-def through(stages: Sequence[DiscretePointOperator | ScaleStage], signal: Floats) -> Floats:
+def through(stages: Sequence[DiscretePointOperator | ScaleStage], x: Floats) -> Floats:
     """Pass a block through memory-free stages."""
     for stage in stages:
-        signal = stage.run(signal)
-    return signal
+        x = stage.run(x)
+    return x
 
 
 def least_slope(stage: DiscretePointOperator | ScaleStage) -> float:

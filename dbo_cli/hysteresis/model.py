@@ -401,39 +401,38 @@ class ActuatorModel:
         """
         if limits is not None:
             self.require("inverse")
-        signal: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        steps = self._steps(time_step, signal.size, state, limits)
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        steps = self._steps(time_step, x.size, state, limits)
         if self.drive_lag is None:
-            done = self._simulate_prompt(signal, state, steps, outside, limits)
+            done = self._simulate_prompt(x, state, steps, outside, limits)
         else:
             assert steps is not None
             behind = self.without_drive_lag
-            done = drive_lag.simulate(self.drive_lag, behind, signal, state, steps, outside, limits)
+            done = drive_lag.simulate(self.drive_lag, behind, x, state, steps, outside, limits)
             if self.direction == "inverse":
                 return done
-        counts = self._with_uncovered(signal, Counts(done.outside_count, done.first_outside))
+        counts = self._with_uncovered(x, Counts(done.outside_count, done.first_outside))
         if outside == "error" and counts.outside:
-            raise OutsideError(counts.first_outside, float(signal[counts.first_outside]), *self._covered)
+            raise OutsideError(counts.first_outside, float(x[counts.first_outside]), *self._covered)
         return done._replace(outside_count=counts.outside, first_outside=counts.first_outside)
 
     def _simulate_prompt(
         self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
     ) -> Simulated:
         """Return what ``simulate`` does, for a model without a lag before its gears."""
-        signal = x
         for stage in self.head:
-            signal = stage.run(signal)
+            x = stage.run(x)
         if outside == "hold":
-            signal = self._held(signal)
+            x = self._held(x)
         inner = None if limits is None else self.inner_limits(limits)
-        y, after, counts, missed = self._backlash_block(signal, state, steps, outside, inner)
+        y, after, counts, missed = self._backlash_block(x, state, steps, outside, inner)
         for stage in self.tail:
             y = stage.run(y)
         if limits is not None and self.tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
-            if signal.size:
-                after = dataclasses.replace(after, drive=float(signal[-1]))
+            if x.size:
+                after = dataclasses.replace(after, drive=float(x[-1]))
             if steps is not None and (self.delay or self.dynamics):
                 y, after = self._lagging(y, after, steps, state)
         return Simulated(y, after, *counts, missed)
@@ -459,12 +458,12 @@ class ActuatorModel:
             after = dataclasses.replace(after, history=history)
         return y, after
 
-    def _held(self, signal: Floats) -> Floats:
+    def _held(self, x: Floats) -> Floats:
         """Return what reaches the gears, kept within those that the model covers."""
         core = self.covered_gears.operator
         if self.direction == "inverse" or core.n == self.backlash.n:
-            return signal
-        held: Floats = np.clip(signal, *core.x_range)
+            return x
+        held: Floats = np.clip(x, *core.x_range)
         return held
 
     def _steps(
@@ -490,21 +489,21 @@ class ActuatorModel:
 
     def _backlash_block(
         self,
-        signal: Floats,
+        x: Floats,
         state: ModelState,
         steps: Steps | None,
         outside: Outside,
         limits: DriveLimits | None,
     ) -> tuple[Floats, ModelState, Counts, float]:
         """Return the backlash stage's block, the state after, the counts, and the first value missed."""
-        if signal.size == 0:
-            return signal, state, Counts(), 0.0
+        if x.size == 0:
+            return x, state, Counts(), 0.0
         if state.first is not None:
-            return self._first_block(signal, state, steps, outside, limits)
+            return self._first_block(x, state, steps, outside, limits)
         stage = self.backlash
         relaxation = stage.relaxation
         y, backlash, counts = stage.run(
-            signal,
+            x,
             state.backlash,
             decay=relaxation.decay(steps) if relaxation and steps is not None else None,
             outside=outside,
@@ -516,7 +515,7 @@ class ActuatorModel:
 
     def _first_block(
         self,
-        signal: Floats,
+        x: Floats,
         state: ModelState,
         steps: Steps | None,
         outside: Outside,
@@ -526,13 +525,13 @@ class ActuatorModel:
         assert state.first is not None
         first = state.first
         _, backlash, _ = self.forward_backlash.run([first.voltage], state.backlash)
-        _, _, unbound = self.backlash.run(signal[:1], state.backlash)
-        missed = float(signal[0]) - first.reached
+        _, _, unbound = self.backlash.run(x[:1], state.backlash)
+        missed = float(x[0]) - first.reached
         short = abs(missed) > NEGLIGIBLE * (self.backlash.x_range[1] - self.backlash.x_range[0])
         clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)
         rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
         begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
-        y, after, counts, _ = self._backlash_block(signal[1:], begun, rest_steps, outside, limits)
+        y, after, counts, _ = self._backlash_block(x[1:], begun, rest_steps, outside, limits)
         total = Counts(unbound.outside, 0, int(clipped), 0) + counts.shifted(1)
         miss = missed if short and not clipped and not unbound.outside else 0.0
         return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
@@ -585,10 +584,14 @@ class ActuatorModel:
         if self.dynamics is None or done.y.size == 0:
             return done
         # What the limits cut off does not reach the actuator, so its dynamics follow the drive itself.
-        before = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
-        moved = self.simulate(done.y, before, time_step=time_step).state
+        moved = self.follow(done.y, state, time_step).state
         after = dataclasses.replace(done.state, dynamics=moved.dynamics, history=moved.history)
         return done._replace(state=after)
+
+    def follow(self, drive: ArrayLike, state: ModelState, time_step: float | ArrayLike | None) -> Simulated:
+        """Return what this forward model makes of a drive that ``compensate`` computed from a state."""
+        begun = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
+        return self.simulate(drive, begun, time_step=time_step)
 
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits

@@ -116,6 +116,15 @@ class DriveLimits:
         step = self.largest_step(time_step)
         return None if step is None else float(step)
 
+    def beyond(self, drive: Quantity) -> str:
+        """Say that the limits reach beyond what a model covers, where they do."""
+        if drive.minimum <= self.v_min and self.v_max <= drive.maximum:
+            return ""
+        return (
+            f"the limits of the drive reach beyond {drive.minimum:.6g} to {drive.maximum:.6g}{drive.suffix}, "
+            "where the model was identified; it extrapolates there"
+        )
+
     def slack(self, span: float) -> float:
         """Return by how much clipping must move a sample to count, for a drive whose range is ``span``."""
         return NEGLIGIBLE * min(self.v_max - self.v_min, span)

@@ -289,8 +289,8 @@ class DiscreteBacklashOperator:
         ModelError
             The state is not of this operator, or ``decay`` is missing.
         """
-        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y = np.empty_like(signal)
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        y = np.empty_like(x)
         words = self._words(state)
         gain = np.array(self.relaxation.gain if self.relaxation else (), dtype=np.float64)
         reference = self.relaxation.reference if self.relaxation else 0.0
@@ -301,15 +301,15 @@ class DiscreteBacklashOperator:
         if memory.size != gain.size:
             raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {gain.size}")
         counts, before = Counts(), math.nan if last is None else last
-        for begin, end, factors, steps in self._spans(signal.size, state, decay, bound.step):
+        for begin, end, factors, steps in self._spans(x.size, state, decay, bound.step):
             found = kernel.CHOSEN.backlash_run(
                 self.gears, self.n, self.equal_run, self.x0, self.y0, outside != "hold", gain, reference,
-                self.memory_on == "output", words, memory, before, signal[begin:end], y[begin:end], factors,
+                self.memory_on == "output", words, memory, before, x[begin:end], y[begin:end], factors,
                 limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
             counts = counts + Counts(*found).shifted(begin) if begin else Counts(*found)
             before = float(y[end - 1])
-        if signal.size == 0:
+        if x.size == 0:
             return y, state, counts
         held = tuple(memory.tolist()) if gain.size else state.memory
         return y, BacklashState(self._bits(words), held), counts
@@ -350,10 +350,10 @@ class DiscreteBacklashOperator:
         are then the heights of the groups, equal within each. Relaxation is not in them (see
         ``Relaxation.lags``).
         """
-        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         words = self._words(state)
         crossed = np.empty(-(-self.n // group_size))
-        rows = np.empty((signal.size, crossed.size))
+        rows = np.empty((x.size, crossed.size))
         kernel.CHOSEN.backlash_engagement(
             self.gears,
             self.n,
@@ -361,7 +361,7 @@ class DiscreteBacklashOperator:
             self.x0,
             outside != "hold",
             words,
-            signal,
+            x,
             rows,
             crossed,
             group_size,
@@ -408,7 +408,7 @@ class DiscretePointOperator:
 
     def run(self, x: ArrayLike) -> Floats:
         """Return the output of (13)-(16) for one block of the input."""
-        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y = np.empty_like(signal)
-        kernel.CHOSEN.point_run(self.segments, self.x0, self.y0, signal, y)
+        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        y = np.empty_like(x)
+        kernel.CHOSEN.point_run(self.segments, self.x0, self.y0, x, y)
         return y

@@ -55,7 +55,7 @@ def keep_interrupts() -> None:
     _host.imported("polars")
 
 
-def import_extra(module: str, extra: str, place: str) -> Any:
+def import_extra(module: str, place: str) -> Any:
     """Import the library of an optional extra.
 
     Raises
@@ -66,8 +66,6 @@ def import_extra(module: str, extra: str, place: str) -> Any:
     try:
         library = importlib.import_module(module)
     except ImportError:
-        raise InputError(
-            f'{place}: reading it needs the library {module}: pip install "dbo-cli[{extra}]"'
-        ) from None
+        raise InputError(f"{place}: reading it needs the library {module}: pip install {module}") from None
     _host.imported(module)
     return library

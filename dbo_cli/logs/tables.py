@@ -55,13 +55,25 @@ def open_table(request: Request) -> Table:
 
 
 def _side_by_side(request: Request, table: TextTable) -> Table | None:
-    """Read a table of a data base that has several rows a sample; None for any other, and for streams."""
+    """Read a table of a data base that has several rows a sample; None for any other.
+
+    Raises
+    ------
+    InputError
+        It is one, and comes through a pipe.
+    """
     names = {name.strip("_").lower() for name in table.dialect.headers}
-    if not (table.dialect.sparse or "value" in names) or not table.source.is_regular:
+    if not (table.dialect.sparse or "value" in names):
         return None
-    from dbo_cli.logs.text.long_table import side_by_side
+    from dbo_cli.logs.text.long_table import SIGNALS, side_by_side
 
     try:
+        if not table.source.is_regular:
+            if names & set(SIGNALS) and not request.named:
+                raise InputError(
+                    f"{table.place}: a row for each value: give it as a file, not through a pipe"
+                )
+            return None
         found = side_by_side(request, table.dialect)
     except BaseException:
         table.close()

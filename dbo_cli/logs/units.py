@@ -11,6 +11,8 @@ import re
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
@@ -89,6 +91,11 @@ class UnitFactor(NamedTuple):
     def is_one(self) -> bool:
         """Whether nothing changes."""
         return self.numerator == self.denominator
+
+    @property
+    def inverse(self) -> UnitFactor:
+        """The way back."""
+        return UnitFactor(self.denominator, self.numerator)
 
     def times(self, numerator: int, denominator: int) -> UnitFactor:
         """Return this factor times a fraction, in lowest terms."""
@@ -236,6 +243,7 @@ _SCALE = re.compile(
     rf"\s*(?P<role>[^=\s]+)\s*=\s*(?P<factor>{_NUMBER})"
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
+_FIGURE = re.compile(rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+))?\s*")
 _LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
 
 
@@ -248,6 +256,36 @@ def parse_factor(text: str) -> UnitFactor | None:
     except ArithmeticError:  # an exponent that no machine counts
         return None
     return UnitFactor(*number.as_integer_ratio()) if abs(number.adjusted()) <= _LARGEST_POWER else None
+
+
+def in_unit(name: str, given: float | str, unit: str | None, per: str | None = None) -> float:
+    """Return a figure in ``unit``: a number is in it already, a text such as ``1.2kV`` is converted.
+
+    With ``per``, a unit of time, it is a speed: ``2V/ms``. ``name`` is the parameter, for messages.
+
+    Raises
+    ------
+    UsageError
+        It is no finite number, or its unit cannot be converted.
+    """
+    if not isinstance(given, str):
+        return given
+    found = _FIGURE.fullmatch(given)
+    value = float(found["number"]) if found else math.nan
+    own = None if found is None or found["unit"] is None else normalise_unit(found["unit"])
+    if found is None or not math.isfinite(value) or (own is None and found["per"]):
+        example = f"5{unit or 'V'}{f'/{per}' if per else ''}"
+        raise UsageError(
+            f"`{name}` {shortened(given)}: give a number, or one with its unit such as {example}"
+        )
+    if own is None:
+        return value
+    above = unit_factor(own, unit) if unit is not None and kind_of_unit(own) is not None else None
+    below = unit_factor(normalise_unit(found["per"] or ""), per)
+    if above is None or below is None or bool(found["per"]) != bool(per):
+        wanted = f"in {unit}{f'/{per}' if per else ''}" if unit else "without a unit"
+        raise UsageError(f"`{name}` {given}: cannot be converted; a figure {wanted} is needed")
+    return float(above.times(below.denominator, below.numerator).apply(np.array(value)))
 
 
 def parse_scale(text: str) -> Scale:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from dbo_cli.drives.check import CheckedDrive, check_drive, check_played
+from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance
+from dbo_cli.drives.options import Figure, limits_in, plain_in
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.column_names import wish
@@ -19,6 +18,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
+from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import Remarks, plain
 
@@ -27,18 +27,19 @@ from dbo_cli.remarks import Remarks, plain
 class CheckOptions:
     """What a drive is checked for.
 
-    Limits are infinite where not given. With ``against``, the drive is a recording of what was played, and
-    ``against`` the file of what was to be; ``gain`` is that of an amplifier between the two places.
+    Limits are infinite where not given; numbers are in the unit of the drive's file, texts have their own
+    (``"1.2kV"``). With ``against``, the drive is a recording of what was played, and ``against`` the file of
+    what was to be; ``gain`` is that of an amplifier between the two places.
     ``voltage`` is the drive's column.
     """
 
-    v_min: float | None = None
-    v_max: float | None = None
-    max_slew: float | None = None
-    from_: float | None = None
+    v_min: Figure = None
+    v_max: Figure = None
+    max_slew: Figure = None
+    from_: Figure = None
     loop: bool = False
     against: Address | None = None
-    tolerance: float | None = None
+    tolerance: Figure = None
     gain: float = 1.0
     voltage: str | None = None
 
@@ -50,11 +51,6 @@ class CheckOptions:
             )
         if self.gain != 1.0 and self.against is None:
             raise UsageError("`gain` is that behind a recording (`against` FILE is the drive it is of)")
-
-    def limits(self) -> DriveLimits:
-        """Return the limits."""
-        low = -math.inf if self.v_min is None else self.v_min
-        return DriveLimits(low, math.inf if self.v_max is None else self.v_max, self.max_slew)
 
 
 def check_file(
@@ -75,22 +71,31 @@ def check_file(
     check_output(output, inputs)
     block, unit, step, remarks = _read(drive, options.voltage, reading)
     values, rows = block.values["voltage"], np.asarray(block.rows)
+    if against is not None:
+        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
+        remarks.add(more)
+        most = None if options.tolerance is None else in_unit("tolerance", options.tolerance, unit)
+        slack = played_tolerance(other.values["voltage"], most) / abs(options.gain)
     checked = check_drive(
         values,
         block.time,
-        options.limits(),
-        from_=options.from_,
+        limits_in(unit, options.v_min, options.v_max, options.max_slew),
+        from_=None if options.from_ is None else in_unit("from_", options.from_, unit),
         loop=options.loop,
+        tolerance=0.0 if against is None else slack,
         place=lambda row: f"row {int(rows[row]):,}",
+        suffix=f" {unit}" if unit else "",
     )
     missing = np.diff(rows) > 1
     if missing.any():
         checked.problems.insert(0, f"row {int(rows[np.argmax(missing)]) + 1:,}: holds no number")
     if against is not None:
-        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
-        remarks.add(more)
-        check_played(checked, other.values["voltage"], values, (own, step), options.tolerance, options.gain)
+        check_played(checked, other.values["voltage"], values, (own, step), most, options.gain)
     name = drive.name
+    if read := plain_in(
+        unit, options.v_min, options.v_max, options.max_slew, options.from_, options.tolerance
+    ):
+        remarks.note([f"{name}: {read}"])
     lines = _lines(name, checked, unit)
     found = {"format": "dbo-check", "version": 1, "name": name, "unit": unit, "passed": not checked.problems,
              **dataclasses.asdict(checked.figures), "played": checked.played or None,

@@ -224,10 +224,10 @@ def write_response(
     listener: Listener,
 ) -> Remarks:
     """Run to the end of the log and write what comes out, then the state."""
-    result = run.given
-    out = OutColumn(result.quantity, result.unit)
+    output = run.output
+    out = OutColumn(output.quantity, output.unit)
     if out.header == given.header:
-        out = OutColumn(f"model_{result.quantity}", result.unit)
+        out = OutColumn(f"model_{output.quantity}", output.unit)
     columns = [*([OutColumn("time", "s")] if log.has_time else []), given, out]
     responses = run.responses()
     # Computed before anything is opened: a log that is bad from the start leaves not even a header.
@@ -246,8 +246,8 @@ def write_response(
                 for response in chain([first], responses):
                     writer.write(*(response if response.time is not None else response[1:]))
                     if destination.summary is not None:
-                        figures.see(response.result, None)
-                    listener.progressed(len(response.result))
+                        figures.see(response.y, None)
+                    listener.progressed(len(response.y))
                 listener.finished()
         except BrokenPipeError:
             if destination.save_state is None:

@@ -396,7 +396,7 @@ def _finished(run: ModelRun, return_state: bool, details: bool) -> Any:
         responses = list(run.responses())
     if isinstance(run, Compensation):
         run.keep_history()
-    values = np.concatenate([response.result for response in responses])
+    values = np.concatenate([response.y for response in responses])
     remarks = run.remarks()
     assert run.state is not None
     run.state = dataclasses.replace(run.state, model=run.model.digest)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -140,7 +141,7 @@ def write_trajectory(
     summary: Address | None = None,
     command: str = "",
 ) -> list[str]:
-    """Write a move, one column an axis, and what was done; return what is to be said of it."""
+    """Write a move, one column an axis, and what was done; return what is to be said of it, and what next."""
     check_format(form, [output])
     Destination(output, None, models, summary=summary).check()
     made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
@@ -154,7 +155,13 @@ def write_trajectory(
             write_summary(
                 summary, [summary_of_values(command, None, one, remarks) for one in made.axes.values()]
             )
-    return made.notes
+    if output.is_stream:
+        return made.notes
+    words = ["dbo", "compensate", *(models[:1] or ["MODEL"]), output.text]
+    picked, others = (columns[1].header, columns[2].header) if len(made.axes) > 1 else ("", "")
+    then = shlex.join(words) + (f" `displacement` {shlex.quote(picked)}" if picked else "")
+    then += " `periodic`" * options.loop + " -o drive.csv makes the drive"
+    return [*made.notes, then + (f", {others} that of the second axis" if others else "")]
 
 
 def trajectory(

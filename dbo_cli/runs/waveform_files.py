@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from dbo_cli.drives.check import TOLERANCE, check_drive
 from dbo_cli.drives.gate import DriveGate, Floats
-from dbo_cli.drives.options import check_range
+from dbo_cli.drives.options import Figure, limits_in
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import Address, check_document
@@ -21,6 +20,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
+from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import Remarks
 from dbo_cli.runs.files import read_record, summary_of_values, write_summary
@@ -45,7 +45,7 @@ PLAYS = "a generator plays even steps"
 
 @dataclass(frozen=True)
 class WaveformOptions:
-    """What file is asked for, and what the drive may do; limits in the drive's volts, as for ``check``.
+    """What file is asked for, and what the drive may do; limits in volts, or texts with their unit.
 
     Attributes
     ----------
@@ -77,15 +77,15 @@ class WaveformOptions:
     codes: tuple[float, float] | None = None
     volts: tuple[float, float] | None = None
     loop: bool = False
-    v_min: float | None = None
-    v_max: float | None = None
-    max_slew: float | None = None
-    tolerance: float | None = None
+    v_min: Figure = None
+    v_max: Figure = None
+    max_slew: Figure = None
+    tolerance: Figure = None
     voltage: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
-        check_range(self.v_min, self.v_max)
+        limits_in("V", self.v_min, self.v_max, self.max_slew)
         form = FORMATS[self.to]
         if self.gain == 0.0:
             raise UsageError(
@@ -103,9 +103,8 @@ class WaveformOptions:
 
     @property
     def limits(self) -> DriveLimits:
-        """The drive's limits; infinite where not given."""
-        low = -math.inf if self.v_min is None else self.v_min
-        return DriveLimits(low, math.inf if self.v_max is None else self.v_max, self.max_slew)
+        """The drive's limits in volts; infinite where not given."""
+        return limits_in("V", self.v_min, self.v_max, self.max_slew)
 
 
 def write_waveform(
@@ -144,7 +143,9 @@ def write_waveform(
             raise InputError(f"{name}: has other rows or another rate than {names[0]}: play them apart")
     drive = np.stack(values)
     played = at_points(drive, 1.0 / steps[0], options.points, options.rate, options.loop)
-    most = TOLERANCE * float(np.ptp(drive)) if options.tolerance is None else options.tolerance
+    most = TOLERANCE * float(np.ptp(drive))
+    if options.tolerance is not None:
+        most = in_unit("tolerance", options.tolerance, "V")
     if played.moved > most:
         raise LimitError(
             f"{names[0]}: {played.volts.shape[1]:,} points move the drive by up to {played.moved:.3g} V, "
@@ -192,7 +193,12 @@ def _read(
     if drive.size < 2:
         raise InputError(f"{name}: a drive of one row is nothing to play")
     checked = check_drive(
-        drive, block.time, options.limits, loop=options.loop, place=lambda row: f"row {rows[row]:,}"
+        drive,
+        block.time,
+        options.limits,
+        loop=options.loop,
+        place=lambda row: f"row {rows[row]:,}",
+        suffix=" V",
     )
     if checked.problems:
         problem = checked.problems[0]

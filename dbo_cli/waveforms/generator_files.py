@@ -137,7 +137,7 @@ def _read_wav(data: bytes) -> Codes:
 
 
 def _tdms(signals: Signals) -> bytes:
-    nptdms = import_extra("nptdms", "tdms", "a TDMS file")
+    nptdms = import_extra("nptdms", "a TDMS file")
     buffer = io.BytesIO()
     properties = {
         "wf_start_offset": 0.0, "wf_increment": 1.0 / signals.rate, "wf_samples": signals.values.shape[1],
@@ -154,7 +154,7 @@ def _tdms(signals: Signals) -> bytes:
 
 
 def _read_tdms(data: bytes) -> Floats:
-    nptdms = import_extra("nptdms", "tdms", "a TDMS file")
+    nptdms = import_extra("nptdms", "a TDMS file")
     return np.stack([one[:] for one in nptdms.TdmsFile.read(io.BytesIO(data))["drive"].channels()])
 
 

@@ -11,13 +11,18 @@ from tests.shapes.laboratory_files import LABORATORY_FILES
 HEAD = """# Formats: what is read, how, and what is refused
 
 Each line is a file that the tests write and read (`tests/test_logs_formats.py`); this page is made from the same
-list, so it cannot say anything else. A file says by its first bytes what it is, whatever its name. Where a command
+list (`python -m tests.shapes.format_table > docs/instruments-formats.md`), so it cannot say anything else: what is read
+right comes out bit for bit, what is refused is refused in these words, and the remedy that is named is followed by
+`tests/test_logs_remedies.py`. "By hand" means after public descriptions, "after" a library: as a file that it wrote. A file says by its first bytes what it is, whatever its name. Where a command
 stands, time, voltage, displacement and their units come out right with it; what is said on the way stands behind it. In messages a parameter stands in backticks: `sample_rate` is
 `--sample-rate` on the command line.
 
-Excel needs `pip install "dbo-cli[excel]"`, TDMS `pip install "dbo-cli[tdms]"`, UFF `pip install "dbo-cli[uff]"`, all three
-`pip install "dbo-cli[formats]"`;
+Excel needs `pip install fastexcel`, TDMS `pip install npTDMS`, UFF `pip install pyuff`, in the environment of `dbo`; all three come
+with `pip install -e ".[formats]"` in a checkout;
 everything else is read by what `dbo` needs anyway.
+
+JSON, UFF, Igor's text and tables of data bases (a row for each value, several rows a stamp) are read as a whole, and
+not through a pipe.
 
 `FILE::NAME` addresses a part: an HDF5 group or dataset, a MATLAB struct, a workbook's sheet, a TDMS group. Where
 drive and displacement were recorded by two instruments, give one file as the log and name the other's column as

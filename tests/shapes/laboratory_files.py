@@ -66,15 +66,23 @@ def uff(path: Path) -> None:
     pyuff.UFF(str(path)).write_sets([{key: 0 if value is None else value for key, value in one.items()} for one in sets])
 
 
-def pymodaq(file: Any) -> None:
+def pymodaq(*scans: str) -> Any:
+    def fill(file: Any) -> None:
+        file.attrs["pymodaq_version"] = "5.3.0"
+        for scan in scans:
+            pymodaq_tree(file.require_group(f"RawData/{scan}"))
+
+    return hdf5(fill)
+
+
+def pymodaq_tree(group: Any) -> None:
     """A tree as ``pymodaq_data`` 5.3 writes it; attributes are JSON with the text quoted as in Python."""
-    file.attrs["pymodaq_version"] = "5.3.0"
     for place, kind, label, unit, values in (
         ("Detector000/NavAxes/Axis00", "axis", "time", "s", np.array(T)),
         ("Detector000/Data0D/CH00/EnlData00", "data_enlargeable", "displacement", "um", np.array(D)[:, None]),
         ("Detector000/Data0D/CH01/EnlData00", "data_enlargeable", "voltage", "V", np.array(V)[:, None]),
     ):
-        data = file.create_dataset(f"RawData/{place}", data=values)
+        data = group.create_dataset(place, data=values)
         for name, said in (("data_type", kind), ("label", label), ("units", unit)):
             data.attrs[name] = json.dumps({"module": "builtins", "type": "str", "data": repr(said)})
 
@@ -171,7 +179,11 @@ LABORATORY_FILES = [
                     'X SetScale d 0,0,"V", voltage; SetScale d 0,0,"um", displacement', end="\r")),
     FormatFile("Igor text, cut", IGOR, ".itx", text("IGOR", "WAVES/D\tvoltage", "BEGIN", "1", "2"),
                refusal=": the last wave has no END: the file was cut"),
-    FormatFile("PyMoDAQ", f"{HAND} (h5py, after pymodaq_data)", ".h5", hdf5(pymodaq)),
+    FormatFile("PyMoDAQ", f"{HAND} (h5py, after pymodaq_data)", ".h5", pymodaq("Scan000")),
+    FormatFile("PyMoDAQ, two scans", f"{HAND} (h5py, after pymodaq_data)", ".h5", pymodaq("Scan000", "Scan001"),
+               refusal=": 2 scans: which one? (write {file}::/RawData/Scan000)"),
+    FormatFile("PyMoDAQ, one of two scans", f"{HAND} (h5py, after pymodaq_data)", ".h5", pymodaq("Scan000", "Scan001"),
+               group="::/RawData/Scan001"),
     FormatFile("Labber, by steps", f"{HAND} (h5py, after Labber's readers)", ".hdf5", labber(False), time=None),
     FormatFile("Labber, traces", f"{HAND} (h5py, after Labber's readers)", ".hdf5", labber(True)),
     FormatFile("MATLAB, structs in a struct, the time above the signals", "scipy.io.savemat", ".mat",
@@ -193,8 +205,11 @@ LABORATORY_FILES = [
                **STAMPED),
     FormatFile("Grafana, units in the cells", GRAFANA, ".csv",
                text('"Time","voltage","displacement"', *(f"{s},{v:g} V,{d:g} µm" for s, v, d in zip(STAMPS, V, D, strict=True))),
-               refusal=": no line holds plain numbers, but '4 V' (export them without units in the cells; "
+               refusal=": no line holds plain numbers, but '4 V' (write them without units and labels; "
                        "Grafana: without Formatted data)"),
+    FormatFile("Numbers with labels", f"{HAND} (the Arduino's plotter)", ".txt",
+               text("ready", *(f"V:{v:g} D:{d:g}" for v, d in zip(V, D, strict=True))),
+               refusal=": no line holds plain numbers, but 'V:4' (write them without units and labels; Grafana: without Formatted data)"),
     FormatFile("Flux, a row a value", FLUX, ".csv", text(*FLUX_HEAD, *flux(0, "voltage", V), *flux(1, "displacement", D)),
                units=NO_UNITS, time=T),
     FormatFile("Flux, a table a signal, told apart by the measurement", FLUX, ".csv",

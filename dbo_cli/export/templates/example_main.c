@@ -3,8 +3,11 @@
 
 #include <stdio.h>
 
-/* INPUT_TEXT in, once every sample. */
-static NUMBER next_input(unsigned k) { return SAMPLE; }
+/* INPUT_TEXT in, once every sample: a ramp up and back, since a leap rings an actuator. */
+static NUMBER next_input(unsigned k) {
+    NUMBER steps = (NUMBER)(k < 100U ? k : 200U - k);
+    return SAMPLE / 100 * steps;
+}
 
 /* OUTPUT_TEXT out. */
 static void put_output(NUMBER output) { printf("%.9g\n", (double)output); }
@@ -12,6 +15,6 @@ static void put_output(NUMBER output) { printf("%.9g\n", (double)output); }
 int main(void) {
     NAME_state state;
     NAME_init(&state); /* the drive stands at its lower end; NAME_reset after a trim */
-    for (unsigned k = 0; k < 20U; k++) put_output(NAME_step(&state, next_input(k)));
+    for (unsigned k = 0; k < 200U; k++) put_output(NAME_step(&state, next_input(k)));
     return 0;
 }

@@ -90,7 +90,8 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
     Raises
     ------
     FitError
-        Too few rows, constant voltage or displacement, a voltage that never turns, or units that differ.
+        Too few rows, a time that does not advance, constant voltage or displacement, a voltage that never
+        turns, or units that differ.
     """
     if not recordings:
         raise FitError("no log given: identify needs at least one log of voltage and displacement")
@@ -102,6 +103,11 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
                 f"whole cycle with {FEWEST_ROWS} rows or more"
             )
         _check_sizes(log)
+        if log.time is not None and not log.time[-1] > log.time[0]:
+            raise FitError(
+                f"{log.name}: time does not advance from the first row ({log.time[0]:.6g} s) to the last "
+                f"({log.time[-1]:.6g} s): repair the clock, or give `sample_rate` HZ instead"
+            )
         if np.ptp(log.voltage) == 0.0:
             raise FitError(
                 f"{log.name}: the voltage is constant ({log.voltage[0]:g}): record a drive that moves over "

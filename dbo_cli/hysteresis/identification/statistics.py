@@ -141,8 +141,10 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
     length = 3 * every
     blocks = log.voltage[: len(log.voltage) // length * length].reshape(-1, length)
     begins = length * np.arange(len(blocks))
-    rest = np.arange(length * len(blocks), len(log.voltage))
-    rows = np.unique(np.r_[begins, begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1), rest])
+    kept = np.zeros(len(log.voltage), bool)
+    kept[np.r_[begins, begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1)]] = True
+    kept[length * len(blocks) :] = True
+    rows = np.flatnonzero(kept)
     seconds = None if log.seconds is None else log.seconds[rows]
     return replace(
         log,
@@ -180,7 +182,7 @@ def gather(
     for log in logs:
         end = begin + log.drift.shape[1]
         own = end - begin + shared + 1
-        mine = {int(k): np.zeros((own, own)) for k in np.unique(log.fold[log.used])}
+        mine = {int(k): np.zeros((own, own)) for k in np.flatnonzero(np.bincount(log.fold[log.used]))}
         rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used)
         for first, last, drive in rows_made.blocks():
             known, target = rows_of(drive, log.output[first:last])

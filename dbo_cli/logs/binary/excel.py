@@ -31,7 +31,7 @@ def open_excel(request: Request) -> TextTable:
         fastexcel is not installed, the workbook is damaged, or which sheet is meant is not clear.
     """
     place, address = request.place, request.address
-    fastexcel = import_extra("fastexcel", "excel", place)
+    fastexcel = import_extra("fastexcel", place)
     # BaseException: whatever the damaged bytes lead to; a panic is no Exception
     with request.reading("workbook", (BaseException,)), host().contained(place, "workbook"):
         book = fastexcel.read_excel(address.path)

@@ -22,7 +22,7 @@ def open_tdms(request: Request) -> ColumnTable:
     InputError
         npTDMS is not installed, the file is damaged, or holds no channels of numbers.
     """
-    nptdms = import_extra("nptdms", "tdms", request.place)
+    nptdms = import_extra("nptdms", request.place)
     with contextlib.ExitStack() as opened:
         # A stream of its own: npTDMS leaves a damaged file open.
         stream = opened.enter_context(open(request.address.path, "rb"))

@@ -24,7 +24,7 @@ def open_uff(request: Request) -> ColumnTable:
     InputError
         pyuff is not installed, the file is damaged, or holds no functions of time.
     """
-    pyuff = import_extra("pyuff", "uff", request.place)
+    pyuff = import_extra("pyuff", request.place)
     with request.reading("UFF"):  # pyuff raises whatever the damaged text leads to
         found = pyuff.UFF(request.address.path).read_sets()
         sets = found if isinstance(found, list) else [found]

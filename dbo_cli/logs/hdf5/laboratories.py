@@ -6,12 +6,14 @@ Written after the files that ``pymodaq_data`` writes, and after public readers o
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from dbo_cli.errors import InputError
 from dbo_cli.logs.column_table import ColumnSource, array_source, without_scalars
 from dbo_cli.logs.hdf5.columns import attribute_text, columns_of, is_dataset, is_group
 from dbo_cli.logs.plain_text import clean_text
@@ -30,7 +32,17 @@ def laboratory_columns(group: Any) -> list[ColumnSource]:
 
 
 def _pymodaq(group: Any, depth: int = 0) -> Iterator[ColumnSource]:
-    """Put all data and axes below a group side by side, under their labels."""
+    """Put all data and axes below a group side by side, under their labels.
+
+    Raises
+    ------
+    InputError
+        There are several scans.
+    """
+    scans = [str(name) for name in group if re.fullmatch(r"Scan\d+", str(name))]
+    if len(scans) > 1:
+        path = f"{clean_text(group.file.filename)}::{clean_text(group.name).rstrip('/')}/{scans[0]}"
+        raise InputError(f"{path.partition('::')[0]}: {len(scans)} scans: which one? (write {path})")
     for name in group:
         node = group.get(name)
         if is_group(node) and depth < _DEEPEST:

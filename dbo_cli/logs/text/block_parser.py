@@ -154,17 +154,13 @@ class BlockParser:
 
     def _refuse_other_columns(self, line: str) -> None:
         """Refuse a comment that names other columns than the one above the data (InputError)."""
-        found = labelled(line, self.dialect.comments) if self.dialect.labels else None
-        above = dict(self.dialect.labels).get(found[0]) if found is not None else None
-        if (
-            found is not None
-            and above not in (None, found[1])
-            and self.next_row <= (self.rows[1] or sys.maxsize)
-        ):
-            raise InputError(
-                f"{self.place}:{self.next_line}: the columns change here, from {above} to {found[1]} "
-                f"(`rows` :{self.next_row - 1} reads what is above)"
-            )
+        above = dict(self.dialect.labels)
+        for label, names in labelled(line, self.dialect.comments) if above else ():
+            if above.get(label, names) != names and self.next_row <= (self.rows[1] or sys.maxsize):
+                raise InputError(
+                    f"{self.place}:{self.next_line}: the columns change here, from {above[label]} to {names} "
+                    f"(`rows` :{self.next_row - 1} reads what is above)"
+                )
 
     def _parse_row(self, line: str) -> list[float] | None:
         """Read the wanted cells of one line; None for a row that is out of range, blank or dropped."""

@@ -28,8 +28,11 @@ _LABEL = re.compile(
     r"(?:\s*[:=]\s*|$)",
     re.IGNORECASE,
 )
-NUMBER_WITH_UNIT = re.compile(r"(?<![\w.:-])[-+]?\d[\d.,]* ?[^\W\d_]{1,4}\b")
-PLAIN_NUMBERS = "export them without units in the cells; Grafana: without Formatted data"
+# 1.5 V, as Grafana formats its cells; V:1.5, as the Arduino's plotter reads it.
+NUMBER_WITH_UNIT = re.compile(
+    r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
+)
+PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
 _THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = re.compile(
     r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
@@ -128,15 +131,15 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         _writings([lines[number] for number in data[-SAMPLE_LINES:]], shape),
         find_header_block(lines, layout.first, shape.delimiter),
         _is_sparse([lines[number] for number in data[-SAMPLE_LINES:]], shape),
-        tuple(filter(None, (labelled(line, comments) for line in lines[: layout.first]))),
+        tuple(one for line in lines[: layout.first] for one in labelled(line, comments)),
     )  # fmt: skip
 
 
-def labelled(line: str, comments: str) -> tuple[str, str] | None:
-    """Return the label of a comment that names columns or units, and what follows it; None for any other."""
+def labelled(line: str, comments: str, units: bool = True) -> list[tuple[str, str]]:
+    """Return the label of a comment that names columns (or units), with what follows it; else nothing."""
     body = line.strip().lstrip(comments).strip()
     label = _LABEL.match(body) if line.strip()[:1] in comments else None
-    return None if label is None else (label[0], body[label.end() :])
+    return [] if label is None or (label["unit"] and not units) else [(label[0], body[label.end() :])]
 
 
 def _is_sparse(sample: list[str], shape: _Shape) -> bool:
@@ -332,9 +335,8 @@ def _units_apart(above: list[str], names: tuple[str, ...], shape: _Shape, commen
 def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) -> tuple[list[str], list[str]]:
     """Look for a header in the comment lines, or the differently separated line, right above the data."""
     for text in lines[:first][::-1]:  # JPK's and Qudi's names
-        label = _LABEL.match(text.strip().lstrip(comments).strip()) if text.strip()[:1] in comments else None
-        if label is not None and not label["unit"]:
-            cells = _fitting_cells(label.string[label.end() :].strip("'").replace(";;", ";"), shape)
+        for _, names in labelled(text, comments, units=False):
+            cells = _fitting_cells(names.strip("'").replace(";;", ";"), shape)
             if cells is not None:
                 return cells, []
     found: list[list[str]] = []

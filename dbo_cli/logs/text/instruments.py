@@ -271,6 +271,23 @@ def _labview_waveforms(place: str, lines: list[str], _: int) -> InstrumentHeader
     )
 
 
+def _yokogawa(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read the DL series' files: names, units, ``HResolution`` and ``HOffset`` by channel above the rows."""
+    rows = [(n, split_cells(line, ",")) for n, line in enumerate(lines)]
+    first = next(
+        (n for n, cells in rows if not cells[0] and len(cells) > 1 and is_number(cells[1], ".")), None
+    )
+    settings = _settings(lines[:first])
+    if first is None or "hresolution" not in settings:
+        return None
+    names, units, steps, offsets, x_units = (
+        [*settings.get(key, []), ""] for key in ("tracename", "vunit", "hresolution", "hoffset", "hunit")
+    )
+    clock = dict.fromkeys(one for value in steps for one in _step("HResolution", value) if x_units[0] == "s")
+    start = _number(offsets[0]) or 0.0
+    return _header(lines, first, ["", *names], ["", *units], clock=tuple(clock), start=start)
+
+
 _FILETIME = 1e16  # counts of 100 ns since 1601 are above, milliseconds since the start of a recording below
 _TWINCAT_KEYS = frozenset(
     ("Name", "SymbolName", "SymbolComment", "Unit", "SampleTime[ms]", "ScaleFactor", "Offset", "Data-Type")
@@ -408,17 +425,6 @@ def _rigol_mso(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     return _header(lines, 1, names, units, clock=_step("tInc", found[2]), start=_number(found[1]) or 0.0)
 
 
-def _infiniivision(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
-    """Read Keysight's and Agilent's InfiniiVision files: ``x-axis,1,2`` over ``second,Volt,Volt``."""
-    first = _number_row(lines, 2)
-    if first is None:
-        return None
-    names, units = split_cells(lines[0], ","), split_cells(lines[1], ",")
-    if len(units) != len(names) or is_number(units[0], "."):
-        return None
-    return _header(lines, first, names, units)
-
-
 def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     """Read Keysight's Infiniium files: ``XInc``, ``XOrg``, ``YUnits`` and more above ``Data``."""
     setting = re.compile(r"([A-Za-z][A-Za-z ]*)[:,\t](.*)")
@@ -444,17 +450,6 @@ def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     return _header(lines, first, names, units, width, clock=clock, start=_number(settings["xorg"]) or 0.0)
 
 
-def _rohde_schwarz(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
-    """Read the RTB, RTM and RTA series' files: ``in s,CH1 in V,CH2 in V``."""
-    delimiter = "," if "," in lines[0] else ";"
-    cells = split_cells(lines[0], delimiter)
-    parts = [cell.rsplit(" in ", 1) for cell in cells[1:]]
-    names = ["time", *(part[0] for part in parts)]
-    units = [cells[0].removeprefix("in "), *(part[1] if len(part) == 2 else "" for part in parts)]
-    decimal = "," if delimiter == ";" and re.search(r"\d,\d", lines[1] if len(lines) > 1 else "") else "."
-    return _header(lines, 1, names, units, len(names), delimiter, decimal)
-
-
 class _Maker(NamedTuple):
     """Where the line stands that gives a maker away (one of the first ``within``), and who reads the rest."""
 
@@ -466,13 +461,12 @@ class _Maker(NamedTuple):
 _MAKERS = (
     _Maker(re.compile(r"\s*#\s*END_HEADER"), _LOOKED_AT, _pi_array),
     _Maker(re.compile("LabVIEW Measurement"), 1, _lvm),
+    _Maker(re.compile(r'"?TraceName'), _NEAR, _yokogawa),
     _Maker(re.compile(r"waveform\t"), 1, _labview_waveforms),
     _Maker(re.compile(r"SampleTime\[ms\][\t,;]"), _NEAR, _twincat),
     _Maker(re.compile("Record Length,"), 1, _tektronix_rows),
     _Maker(re.compile(r"TIME,\s*[A-Z]"), _NEAR, _tektronix_table),
     _Maker(re.compile(r"\s*x\s*,", re.IGNORECASE), 1, _rigol_ds),
     _Maker(re.compile(r".*t0\s*=.*tInc\s*="), 1, _rigol_mso),
-    _Maker(re.compile("x-axis,", re.IGNORECASE), 1, _infiniivision),
     _Maker(re.compile(r"\s*[A-Za-z][A-Za-z ]*[:,\t]"), 1, _infiniium),
-    _Maker(re.compile(r"in (?:[munp]?s)\s*[,;]"), 1, _rohde_schwarz),
 )

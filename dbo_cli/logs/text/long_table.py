@@ -21,7 +21,7 @@ from dbo_cli.logs.text.lines import split_cells, to_number
 
 _TIMES = (*TIME_NAMES, *MORE_TIME_NAMES)
 _VALUES = ("value",)
-_SIGNALS = ("field", "series", "channel", "variable", "metric", "signal", "topic", "parameter", "sensor",
+SIGNALS = ("field", "series", "channel", "variable", "metric", "signal", "topic", "parameter", "sensor",
             "tag", "name", "measurement", "table")  # fmt: skip
 _MOST = 256  # signals; more, and the column is none of names
 _READ = 1 << 20  # bytes at a time
@@ -37,7 +37,7 @@ def side_by_side(request: Request, dialect: Dialect) -> ColumnTable | None:
     """
     names = [name.strip().strip("_%").lower() for name in dialect.headers]
     times, values = ([name for name in wanted if name in names] for wanted in (_TIMES, _VALUES))
-    named = [names.index(name) for name in _SIGNALS if name in names] if values else []
+    named = [names.index(name) for name in SIGNALS if name in names] if values else []
     if not times or not (dialect.sparse or named):
         return None
     rows, time = list(_rows(request, dialect)), names.index(times[0])

@@ -26,8 +26,8 @@ _USUAL_STEPS = 3.0  # a change this many times the largest one above is not the 
 _NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
 _LARGEST_BLOCK = 1 << 23  # bytes; 8 MB in memory twice, whatever ``block_rows`` asks for
 # One line of names above nothing but numbers: no instrument's header, so its readers need not be loaded.
-# A rate in the names (tInc = 2e-6) and Rohde & Schwarz's "in s" are theirs.
-_PLAIN = re.compile(rb"(?!.*\bin )[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
+# A rate in the names (tInc = 2e-6) is theirs.
+_PLAIN = re.compile(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
 
 
 class TextTable(Table):
@@ -159,9 +159,12 @@ class TextTable(Table):
         return False
 
     def _describe_columns(self) -> list[ColumnInfo]:
-        names = self.dialect.headers or ("",) * self.dialect.width
         units = self.dialect.units or ("",) * self.dialect.width
         written = self.dialect.writings or ("numbers",) * self.dialect.width
+        names = self.dialect.headers or [
+            "" if number in self.dialect.numeric or how != "numbers" else "(text)"
+            for number, how in enumerate(written)
+        ]
         parts = enumerate(zip(names, units, written, strict=True), start=1)
         return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in parts]
 
