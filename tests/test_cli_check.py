@@ -252,6 +252,17 @@ def test_gains_that_mean_nothing(bench: Any, words: str, message: str) -> None:
     assert (done.code, done.err.startswith(f"dbo: error: {message}")) == (2, True), done.err
 
 
+def test_what_the_way_there_leaves_is_not_said_of_the_file(bench: Any) -> None:
+    done = bench(
+        "compensate", "model.json", "wish.csv", "--from", "-2", "--v-min", "-3", "--approach", "auto"
+    )
+    assert done.code == 0 and float(done.out.splitlines()[1].split(",")[1]) < 1.0  # the model begins there
+    assert done.err == (
+        "dbo: warning: the limits of the drive reach beyond 0 to 10 V, where the model was identified; it "
+        "extrapolates there\n"
+    )
+
+
 # --- limits have units ---
 
 

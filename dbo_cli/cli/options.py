@@ -279,7 +279,7 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     FROM,
     Option(
         "--approach SECONDS|auto",
-        "Ramp from there to the first row (time < 0); auto: as fast as the slew allows.",
+        "Ramp from there to the first row (time < 0); auto: within the slew limit, 0.1 s at least.",
         seconds_or_auto,
     ),
     Option("--condition", "Prepend the sweep that puts the actuator into the starting state (time < 0)."),

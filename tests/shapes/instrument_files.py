@@ -137,5 +137,11 @@ INSTRUMENT_FILES = [
     FormatFile("TwinCAT Scope, one time column", f"{HAND} (Beckhoff's TE13xx manual)", ".csv",
                text("Name,YT Scope Project,", "Name,Voltage,Position", "SampleTime[ms],1,1", "Unit,V,um", "", *rows(
                    ",", (range(4), V, D)), "EOF")),
+    FormatFile("Yokogawa DL, keys by channel above rows with an empty first cell", f"{HAND} (Yokogawa's DLM3000 manual)", ".csv",
+               text('"Header Size   ",12', '"Model Name    ","DLM3000"', '"BlockNumber   ",1', '"TraceName     ","CH1","CH2"',
+                    '"BlockSize     ",4,4', '"VUnit         ","V","um"', '"SampleRate    ",1.0E+03,1.0E+03',
+                    '"HResolution   ",1.0E-03,1.0E-03', '"HOffset       ",-1.0E-03,-1.0E-03', '"HUnit         ","s","s"', "",
+                    *("," + row for row in rows(",", (V, D)))),
+               ask=BY_CHANNEL, units=("V", "um"), time=(-0.001, 0.0, 0.001, 0.002)),
 ]  # fmt: skip
 assert T == (0.0, 0.001, 0.002, 0.003)

@@ -205,8 +205,11 @@ LABORATORY_FILES = [
                **STAMPED),
     FormatFile("Grafana, units in the cells", GRAFANA, ".csv",
                text('"Time","voltage","displacement"', *(f"{s},{v:g} V,{d:g} µm" for s, v, d in zip(STAMPS, V, D, strict=True))),
-               refusal=": no line holds plain numbers, but '4 V' (export them without units in the cells; "
+               refusal=": no line holds plain numbers, but '4 V' (write them without units and labels; "
                        "Grafana: without Formatted data)"),
+    FormatFile("Numbers with labels", f"{HAND} (the Arduino's plotter)", ".txt",
+               text("ready", *(f"V:{v:g} D:{d:g}" for v, d in zip(V, D, strict=True))),
+               refusal=": no line holds plain numbers, but 'V:4' (write them without units and labels; Grafana: without Formatted data)"),
     FormatFile("Flux, a row a value", FLUX, ".csv", text(*FLUX_HEAD, *flux(0, "voltage", V), *flux(1, "displacement", D)),
                units=NO_UNITS, time=T),
     FormatFile("Flux, a table a signal, told apart by the measurement", FLUX, ".csv",
@@ -271,4 +274,8 @@ LABORATORY_FILES = [
     FormatFile("Two columns called time", f"{HAND} (an oscilloscope's viewer)", ".csv",
                text("Time (s),CH1 (V),Time (s),CH2 (um)", *rows(",", (T, V, T, D))),
                refusal=": which column is the time, 1 'Time (s)' or 3 'Time (s)'? (choose with `time` NAME or NUMBER)"),
+    FormatFile("Samples along the lines", HAND, ".csv",
+               text(*(f"{name},{','.join(['1.5'] * 99)}" for name in NAMED)),
+               refusal=": the samples run along the lines, 99 in each: turn it round (pandas: read_csv(FILE, header=None, "
+                       "index_col=0).T)"),
 ]  # fmt: skip

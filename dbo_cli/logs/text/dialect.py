@@ -28,8 +28,12 @@ _LABEL = re.compile(
     r"(?:\s*[:=]\s*|$)",
     re.IGNORECASE,
 )
-NUMBER_WITH_UNIT = re.compile(r"(?<![\w.:-])[-+]?\d[\d.,]* ?[^\W\d_]{1,4}\b")
-PLAIN_NUMBERS = "export them without units in the cells; Grafana: without Formatted data"
+# 1.5 V, as Grafana formats its cells; V:1.5, as the Arduino's plotter reads it.
+NUMBER_WITH_UNIT = re.compile(
+    r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
+)
+PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
+_MOST_ACROSS = 64  # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
 _THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = re.compile(
     r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
@@ -123,6 +127,11 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     headers, units = _aligned(place, layout, shape.width, rows)
     if headers and not any(units):
         units = _units_apart(lines[: layout.first], headers, shape, comments)
+    if not headers and 0 not in shape.numeric and shape.width > max(_MOST_ACROSS, len(data)):
+        raise InputError(
+            f"{place}: the samples run along the lines, {shape.width - 1:,} in each: turn it round (pandas: "
+            "read_csv(FILE, header=None, index_col=0).T)"
+        )
     if not headers and options.header_lines is None:
         _ask_about_numbered_columns(place, [lines[number] for number in data[:SAMPLE_LINES]], shape)
     return Dialect(

@@ -274,6 +274,23 @@ def _labview_waveforms(place: str, lines: list[str], _: int) -> InstrumentHeader
     )
 
 
+def _yokogawa(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+    """Read the DL series' files: names, units, ``HResolution`` and ``HOffset`` by channel above the rows."""
+    rows = [(n, split_cells(line, ",")) for n, line in enumerate(lines)]
+    first = next(
+        (n for n, cells in rows if not cells[0] and len(cells) > 1 and is_number(cells[1], ".")), None
+    )
+    settings = _settings(lines[:first])
+    if first is None or "hresolution" not in settings:
+        return None
+    names, units, steps, offsets, x_units = (
+        [*settings.get(key, []), ""] for key in ("tracename", "vunit", "hresolution", "hoffset", "hunit")
+    )
+    clock = dict.fromkeys(one for value in steps for one in _step("HResolution", value) if x_units[0] == "s")
+    start = _number(offsets[0]) or 0.0
+    return _header(lines, first, ["", *names], ["", *units], clock=tuple(clock), start=start)
+
+
 _FILETIME = 1e16  # counts of 100 ns since 1601 are above, milliseconds since the start of a recording below
 _TWINCAT_KEYS = frozenset(
     ("Name", "SymbolName", "SymbolComment", "Unit", "SampleTime[ms]", "ScaleFactor", "Offset", "Data-Type")
@@ -447,6 +464,7 @@ class _Maker(NamedTuple):
 _MAKERS = (
     _Maker(re.compile(r"\s*#\s*END_HEADER"), _LOOKED_AT, _pi_array),
     _Maker(re.compile("LabVIEW Measurement"), 1, _lvm),
+    _Maker(re.compile(r'"?TraceName'), _NEAR, _yokogawa),
     _Maker(re.compile(r"waveform\t"), 1, _labview_waveforms),
     _Maker(re.compile(r"SampleTime\[ms\][\t,;]"), _NEAR, _twincat),
     _Maker(re.compile("Record Length,"), 1, _tektronix_rows),

@@ -159,9 +159,12 @@ class TextTable(Table):
         return False
 
     def _describe_columns(self) -> list[ColumnInfo]:
-        names = self.dialect.headers or ("",) * self.dialect.width
         units = self.dialect.units or ("",) * self.dialect.width
         written = self.dialect.writings or ("numbers",) * self.dialect.width
+        names = self.dialect.headers or [
+            "" if number in self.dialect.numeric or how != "numbers" else "(text)"
+            for number, how in enumerate(written)
+        ]
         parts = enumerate(zip(names, units, written, strict=True), start=1)
         return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in parts]
 

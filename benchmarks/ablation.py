@@ -1,0 +1,118 @@
+"""What each part of a model is worth: the error on new moves where it is left out, over that with all parts.
+
+Ten kinds of plants (``foreign_plants.py``), each identified from the drive of ``excite`` and judged on eight
+moves; with DATA the authors' pair, offset removed; and a stage with a resonance, on a move at a fifth of it.
+Prints the table of docs/comparison.md: the error of the whole in % of the stroke (RMS over the moves), and
+the geometric mean of the ratios of the moves.
+
+    python benchmarks/ablation.py [DATA] [--log excite] [--only TEXT]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
+from against_plays import authors_tasks
+from foreign_plants import CONDITION, HELD_OUT, KINDS, LATER, NOISE, STEP, STROKE, TOP, moves, recorded
+from test_hysteresis_identification_dynamics import RATE, plant
+from test_hysteresis_identification_dynamics import recorded as recorded_stage
+
+from dbo_cli.hysteresis.dynamics import Lag, Resonance
+from dbo_cli.hysteresis.excitation import Excitation
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify, search
+from dbo_cli.hysteresis.identification.evaluation import predict
+from dbo_cli.hysteresis.model import ActuatorModel
+
+LATE = ("late sensor",)  # what is late there is not the actuator
+FREQUENCY = 80.0  # of the stage's resonance, Hz
+WITHOUT = ("memories", "bend", "segments", "delay", "dynamics")
+Errors = Callable[[ActuatorModel], list[float]]
+
+
+def without(part: str, logs: list[Recording], skip: float) -> ActuatorModel:
+    """Identify with one part left out, or ("") with all."""
+    options = {"memories": {"relaxation": ()}, "delay": {"delay": 0.0}, "dynamics": {"dynamics": 0}}
+    trials, segments = search.BEND_TRIALS, search.SEGMENTS
+    try:
+        search.BEND_TRIALS = -1 if part == "bend" else trials
+        search.SEGMENTS = segments[:1] if part == "segments" else segments
+        chosen = IdentificationOptions(skip_seconds=skip, **options.get(part, {}))  # type: ignore[arg-type]
+        return identify(logs, chosen).model
+    finally:
+        search.BEND_TRIALS, search.SEGMENTS = trials, segments
+
+
+def cases(data: Path | None, log: str) -> Iterator[tuple[str, list[Recording], float, Errors]]:
+    """Yield a name, logs, the seconds left out, and a function that gives errors in % of the stroke."""
+    if data is not None:
+        task = next(authors_tasks(data))
+        span = float(np.ptp(task.truth[task.judged]))
+        yield (
+            "authors' pair",
+            task.logs,
+            task.skip,
+            lambda model: [100.0 * task.error(predict(model, task.test)) / span],
+        )
+    for name, kind in KINDS.items():
+        if name not in (*HELD_OUT, *LATE):
+            tests = []
+            for move, shape in moves(501):
+                drive = np.concatenate((CONDITION, shape))
+                truth = STROKE * kind.plant(drive, LATER)
+                tests.append(
+                    Recording(move, TOP * drive, truth, STEP * np.arange(len(drive)), None, "V", "um")
+                )
+
+            def errors(model: ActuatorModel, tests: list[Recording] = tests) -> list[float]:
+                left = [(one.displacement - predict(model, one, "empty"))[len(CONDITION) :] for one in tests]
+                return [100.0 * float(np.sqrt(np.mean(one**2))) / STROKE for one in left]
+
+            yield name, [recorded(kind, log, 1)], 0.0, errors
+    stage = plant(Lag(5e-4), Resonance(FREQUENCY, 0.05))
+    sweep = Excitation(0.0, 100.0, RATE, 6.0, 1.0, sweep_to=200.0).drive()[1]
+    clock = np.arange(round(2.0 * RATE)) / RATE
+    sine = 50.0 - 30.0 * np.cos(2.0 * np.pi * FREQUENCY / 5.0 * clock)
+    move = recorded_stage(stage, sine, 1)
+
+    def stage_error(model: ActuatorModel) -> list[float]:
+        left = (move.displacement - predict(model, move))[len(clock) // 2 :]
+        return [100.0 * float(np.std(left)) / float(np.ptp(move.displacement))]
+
+    yield "stage with a resonance", [recorded_stage(stage, sweep, 0)], 0.0, stage_error
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("data", nargs="?", type=Path, help="folder of the authors' recordings")
+    parser.add_argument("--log", default="excite", help="drive that the plants are identified from")
+    parser.add_argument("--only", default="", help="only the cases whose names hold this text")
+    given = parser.parse_args()
+    print(f"| identified from `{given.log}` | all parts, % | {' | '.join(f'no {one}' for one in WITHOUT)} |")
+    print(f"|---|---|{'---|' * len(WITHOUT)}")
+    for name, logs, skip, errors in cases(given.data, given.log):
+        if given.only not in name:
+            continue
+        # Nobody could tell a smaller error from the sensor's noise.
+        whole = np.hypot(errors(without("", logs, skip)), 100.0 * NOISE / 10.0)
+        cells = []
+        for part in WITHOUT:
+            if part == "dynamics" and "resonance" not in name:
+                cells.append("")
+                continue
+            left = np.hypot(errors(without(part, logs, skip)), 100.0 * NOISE / 10.0)
+            cells.append(f"{np.exp(np.mean(np.log(left / whole))):.2f}")
+        rms = float(np.sqrt(np.mean(np.square(whole))))
+        print(f"| {name} | {rms:.3g} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
