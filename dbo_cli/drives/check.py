@@ -173,6 +173,7 @@ def check_played(
     steps: tuple[float | None, float | None],
     tolerance: float | None = None,
     gain: float = 1.0,
+    suffix: str = "",
 ) -> None:
     """Compare a recording of the drive with what was to be played; problems and figures go to ``checked``.
 
@@ -186,6 +187,8 @@ def check_played(
         Largest difference allowed; a thousandth of the drive's range where not given.
     gain
         Of an amplifier behind the place of the recording: it is compared times that.
+    suffix
+        The unit, behind a blank, for messages.
     """
     most = played_tolerance(drive, tolerance)
     own, other = steps
@@ -216,16 +219,18 @@ def check_played(
         if found.cut <= most:
             beyond = (found.ends[0] - drive.min(), drive.max() - found.ends[1])
             cut = [f"{end:.6g}" for end, by in zip(found.ends, beyond, strict=True) if by > most]
-            cause = f"it is the drive cut off at {' and '.join(cut)}: a limit of the amplifier?"
+            cause = f"it is the drive cut off at {' and '.join(cut)}{suffix}: a limit of the amplifier?"
         elif found.left <= 0.5 * found.largest:
-            cause = f"gain {found.gain:.6g} and offset {found.offset:.6g} explain all but {found.left:.3g}"
+            cause = f"gain {found.gain:.6g} and offset {found.offset:.6g}{suffix} explain all but "
+            cause += f"{found.left:.3g}{suffix}"
         if found.left <= 0.5 * found.largest and gain != 1.0:
             cause += (
                 f"; before the amplifier an amplitude of {100.0 * abs(found.gain):.4g} % and an offset of "
-                f"{found.offset / gain:.4g}"
+                f"{found.offset / gain:.4g}{suffix}"
             )
         checked.problems.append(
-            f"what was played differs by up to {found.largest:.6g}, more than {most:.3g} ({cause})"
+            f"what was played differs by up to {found.largest:.6g}{suffix}, more than {most:.3g}{suffix} "
+            f"({cause})"
         )
 
 
