@@ -94,6 +94,25 @@ def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
     assert (done.code, "at another rate" in done.out) == (0, True)
 
 
+@pytest.mark.parametrize("rows", [200, 400, 90])
+def test_a_recording_that_begins_late_and_ends_early_is_found(bench: Any, rows: int) -> None:
+    drive = 50.0 + 40.0 * np.sin(2.0 * np.pi * (5.0 * TIME + 20.0 * TIME**2))
+    write("sweep.csv", "time_s,voltage_V", TIME, drive)
+    late = np.concatenate([np.zeros(137), drive[:rows]])
+    write("cut.csv", "time_s,monitor_V", np.arange(late.size) / 1000.0, late)
+    done = bench("check", "cut.csv", "--against", "sweep.csv", "--format", "json")
+    played = json.loads(done.out)["played"]
+    assert (played["lag_rows"], played["rows"]) == (137, rows)
+    assert played["largest_difference"] < 1e-9
+
+
+def test_an_amplifier_that_cuts_a_drive_off_is_recognised(bench: Any) -> None:
+    noise = np.random.default_rng(3).normal(0.0, 0.005, 400)
+    write("cut.csv", "time_s,monitor_V", TIME, np.minimum(DRIVE, 80.0) + noise)
+    done = bench("check", "cut.csv", "--against", "drive.csv")
+    assert "more than 0.08 V (it is the drive cut off at 80.0115 V: " in done.err
+
+
 def test_the_tolerance_of_a_recording_holds_for_its_limits_too(bench: Any) -> None:
     noise = np.random.default_rng(2).normal(0.0, 0.01, 400)
     write("played.csv", "time_s,monitor_V", TIME, DRIVE + noise)
