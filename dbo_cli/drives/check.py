@@ -98,16 +98,20 @@ def check_drive(
         checked.problems.append(_problem(place, bad, reason))
     if loop:
         seam = gate.violation(drive[:1], None if waits is None else waits[:1])
-        inside = float(np.abs(np.diff(drive)).max(initial=0.0))
-        if seam is not None:
-            checked.problems.append(f"from the last row to the first: {seam.reason}")
-        elif abs(drive[0] - drive[-1]) > 3.0 * inside:  # as a period that does not close (see ``loops``)
-            checked.problems.append(
-                f"from the last row, {drive[-1]:.6g}{suffix}, to the first, {drive[0]:.6g}{suffix}, is a "
-                f"step of {abs(drive[0] - drive[-1]):.3g}{suffix} where the largest inside is "
-                f"{inside:.3g}{suffix}: the loop does not close"
-            )
+        problem = f"from the last row to the first: {seam.reason}" if seam else _open_seam(drive, suffix)
+        checked.problems += [problem] if problem else []
     return checked
+
+
+def _open_seam(drive: Floats, suffix: str) -> str:
+    """Return what is said of a loop whose last step is not of its kind; nothing where it closes."""
+    seam, inside = abs(drive[0] - drive[-1]), float(np.abs(np.diff(drive)).max(initial=0.0))
+    if seam <= 3.0 * inside:  # as a period that does not close (see ``loops``)
+        return ""
+    return (
+        f"from the last row, {drive[-1]:.6g}{suffix}, to the first, {drive[0]:.6g}{suffix}, is a step of "
+        f"{seam:.3g}{suffix} where the largest inside is {inside:.3g}{suffix}: the loop does not close"
+    )
 
 
 def _check_clock(checked: CheckedDrive, time: Floats, place: Callable[[int], str]) -> Floats:
@@ -215,23 +219,29 @@ def check_played(
     elif found.rows < count:
         checked.problems.append(f"{count - found.rows:,} of {count:,} rows were not played")
     if found.largest > most:
-        cause = "neither a gain nor an offset explains it"
-        if found.cut <= most:
-            beyond = (found.ends[0] - drive.min(), drive.max() - found.ends[1])
-            cut = [f"{end:.6g}" for end, by in zip(found.ends, beyond, strict=True) if by > most]
-            cause = f"it is the drive cut off at {' and '.join(cut)}{suffix}: a limit of the amplifier?"
-        elif found.left <= 0.5 * found.largest:
-            cause = f"gain {found.gain:.6g} and offset {found.offset:.6g}{suffix} explain all but "
-            cause += f"{found.left:.3g}{suffix}"
-        if found.left <= 0.5 * found.largest and gain != 1.0:
-            cause += (
-                f"; before the amplifier an amplitude of {100.0 * abs(found.gain):.4g} % and an offset of "
-                f"{found.offset / gain:.4g}{suffix}"
-            )
         checked.problems.append(
             f"what was played differs by up to {found.largest:.6g}{suffix}, more than {most:.3g}{suffix} "
-            f"({cause})"
+            f"({_cause(found, drive, most, gain, suffix)})"
         )
+
+
+def _cause(found: Likeness, drive: Floats, most: float, gain: float, suffix: str) -> str:
+    """Return in words what explains a difference: a cut, or a gain and an offset."""
+    cause = "neither a gain nor an offset explains it"
+    explained = found.left <= 0.5 * found.largest
+    if found.cut <= most:
+        beyond = (found.ends[0] - drive.min(), drive.max() - found.ends[1])
+        cut = [f"{end:.6g}" for end, by in zip(found.ends, beyond, strict=True) if by > most]
+        cause = f"it is the drive cut off at {' and '.join(cut)}{suffix}: a limit of the amplifier?"
+    elif explained:
+        cause = f"gain {found.gain:.6g} and offset {found.offset:.6g}{suffix} explain all but "
+        cause += f"{found.left:.3g}{suffix}"
+    if explained and gain != 1.0:
+        cause += (
+            f"; before the amplifier an amplitude of {100.0 * abs(found.gain):.4g} % and an offset of "
+            f"{found.offset / gain:.4g}{suffix}"
+        )
+    return cause
 
 
 def _found(
