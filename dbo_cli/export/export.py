@@ -50,12 +50,11 @@ def export_model(
     all; ``overwrite`` replaces one that an earlier export wrote. ``name`` begins the names of files, types
     and functions. An inverse takes displacement and gives the drive, as ``compensate``, between ``v_min``
     and ``v_max`` (the model's range where not given) and changing by at most ``max_slew`` a second (texts
-    may have a unit, ``2kV/s``); a forward
-    export takes the drive. double gives the bits of ``simulate`` and ``compensate``; float and q31 come with
-    a derived bound. ``sample_rate`` is needed where relaxation, slew or a delay depends on it. ``gears``
-    takes fewer than the model has. In double only: ``lookup`` (12 gears at most) is a table of all states in
-    place of the recursion, ``fmu`` adds an FMI 2.0 unit and ``shared`` a flat library, both compiled for this
-    computer. ``arduino`` lays the files out as an Arduino library.
+    may have a unit, ``2kV/s``); a forward export takes the drive. double gives the bits of ``simulate`` and
+    ``compensate``; float and q31 come with a derived bound. ``sample_rate`` is needed where relaxation, slew
+    or a delay depends on it. ``gears`` takes fewer than the model has. In double only: ``lookup`` (12 gears
+    at most) is a table of all states, ``fmu`` adds an FMI 2.0 unit and ``shared`` a flat library, both
+    compiled for this computer. ``arduino`` lays the files out as an Arduino library.
 
     Raises
     ------
@@ -75,10 +74,8 @@ def export_model(
     try:
         code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
     except NarrowGearsError as problem:
-        fewer = _gears_that_do(model, plan, arithmetic)
-        raise ModelError(
-            f"{problem} ({fewer}`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'})"
-        ) from None
+        other = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
+        raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{other})") from None
     words = _words(plan, name, arithmetic)
     summary = _summary(plan, code, folder, name, arithmetic, loss, tuple(_notes(plan, loss, words)))
     files = _files(plan, code, summary, words, arduino, fmu, shared)

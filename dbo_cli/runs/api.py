@@ -275,7 +275,7 @@ def report(
     model : Model, optional
         Compare its prediction with the measurement.
     unit, name : str, optional
-        Unit of arrays, and what the report calls them.
+        Unit and name of arrays.
     **options
         What ``TrackingOptions`` knows: ``lag``, ``remove_offset``, ``segment``, ``dwell``, ``trajectory``,
         ``match``, ``count_sweep``, ``desired``; and how tables and files are to be read. ``rows`` are the
