@@ -28,7 +28,7 @@ from virtual_mirror import VirtualMirror, read_table, save_table  # noqa: E402
 from dbo_cli.cli.app import main as dbo  # noqa: E402
 
 WAYS = {"own models": (), "--shared-shape": ("--shared-shape",), "--coupling": ("--coupling",)}
-WAYS["both"] = ("--shared-shape", "--coupling")
+WAYS["both"] = ("--shared-shape", "--coupling", "--force")
 COLUMNS = ("--voltage", "voltage_{}", "--displacement", "displacement_{}")
 
 

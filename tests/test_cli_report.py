@@ -180,7 +180,7 @@ def test_the_conditioning_sweep_is_left_out_and_said(dbo: Any, model_file: Path)
     done = dbo("report", "run.csv", "--format", "json")
     [log] = json.loads(done.out)["logs"]
     assert (log["samples"], log["rmse"]) == (200, pytest.approx(0.25))
-    assert done.err == f"dbo: run.csv: {sweep} rows before time 0, a conditioning sweep, left out\n"
+    assert done.err == f"dbo: run.csv: {sweep} rows before time 0, on the way to the move, left out\n"
     for words in (["--count-sweep"], ["--rows", f"1:{sweep + 200}"]):
         [log] = json.loads(dbo("report", "run.csv", "--format", "json", *words).out)["logs"]
         assert log["samples"] == sweep + 200

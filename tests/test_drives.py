@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,23 @@ def exactly_kept(drive: Floats, limits: DriveLimits, seconds: float, last: float
 
 def prompt(**more: Any) -> dict[str, Any]:
     return {"sample_rate": RATE, "details": True, **more}
+
+
+@pytest.mark.parametrize("delay", [0.0, 2.5 / RATE])
+@pytest.mark.parametrize("frequency", [None, 800.0])
+@pytest.mark.parametrize("more", [{}, {"periodic": True}, {"from_": 20.0, "approach": "auto"}])
+def test_what_clipped_samples_cost_is_what_the_model_misses(
+    delay: float, frequency: float | None, more: dict[str, Any]
+) -> None:
+    model, wanted = actuator(frequency=frequency, delay=delay), period() if "periodic" in more else move(10.0)
+    done = Model(model).compensate(wanted, **prompt(v_max=60.0, **more))
+    found = re.search(r"by which the move misses (\S+) um RMS, (\S+) um at worst", done.warnings[0])
+    assert found is not None
+    drive = np.tile(done.values, 40) if "periodic" in more else done.values
+    begun = model.start(float(drive[0]), "auto")
+    missed = model.simulate(drive, begun, time_step=1.0 / RATE).y[-wanted.size :] - wanted
+    assert float(found[1]) == pytest.approx(float(np.sqrt(np.mean(missed**2))), rel=0.03)
+    assert float(found[2]) == pytest.approx(float(np.abs(missed).max()), rel=0.06)
 
 
 # --- the gate ---

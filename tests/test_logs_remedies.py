@@ -83,7 +83,8 @@ def follow_all(address: str, way: Way, least: int) -> None:
 # What cannot be done by an option: the file has to be written again.
 WRITE_AGAIN = re.compile(
     r"MATLAB objects|save arrays of numbers|write scale_factor|not JSON|no END|export|narrow the query|"
-    r"write a file for each|X_Columns|bring the signals|leave it out|write them without|write a line a row"
+    r"write a file for each|X_Columns|bring the signals|leave it out|turn it round|"
+    r"write them without|write a line a row"
 )
 
 
@@ -109,6 +110,15 @@ def test_signals_with_times_of_their_own_are_brought_together_as_the_message_say
     assert "pandas: interpolate(method='index'), dropna" in refused(address, {})
     frame = pandas.read_csv(address).set_index("__time")
     frame.interpolate(method="index").dropna().to_csv(address)
+    read(address, {})
+
+
+def test_samples_along_the_lines_are_turned_as_the_message_says(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    case = next(one for one in FILES if one.name == "Samples along the lines")
+    address = written(case, tmp_path)
+    assert "read_csv(FILE, header=None, index_col=0).T)" in refused(address, {})
+    pandas.read_csv(address, header=None, index_col=0).T.to_csv(address)
     read(address, {})
 
 

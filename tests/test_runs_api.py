@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -170,7 +171,40 @@ def test_compensate_says_what_error_to_expect_of_the_move(dbo: Any, sample_model
     beyond = model.compensate([6.0, far, 6.0], sample_rate=10.0, v_max=2.0 * drive, details=True)
     assert any("cannot be told: the drive goes from" in note for note in beyond.notes)
     clipped = model.compensate([*table["displacement"][:200], far], sample_rate=500.0, details=True)
-    assert any(note.endswith("of the move), clipped samples aside") for note in clipped.notes)
+    assert any(note.endswith("of the move), clipped samples included") for note in clipped.notes)
+
+
+@pytest.mark.parametrize("block_rows", [97, 65536])
+@pytest.mark.parametrize(
+    "limits",
+    [
+        "--v-max 40",
+        "--max-slew 150 --from 0 --approach auto",
+        "--v-max 1 --v-min 0 --from 0.5 --approach auto",
+    ],
+)
+def test_the_expected_error_of_a_clipped_move_is_what_the_model_makes_of_it(
+    dbo: Any, sample_model: Path, limits: str, block_rows: int
+) -> None:
+    """The drive, played through the model that it was made from, misses the move by what was said."""
+    done = dbo("compensate", sample_model, TRAJECTORY, *limits.split(), "--on-limit", "clip", "-o", "d.csv",
+               "--summary", "s.json", "--block-rows", block_rows)  # fmt: skip
+    assert done.code == 0, done.err
+    dbo("simulate", sample_model, "d.csv", "-o", "out.csv", "-q")
+    wanted = np.loadtxt("d.csv", delimiter=",", skiprows=1, usecols=1)
+    reached = np.loadtxt("out.csv", delimiter=",", skiprows=1, usecols=2)
+    rows = len(Path(TRAJECTORY).read_text().splitlines()) - 1
+    missed = (wanted - reached)[-rows:]
+    rms, worst = float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).max())
+    said = re.search(
+        r"of ([\d,]+) samples .*clipped, by which the move misses (\S+) um RMS, (\S+) um at", done.err
+    )
+    assert said is not None, done.err
+    assert int(said[1].replace(",", "")) == rows
+    assert [float(said[2]), float(said[3])] == pytest.approx([rms, worst], rel=0.02)
+    expected = json.loads(Path("s.json").read_text())["expected_rmse"]
+    assert rms < expected < 1.1 * rms + 0.1
+    assert "straight line" not in done.err
 
 
 def test_a_drive_faster_than_the_logs_is_warned_of(sample_model: Path) -> None:

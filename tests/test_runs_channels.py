@@ -17,6 +17,8 @@ from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model, read_set, set_to_bytes
 from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.channels import ChannelReader
+from dbo_cli.logs.hdf5.store import matrix_writer
+from dbo_cli.logs.out_column import OutColumn
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.text.text_table import TextTable
@@ -582,3 +584,15 @@ def test_a_matrix_that_is_wider_than_long_is_read_by_its_time_stamps(mirror: Any
         1,
         "dbo: error: five.json: has 5 models, and the matrix 3 columns; the longer axis of a matrix is taken for time where no time stamps stand beside it\n",
     )
+
+
+def test_some_thousand_channels_fit_into_an_output(tmp_path: Path) -> None:
+    channels, path = [str(k) for k in range(1, 4101)], tmp_path / "out.h5"
+    columns = [OutColumn("displacement", "um")]
+    with matrix_writer(
+        parse_address(str(path)), columns, channels, None, 2, attributes={}, protect=()
+    ) as write:
+        write(4099, [np.ones(2)])
+    with h5py.File(path) as file:
+        assert file["displacement"][:, 4099].tolist() == [1.0, 1.0]
+        assert file["displacement"].attrs["channel_of_column"].split("\n") == channels

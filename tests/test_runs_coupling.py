@@ -284,6 +284,19 @@ def test_a_coupled_set_needs_all_channels(dbo: Any) -> None:
     )
 
 
+def test_nothing_is_said_of_going_on_without_a_channel(dbo: Any) -> None:
+    write_set()
+    write_moves()
+    text = Path("moves.csv").read_text().splitlines()
+    Path("bad.csv").write_text("\n".join([*text[:3], text[3].rpartition(",")[0] + ",90.0", *text[4:]]) + "\n")
+    said = dbo(
+        "compensate", "set.json", "bad.csv", "--displacement", "R{}", "--on-limit", "error", "-o", "d.csv"
+    )
+    assert said.code == 3
+    assert said.err.startswith("dbo: error: channel 1: ") or said.err.startswith("dbo: error: channel 2: ")
+    assert "--keep-going" not in said.err
+
+
 def test_a_matrix_that_cannot_be_undone_is_refused(dbo: Any) -> None:
     with pytest.raises(
         ModelError, match="condition number of the gains is infinite: it is singular; above 100"
@@ -377,6 +390,26 @@ def test_drives_of_arrays_wait_for_the_longest_approach(dbo: Any) -> None:
     )
     assert made.shape[0] > 50 and (made[0] == 0.0).all()
     assert np.abs(np.diff(made, axis=0)).max() <= 0.2 * (1 + 1e-9)
+
+
+# --- export ---
+
+
+def test_a_set_is_exported_to_a_folder_a_channel(dbo: Any) -> None:
+    write_set()
+    said = dbo("export", "set.json", "--name", "tip", "-o", "c/{channel}")
+    assert said.code == 0, said.err
+    assert {path.name for path in Path("c").iterdir()} == set(CHANNELS)
+    assert Path("c/2/tip_2.c").is_file()
+    assert (
+        "dbo: warning: the models of set.json are coupled, and the sources are of single channels: "
+        in said.err
+    )
+    assert dbo("export", "set.json::2", "--name", "tip_2", "-o", "one").code == 0
+    assert Path("one/tip_2.c").read_bytes() == Path("c/2/tip_2.c").read_bytes()
+    assert dbo("export", "set.json", "-o", "c") == (
+        2, "", "dbo: error: set.json: is a set of models: name one of them (set.json::CHANNEL), or a folder for each (-o 'c/{channel}')\n",
+    )  # fmt: skip
 
 
 # --- the virtual mirror ---

@@ -363,7 +363,7 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
         done = Model(model).compensate(wanted, state=start, **asked)
         (text,) = (text for text in done.warnings if "no start leads to the loop" in text)
         before, drive = done.values[:-300], done.values[-300:]
-        assert f"{before.size} rows from {before[0]:.6g} V on stand before the period" in text
+        assert f"{before.size} rows from {before[0]:.6g} V on, where" in text
         assert done.time[0] == pytest.approx(-before.size / RATE)
         assert np.abs(np.diff(done.values)).max() <= 1.001 * np.abs(np.diff(drive)).max()
         reached, _ = played(model, np.concatenate([before, np.tile(drive, 3)]), start=start)
@@ -372,6 +372,28 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
         LimitError, match="the drive comes from 0 V, and 2000 V per second does not bring it to"
     ):
         Model(model).compensate(wanted, from_=0.0, max_slew=2000.0, **asked)
+
+
+def test_a_loop_that_a_lag_s_first_pass_pushes_away_begins_on_the_lag() -> None:
+    """From rest, the lag's first pass crosses a gear that it does not reach if that one is crossed."""
+    gears, lag = 256, Lag(0.0015)
+    for k, rows in ((0, 0), (11, 2), (217, 5)):
+        random = np.random.default_rng([4, k])
+        slopes = np.linspace(0.6, 1.4, gears)
+        widths = np.full(gears, 100.0 / gears)
+        stage = BacklashStage(widths, 0.1 * widths * slopes, 0.0, 0.0)
+        plant = ActuatorModel(
+            "forward", VOLTAGE, Quantity("displacement", "um", 0.0, 10.0), (DynamicsStage((lag,)), stage)
+        )
+        phase = 2.0 * np.pi * np.arange(400) / 400 + random.uniform(0.0, 6.3)
+        wanted = random.uniform(4.0, 6.0) + random.uniform(0.5, 2.0) * np.sin(phase)
+        asked = {"sample_rate": 1e4, "v_min": -60.0, "v_max": 180.0, "periodic": True, "on_limit": "error"}
+        done = Model(plant).compensate(wanted, state="empty", details=True, **asked)
+        before, drive = done.values[:-400], done.values[-400:]
+        assert before.size == rows
+        repeated = np.concatenate([before, np.tile(drive, 30)])
+        reached = plant.simulate(repeated, plant.start(float(repeated[0]), "empty"), time_step=1e-4).y
+        assert np.abs(reached[-400:] - wanted).max() < 1e-9
 
 
 def test_what_is_read_whole_is_handed_on_in_parts() -> None:

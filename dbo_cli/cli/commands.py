@@ -340,14 +340,19 @@ def export(given: Given) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
     C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
-    q31 (32-bit fixed point) come with a derived bound on their error.
+    q31 (32-bit fixed point) come with a derived bound on their error. Of a set, each model has a folder
+    (-o 'c/{channel}') and names of its own, so that all can be linked together.
     """
-    from dbo_cli.export import export_model
-    from dbo_cli.hysteresis.model_set import read_model
     from dbo_cli.remarks import Remarks
+    from dbo_cli.runs.channel_exports import export_models
+    from dbo_cli.runs.jobs import summed_up
 
-    summary = export_model(read_model(given.model), given.output, **given.of(options.EXPORTING))
-    given.reporter.remarks(Remarks(_summary_lines(summary), list(summary.warnings)))
+    remarks = Remarks()
+    made = export_models(given.model, given.output, remarks, **given.of(options.EXPORTING))
+    remarks.note(summed_up({channel: _summary_lines(one) for channel, one in made.items()}, "channel"))
+    warnings = {channel: list(one.warnings) for channel, one in made.items()}
+    remarks.warnings += summed_up(warnings, "channel")
+    given.reporter.remarks(remarks)
 
 
 @_command(
@@ -421,6 +426,6 @@ def _summary_lines(summary: ExportSummary) -> list[str]:
         same, close = (summary.bounds[f"{key}_percent"] for key in ("same_gears", "after_close_turn"))
         lines.append(
             f"error at most {same:.2g} % of the range while both cross the same gears, {close:.2g} % after a "
-            "turn close to a gear's end"
+            f"turn within {100.0 * summary.bounds['close_turn_fraction']:.2g} % of a gear's width from an end"
         )
     return lines + list(summary.notes)

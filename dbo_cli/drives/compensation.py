@@ -25,6 +25,7 @@ from dbo_cli.drives.options import DriveOptions, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.drives.settling import HeldLevels, StepTime, distance_in, settling_notes, step_times
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.clock import even_step, median_step
@@ -63,7 +64,8 @@ class Compensation(ModelRun):
     clipped: Tally = field(default_factory=Tally)
     missed: float = 0.0
     unreachable: int = 0
-    rows_before: int = 0
+    lost: float = 0.0  # of clipped samples: the sum of squares of what the move misses, and the most
+    most_lost: float = 0.0
     move: Extent = field(default_factory=Extent)
     drive: DriveFigures = field(default_factory=DriveFigures)
     kept: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
@@ -253,17 +255,20 @@ class Compensation(ModelRun):
 
     def feed(self, block: SampleBlock, x: FloatArray) -> Simulated:
         """Run one block; count what the limits held back, and let the rows pass the gate."""
+        if self.state is None:
+            self.state = self._begun(float(x[0]))
+        before = self.state
         done, steps = super().feed(block, x), self.time_step
         if not self.drive.rows:
             self.gate.require_start(None if steps is None else float(np.ravel(steps)[0]))
-        if block.rows[0] < 1:  # what cannot be reached before a move is none of it
-            self.rows_before += len(x)
-        else:
+        if block.rows[0] >= 1:  # what cannot be reached before a move is none of it
             reach, slack = self.model.output, REACH_SLACK * self.model.output.span
             desired = x if self.model.dynamics is None else block.values[self.input.quantity]
             outside = (desired < reach.minimum - slack) | (desired > reach.maximum + slack)
             self.unreachable += int(np.count_nonzero(outside))
             self._clip(done, block)
+            if done.clipped_count:
+                self._miss(x - slow_model(self.model).follow(done.y, before, steps).y)
         self.missed = self.missed or done.first_missed
         self.gate.admit(done.y, steps)
         self.drive.see(done.y, steps)
@@ -284,6 +289,14 @@ class Compensation(ModelRun):
         if self.options.on_limit == "error" and self.clipped.count:
             raise LimitError(f"{self._clipping()} (`on_limit` clip goes on)")
 
+    def _miss(self, missed: FloatArray) -> None:
+        """Add up by how much rows of the move miss what is wanted, where samples of them were clipped."""
+        self.lost += float(missed @ missed)
+        self.most_lost = max(self.most_lost, float(np.abs(missed).max()))
+
+    def _lost_rms(self) -> float:
+        return math.sqrt(self.lost / max(self.rows - self.rows_before, 1))
+
     def keep_history(self) -> None:
         """Write the history, where one is asked for."""
         if self.options.history is not None and self.lesson is not None:
@@ -293,7 +306,11 @@ class Compensation(ModelRun):
 
     def _add_limits(self, remarks: Remarks) -> None:
         if self.clipped.count:
-            remarks.warn(f"{self._clipping()}: clipped (`on_limit` error refuses this)")
+            unit = self.model.output.suffix
+            remarks.warn(
+                f"{self._clipping()}: clipped, by which the move misses {self._lost_rms():.3g}{unit} RMS, "
+                f"{self.most_lost:.3g}{unit} at worst (`on_limit` error refuses this)"
+            )
         elif self.beyond.count:
             super()._add_limits(remarks)
         if self.missed:
@@ -395,7 +412,7 @@ class Compensation(ModelRun):
                 f"{self.drive.high:.6g}{covered.suffix}, beyond what the model was identified on"
             )
         part = "" if percent is None else f" ({percent:.2g} % of the move)"
-        held = ", clipped samples aside" if self.clipped.count else ""
+        held = ", clipped samples included" if self.clipped.count else ""
         held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
         return f"{name}: expected error of the move {rmse:.3g}{self.model.output.suffix} RMS{part}{held}"
 
@@ -407,7 +424,7 @@ class Compensation(ModelRun):
         if self.lesson is not None or not isinstance(rmse, float) or beyond:
             return None, None
         found = self._move_error()
-        rmse = rmse if found is None else found.rmse
+        rmse = math.hypot(rmse if found is None else found.rmse, self._lost_rms())
         span = self.move.high - self.move.low
         return rmse, 100.0 * rmse / span if span > 0.0 else None
 
@@ -423,8 +440,8 @@ class Compensation(ModelRun):
     def _no_better(self) -> str:
         """Warn where the expected error is no better than a straight line's."""
         found = None if self.expected_rmse()[0] is None else self._move_error()
-        if found is None or found.rmse < found.straight_line:
-            return ""
+        if found is None or found.rmse < max(found.straight_line, self._lost_rms()):
+            return ""  # where clipping is the error, what is left of the move tells nothing of the logs
         unit = self.model.output.suffix
         return (
             f"{self.source.name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than "

@@ -196,28 +196,40 @@ class BeforeLoop(Compensation):
                 found, least = settled, away
             if least <= LOOP_ERROR * float(np.ptp(self.period)) or below >= above:
                 break
+            if self.start in ("empty", "full"):  # whatever the first row
+                break
             # A later start only lowers the first row that the loop needs: the two meet between these.
             below, above = (max(below, first), above) if leads_to > first else (below, min(above, first))
             middle = 0.5 * (below + above)
             first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
-        nothing = Before(NOTHING, NOTHING, NOTHING, None)
-        if least <= LOOP_ERROR * float(np.ptp(self.period)):
-            return nothing, found
-        most = float(np.abs(np.diff(found.done.y)).max())
+        if least > LOOP_ERROR * float(np.ptp(self.period)):
+            lag = found.before.drive_lag
+            for start in (first,) if lag is None else (first, lag[0][0]):  # the second: the lag is on its way
+                if led := self._rows_before(start, found):
+                    return led
+        return Before(NOTHING, NOTHING, NOTHING, None), found
+
+    def _rows_before(self, first: float, loop: Settled) -> tuple[Before, Settled] | None:
+        """Return rows from a voltage to the loop that they lead to, where the model then repeats it."""
+        most = float(np.abs(np.diff(loop.done.y)).max())
 
         def to(target: float) -> FloatArray:
             return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)
 
-        before = self._leading(model.start(first, self.start), to) or nothing
-        if before.state is None:
-            return nothing, found
-        count = before.voltage.size
+        before = self._leading(self.model.start(first, self.start), to)
+        if before is None or before.state is None:
+            return None
+        settled = self._settled(before.state)
+        if self._away(settled, before.state) > LOOP_ERROR * float(np.ptp(self.period)):
+            return None
+        count, taken, end, unit = before.voltage.size, "", "", self.output.suffix
+        if self.start not in ("empty", "full"):
+            taken, end = ", where the actuator is taken to have settled,", " (`state` empty needs none)"
         self.remarks_before.warn(
             f"{self.source.name}: no start leads to the loop: {count:,} row{'s' if count > 1 else ''} from "
-            f"{first:.6g}{self.output.suffix} on stand{'' if count > 1 else 's'} before the period, where "
-            "the actuator is taken to have settled (`state` empty needs none)"
+            f"{first:.6g}{unit} on{taken} stand{'' if count > 1 else 's'} before the period{end}"
         )
-        return before, self._settled(before.state)
+        return before, settled
 
     def _away(self, settled: Settled, begun: ModelState) -> float:
         """Return how far off the model repeats a settled drive that is begun in a state."""

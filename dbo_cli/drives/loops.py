@@ -18,7 +18,7 @@ from dbo_cli.drives.model_run import Response
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, require_rows
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.hysteresis.loops import Settled, settled_run, settling, undone_loop
+from dbo_cli.hysteresis.loops import Settled, settled_run, settling, slow_output, undone_loop
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
@@ -109,6 +109,8 @@ class LoopCompensation(BeforeLoop):
         self.rows += len(block)
         self.beyond.add(done.outside_count, done.first_outside, block)
         self._clip(done, block)
+        if done.clipped_count:
+            self._miss(self.period - slow_output(self.model, done.y, self.step, settled.before))
         seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "

@@ -162,6 +162,7 @@ class ModelRun:
     found_start: StartName | None = None
     last_drive: float | None = None
     rows: int = 0
+    rows_before: int = 0
     beyond: Tally = field(default_factory=Tally)
     fast: Tally = field(default_factory=Tally)
     assumed: float = 0.0
@@ -228,7 +229,9 @@ class ModelRun:
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(done.state, time=time, undoing=self.inputs.memory)
         self.rows += len(x)
-        if done.outside_count:
+        if block.rows[0] < 1:  # what is before a move is not what the file asks for
+            self.rows_before += len(x)
+        elif done.outside_count:
             self.beyond.add(done.outside_count, done.first_outside, block)
         if steps is not None and self.model.direction == "forward":
             self._watch_speed(done.y if self.compensates else x, steps, block)
@@ -242,7 +245,7 @@ class ModelRun:
         before = drive[0] if self.last_drive is None else self.last_drive
         faster = np.abs(np.diff(drive, prepend=before)) > FASTER * fastest * steps
         self.last_drive = float(drive[-1])
-        if faster.any():
+        if faster.any() and block.rows[0] >= 1:
             self.fast.add(int(np.count_nonzero(faster)), int(np.argmax(faster)), block)
 
     def remarks(self) -> Remarks:
@@ -260,7 +263,7 @@ class ModelRun:
                 f"there ({self.remedies}`state` empty where it comes from its lower end)"
             )
         self._add_limits(remarks)
-        if self.fast.count > FAST_PART * self.rows:
+        if self.fast.count > FAST_PART * (self.rows - self.rows_before):
             remarks.warn(
                 f"{self._counted(self.fast)} move the drive more than {FASTER:g} times as fast as the logs "
                 "of the identification did: how late the actuator is there was not seen; identify at the "
@@ -281,7 +284,8 @@ class ModelRun:
     def _counted(self, tally: Tally) -> str:
         place = f"row {tally.first_row:,}" if tally.first_row > 0 else "the rows before row 1"
         first = place if tally.count == 1 else f"first in {place}"
-        return f"{self.source.name}: {tally.count:,} of {self.rows:,} samples ({first})"
+        rows = self.rows - (self.rows_before if tally.first_row > 0 else 0)
+        return f"{self.source.name}: {tally.count:,} of {rows:,} samples ({first})"
 
     def _range(self) -> str:
         low, high = self.input.minimum, self.input.maximum

@@ -45,7 +45,8 @@ class DriveOptions:
     from_ : float, optional
         What the amplifier stands at before the first row; a state knows it.
     approach : float or "auto", optional
-        Seconds of a ramp from there to the first row; auto: as fast as the slew allows, without one a second.
+        Seconds of a ramp from there to the first row; auto: within the slew limit, 0.1 s at least, without a
+        limit a second for the whole range.
     condition : bool
         Sweep the actuator into a known state first.
     lead : float or "auto", optional

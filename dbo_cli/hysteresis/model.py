@@ -584,10 +584,14 @@ class ActuatorModel:
         if self.dynamics is None or done.y.size == 0:
             return done
         # What the limits cut off does not reach the actuator, so its dynamics follow the drive itself.
-        before = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
-        moved = self.simulate(done.y, before, time_step=time_step).state
+        moved = self.follow(done.y, state, time_step).state
         after = dataclasses.replace(done.state, dynamics=moved.dynamics, history=moved.history)
         return done._replace(state=after)
+
+    def follow(self, drive: ArrayLike, state: ModelState, time_step: float | ArrayLike | None) -> Simulated:
+        """Return what this forward model makes of a drive that ``compensate`` computed from a state."""
+        begun = state if state.first is None else dataclasses.replace(state, first=None, drive=None)
+        return self.simulate(drive, begun, time_step=time_step)
 
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits

@@ -212,7 +212,9 @@ def evaluate(
     if not parts.found:
         return log
     log = evaluation.run(parts.after())
-    note = f"{evaluation.name}: {_counted(parts.count, 'row')} before time 0, a conditioning sweep, left out"
+    note = (
+        f"{evaluation.name}: {_counted(parts.count, 'row')} before time 0, on the way to the move, left out"
+    )
     return replace(log, notes=(note, *log.notes))
 
 

@@ -72,7 +72,7 @@ def identify_channels(
     if CHANNEL not in output.text:
         check_outputs([output], [*logs, *validation])
     outcome, found = Outcome(), {}
-    shared = Shared(shared_shape, coupling)
+    shared, work = Shared(shared_shape, coupling), dataclasses.replace(work, all_needed=coupling)
     for channel, one in models_of_channels(
         logs, validation, reading, options, columns, prior, work, outcome, listener, shared
     ):

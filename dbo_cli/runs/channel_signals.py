@@ -71,6 +71,7 @@ def signals_of_channels(
         (pattern,) = columns.patterns.values()
         models = models_by_channel(model_file, channels, is_matrix(pattern))
         coupling, wanted = coupling_of(model_file, channels, work), "displacement" in columns.patterns
+        work = dataclasses.replace(work, all_needed=coupling is not None)
         log_of: Callable[[str], Address] = reader.log
         if coupling is not None and wanted:
             log_of = logs_apart(reader, models, pattern, reading, coupling).__getitem__

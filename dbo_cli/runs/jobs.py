@@ -41,10 +41,13 @@ class Work:
         How many at once; changes no bit of a result.
     keep_going
         Go on where a job fails, and write what the others gave.
+    all_needed
+        It could not go on without one: nothing is said of ``keep_going``.
     """
 
     processes: int = 1
     keep_going: bool = False
+    all_needed: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,8 @@ def good_ones(
             if noun != "file" or not text.startswith(one.name):
                 text = f"{noun} {one.name}: {text}"
             if not work.keep_going:
-                raise type(one.problem)(f"{text} (`keep_going` writes the other {noun}s)")
+                remedy = "" if work.all_needed else f" (`keep_going` writes the other {noun}s)"
+                raise type(one.problem)(text + remedy)
             outcome.remarks.warn(text)
         if number < count:
             listener.working(f"{noun} {number + 1:,} of {count:,}")

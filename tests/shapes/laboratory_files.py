@@ -274,4 +274,8 @@ LABORATORY_FILES = [
     FormatFile("Two columns called time", f"{HAND} (an oscilloscope's viewer)", ".csv",
                text("Time (s),CH1 (V),Time (s),CH2 (um)", *rows(",", (T, V, T, D))),
                refusal=": which column is the time, 1 'Time (s)' or 3 'Time (s)'? (choose with `time` NAME or NUMBER)"),
+    FormatFile("Samples along the lines", HAND, ".csv",
+               text(*(f"{name},{','.join(['1.5'] * 99)}" for name in NAMED)),
+               refusal=": the samples run along the lines, 99 in each: turn it round (pandas: read_csv(FILE, header=None, "
+                       "index_col=0).T)"),
 ]  # fmt: skip

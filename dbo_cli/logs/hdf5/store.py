@@ -50,6 +50,9 @@ _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and close
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
 _COPY_BYTES = 1 << 23  # at a time; an interrupt is served in between
 CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
+MOST_NAMES = (
+    4000  # of a list in an attribute: HDF5 gives it 64 kB, 16 bytes a name; more are lines of one text
+)
 MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
 _PROBE = 2048  # bytes tried before a byte plane is squeezed
 _WORTH = 0.9  # squeezed only where the probe shrinks to less than this
@@ -438,7 +441,8 @@ def matrix_writer(
                 fillvalue=np.nan,
             )
             dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
-            dataset.attrs["channel_of_column"] = list(channels)
+            few = len(channels) <= MOST_NAMES
+            dataset.attrs["channel_of_column"] = list(channels) if few else "\n".join(channels)
             if column.unit:
                 dataset.attrs["units"] = cleaned(column.unit)
             datasets.append(dataset)

@@ -33,6 +33,7 @@ NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
 )
 PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
+_MOST_ACROSS = 64  # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
 _THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = re.compile(
     r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
@@ -47,7 +48,8 @@ class Dialect:
     where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
     in most rows; ``writings`` is how each column is written (``ColumnInfo.written``), where any holds time
     stamps; ``header_block`` is what stands again before each segment of the data; ``sparse`` tells that every
-    row leaves out a number that other rows have; ``labels`` are comments of names or units.
+    row leaves out a number that other rows have; ``labels`` are comments of names or units; ``remarks`` tells
+    that a row may end in one cell of text more.
     """
 
     delimiter: str
@@ -62,6 +64,7 @@ class Dialect:
     header_block: HeaderBlock | None = None
     sparse: bool = False
     labels: tuple[tuple[str, str], ...] = ()
+    remarks: bool = False
 
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""
@@ -124,6 +127,11 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     headers, units = _aligned(place, layout, shape.width, rows)
     if headers and not any(units):
         units = _units_apart(lines[: layout.first], headers, shape, comments)
+    if not headers and 0 not in shape.numeric and shape.width > max(_MOST_ACROSS, len(data)):
+        raise InputError(
+            f"{place}: the samples run along the lines, {shape.width - 1:,} in each: turn it round (pandas: "
+            "read_csv(FILE, header=None, index_col=0).T)"
+        )
     if not headers and options.header_lines is None:
         _ask_about_numbered_columns(place, [lines[number] for number in data[:SAMPLE_LINES]], shape)
     return Dialect(

@@ -1,0 +1,44 @@
+"""Export of a set of models: a folder of sources for each channel, whose names can be linked together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dbo_cli.errors import UsageError
+from dbo_cli.export import ExportSummary, export_model
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
+from dbo_cli.logs.addresses import parse_address
+from dbo_cli.logs.whole_output import all_or_none
+from dbo_cli.remarks import Remarks
+from dbo_cli.runs.channels import CHANNEL, in_name, make_folder_of
+
+
+def export_models(
+    model_file: str, folder: str, remarks: Remarks, *, name: str, **options: Any
+) -> dict[str, ExportSummary]:
+    """Export a model, or each of a set to a folder of its own (``{channel}`` in ``folder``), by channel.
+
+    Raises
+    ------
+    UsageError
+        A set would go to one folder, or a channel's name is no part of an identifier.
+    """
+    if not is_set(model_file):
+        return {"": export_model(read_model(model_file), folder, name=name, **options)}
+    if CHANNEL not in folder:
+        raise UsageError(
+            f"{model_file}: is a set of models: name one of them ({model_file}::CHANNEL), or a folder "
+            f"for each (-o '{folder}/{CHANNEL}')"
+        )
+    models = read_set(model_file)
+    if models.coupling is not None:
+        remarks.warn(
+            f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
+            "of all has to be multiplied by the inverse of the gains first (docs/model-file.md)"
+        )
+    with all_or_none():
+        make_folder_of(parse_address(folder))
+        return {
+            channel: export_model(model, in_name(folder, channel), name=f"{name}_{channel}", **options)
+            for channel, model in models.items()
+        }
