@@ -349,14 +349,38 @@ def test_waveform_and_excite_take_limits_in_units(bench: Any) -> None:
     assert bench("excite", "--v-max", "0.1kV", "--max-slew", "2V/ms", "--duration", "4").out == plain.out
 
 
+def test_identify_takes_the_rating_in_units(bench: Any) -> None:
+    log = "time_s,voltage_kV,displacement_um"
+    write("log.csv", log, TIME, DRIVE / 1000.0, 5.0 + 0.04 * DRIVE + np.sin(2.0 * np.pi * 5.0 * TIME - 0.3))
+    said = [
+        bench("identify", "log.csv", "-o", "m.json", "--force", "--v-min", *ends).err
+        for ends in (("0", "--v-max", "0.3"), ("0V", "--v-max", "300V"))
+    ]
+    assert said[0] == said[1] and "the logs cover 0.01 to 0.09, 27 % of the rated range 0 to 0.3" in said[0]
+    assert json.loads(Path("m.json").read_text())["provenance"]["arguments"][-3:] == [
+        "--v-max",
+        "300V",
+        "--force",
+    ]
+    done = bench("identify", "log.csv", "-o", "m.json", "--v-min", "0", "--v-max", "3um")
+    assert (done.code, done.err) == (
+        2,
+        "dbo: error: --v-max 3um: cannot be converted; a figure in kV is needed\n",
+    )
+
+
 def test_export_takes_limits_in_units_and_warns_beyond_the_model(bench: Any) -> None:
-    done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0")
+    done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0",
+                 "--max-slew", "20V/s", "--sample-rate", "1000")  # fmt: skip
     warning = (
         "the limits of the drive reach beyond 0 to 10 V, where the model was identified; it extrapolates "
     )
     warning += "there"
     assert done.code == 0 and f"dbo: warning: {warning}\n" in done.err
-    assert "0.0 ... 15.0 V" in done.err and f"- {warning}\n" in Path("out/README.md").read_text()
+    assert (
+        "0.0 ... 15.0 V, changing by at most 20.0 V a second" in done.err
+        and f"- {warning}\n" in Path("out/README.md").read_text()
+    )
     assert "warning" not in bench("export", "model.json", "-o", "in", "--v-max", "10").err
 
 

@@ -178,12 +178,12 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[s
         found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
         found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
     if plan.limits is not None:
-        slew = plan.limits.max_slew
+        slew, unit = plan.limits.max_slew, c.unit_behind(drive)
         found["LEAST"], found["MOST_SLEW"] = (
             repr(plan.limits.v_min),
             (
-                f"{plan.limits.v_max!r}{c.unit_behind(drive)}"
-                f"{'' if slew is None else f', changing by at most {slew!r} a second'}"
+                f"{plan.limits.v_max!r}{unit}"
+                f"{'' if slew is None else f', changing by at most {slew!r}{unit} a second'}"
             ),
         )
     if loss:
