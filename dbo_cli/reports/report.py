@@ -299,8 +299,8 @@ class _Evaluation:
         rest = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
         if rest < OFFSET_ALONE * figures.rmse:
             notes.append(
-                f"{name}: without the mean error {100.0 * rest / figures.rmse:.0f} % of the RMSE is left: where the "
-                "mean is the sensor's zero, `remove_offset` takes it off"
+                f"{name}: without the mean error {100.0 * rest / figures.rmse:.0f} % of the RMSE is left: "
+                "where the mean is the sensor's zero, `remove_offset` takes it off"
             )
         return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
 
