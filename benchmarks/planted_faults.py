@@ -415,6 +415,28 @@ FAULTS: list[Fault] = [
          "an infinite limit and a repeated time make no infinite drive"),
     ),
     *_faults(
+        "hysteresis/loops.py",
+        ("runs_repeated",),
+        ("parts = [abs(w * (own - held))", "parts = [abs(w * own)",
+         "a memory is off by what it is away from the loop's own"),
+    ),
+    *_faults(
+        "drives/loop_starts.py",
+        ("runs_repeated",),
+        ("return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)",
+         "return np.full(1, first)",
+         "rows before a loop step no further than the loop does"),
+        ("for start in (first,) if lag is None else (first, lag[0][0]):", "for start in (first,):",
+         "a loop behind a lag may begin where the lag stands"),
+    ),
+    *_faults(
+        "drives/learning.py",
+        ("runs_repeated",),
+        ("for k in strongest + np.flatnonzero(energy[strongest:] > ENERGY * energy.max()):",
+         "for k in np.flatnonzero(energy > ENERGY * energy.max()):",
+         "weak slow bands do not stop learning"),
+    ),
+    *_faults(
         "drives/lookahead.py",
         ("runs_controller",),
         ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",

@@ -82,7 +82,7 @@ def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
     write("scaled.csv", "time_s,monitor_V", TIME, 1.02 * DRIVE + 0.3)
     done = bench("check", "scaled.csv", "--against", "drive.csv", "--tolerance", "0.1")
     assert done.code == 3
-    assert "differs by up to 2.1, more than 0.1 (gain 1.02 and offset 0.3 explain all but" in done.err
+    assert "differs by up to 2.1 V, more than 0.1 V (gain 1.02 and offset 0.3 V explain all but" in done.err
     write("half.csv", "time_s,monitor_V", TIME[:200], DRIVE[:200])
     assert "200 of 400 rows were not played" in bench("check", "half.csv", "--against", "drive.csv").err
     noise = np.random.default_rng(1).normal(50.0, 20.0, 400)
@@ -92,6 +92,25 @@ def test_what_was_played_is_told_from_what_was_to_be(bench: Any) -> None:
     write("slow.csv", "time_s,monitor_V", slow, np.interp(slow, TIME, DRIVE))
     done = bench("check", "slow.csv", "--against", "drive.csv")
     assert (done.code, "at another rate" in done.out) == (0, True)
+
+
+@pytest.mark.parametrize("rows", [200, 400, 90])
+def test_a_recording_that_begins_late_and_ends_early_is_found(bench: Any, rows: int) -> None:
+    drive = 50.0 + 40.0 * np.sin(2.0 * np.pi * (5.0 * TIME + 20.0 * TIME**2))
+    write("sweep.csv", "time_s,voltage_V", TIME, drive)
+    late = np.concatenate([np.zeros(137), drive[:rows]])
+    write("cut.csv", "time_s,monitor_V", np.arange(late.size) / 1000.0, late)
+    done = bench("check", "cut.csv", "--against", "sweep.csv", "--format", "json")
+    played = json.loads(done.out)["played"]
+    assert (played["lag_rows"], played["rows"]) == (137, rows)
+    assert played["largest_difference"] < 1e-9
+
+
+def test_an_amplifier_that_cuts_a_drive_off_is_recognised(bench: Any) -> None:
+    noise = np.random.default_rng(3).normal(0.0, 0.005, 400)
+    write("cut.csv", "time_s,monitor_V", TIME, np.minimum(DRIVE, 80.0) + noise)
+    done = bench("check", "cut.csv", "--against", "drive.csv")
+    assert "more than 0.08 V (it is the drive cut off at 80.0115 V: " in done.err
 
 
 def test_the_tolerance_of_a_recording_holds_for_its_limits_too(bench: Any) -> None:
@@ -206,9 +225,9 @@ def test_a_recording_between_the_rows_at_another_speed_or_before_the_amplifier(b
     code, found, problem = checked(TIME, 0.051 * DRIVE + 0.1, "--gain", 20)
     assert code == 3 and found["gain"] == pytest.approx(1.02)
     assert problem.startswith(
-        "dbo: error: played.csv: what was played differs by up to 3.8, more than 0.08 (gain 1.02 "
+        "dbo: error: played.csv: what was played differs by up to 3.8 V, more than 0.08 V (gain 1.02 "
     )
-    assert problem.endswith("e-14; before the amplifier an amplitude of 102 % and an offset of 0.1)\n")
+    assert problem.endswith("e-14 V; before the amplifier an amplitude of 102 % and an offset of 0.1 V)\n")
     code, found, problem = checked(TIME / 2.0, DRIVE)
     assert code == 3 and found["speed"] == pytest.approx(2.0, rel=0.01)
     assert "the drive was played 2 times as fast as it was to be" in problem
@@ -330,12 +349,48 @@ def test_waveform_and_excite_take_limits_in_units(bench: Any) -> None:
     assert bench("excite", "--v-max", "0.1kV", "--max-slew", "2V/ms", "--duration", "4").out == plain.out
 
 
+def test_identify_takes_the_rating_in_units(bench: Any) -> None:
+    log = "time_s,voltage_kV,displacement_um"
+    write("log.csv", log, TIME, DRIVE / 1000.0, 5.0 + 0.04 * DRIVE + np.sin(2.0 * np.pi * 5.0 * TIME - 0.3))
+    said = [
+        bench("identify", "log.csv", "-o", "m.json", "--force", "--v-min", *ends).err
+        for ends in (("0", "--v-max", "0.3"), ("0V", "--v-max", "300V"))
+    ]
+    assert said[0] == said[1] and "the logs cover 0.01 to 0.09, 27 % of the rated range 0 to 0.3" in said[0]
+    assert json.loads(Path("m.json").read_text())["provenance"]["arguments"][-3:] == [
+        "--v-max",
+        "300V",
+        "--force",
+    ]
+    done = bench("identify", "log.csv", "-o", "m.json", "--v-min", "0", "--v-max", "3um")
+    assert (done.code, done.err) == (
+        2,
+        "dbo: error: --v-max 3um: cannot be converted; a figure in kV is needed\n",
+    )
+
+
 def test_export_takes_limits_in_units_and_warns_beyond_the_model(bench: Any) -> None:
-    done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0")
+    done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0",
+                 "--max-slew", "20V/s", "--sample-rate", "1000")  # fmt: skip
     warning = (
         "the limits of the drive reach beyond 0 to 10 V, where the model was identified; it extrapolates "
     )
     warning += "there"
     assert done.code == 0 and f"dbo: warning: {warning}\n" in done.err
-    assert "0.0 ... 15.0 V" in done.err and f"- {warning}\n" in Path("out/README.md").read_text()
+    assert (
+        "0.0 ... 15.0 V, changing by at most 20.0 V a second" in done.err
+        and f"- {warning}\n" in Path("out/README.md").read_text()
+    )
     assert "warning" not in bench("export", "model.json", "-o", "in", "--v-max", "10").err
+
+
+def test_a_recording_in_another_unit_is_compared_in_its_own(bench: Any) -> None:
+    write("played.csv", "time_s,voltage_kV", TIME, DRIVE / 1000.0)
+    done = bench("check", "played.csv", "--against", "drive.csv", "--tolerance", "1mV")
+    assert (done.code, done.err) == (0, "dbo: drive.csv: column 'voltage_V' is converted from V to kV\n"), (
+        done.out
+    )
+    assert "400 rows, 0 later, gain 1, offset" in done.out
+    write("other.csv", "time_s,voltage_mA", TIME, DRIVE)
+    done = bench("check", "other.csv", "--voltage", "voltage_mA", "--against", "drive.csv")
+    assert done.code == 1 and "drive.csv: column 'voltage_V' is in V, but the recording is in mA" in done.err

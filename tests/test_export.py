@@ -396,8 +396,12 @@ def test_gears_too_narrow_for_float(tmp_path: Path) -> None:
         "forward", Quantity("voltage", "V", 1000.0, 1001.0), Quantity("displacement", "um", 0.0, 1.0),
         (DiscreteBacklashOperator(np.full(1152, 1 / 1152), np.full(1152, 1 / 1152), 1000.0, 0.0),),
     )  # fmt: skip
-    with pytest.raises(ModelError, match=r"^1152 gears are too narrow for this arithmetic: its rounding is "):
+    refused = (
+        r"^1152 gears are too narrow .* % of the smallest \(`gears` 288, or `arithmetic` double or q31\)$"
+    )
+    with pytest.raises(ModelError, match=refused):
         export_model(model, str(tmp_path / "out"), name="x", arithmetic="float", direction="forward")
+    export_model(model, str(tmp_path / "less"), name="x", arithmetic="float", direction="forward", gears=288)
     export_model(model, str(tmp_path / "out"), name="x", arithmetic="q31", direction="forward")
 
 
@@ -409,6 +413,9 @@ def test_folders(tmp_path: Path) -> None:
         export_model(model, str(folder), name="second")
     export_model(model, str(folder), name="second", overwrite=True)
     assert not (folder / "first.c").exists()
+    (folder / "second_test").write_text("what make test leaves")
+    (folder / "second.o").write_text("what make arm leaves")
+    export_model(model, str(folder), name="second", overwrite=True)
     (folder / "mine.c").write_text("int mine;\n")
     with pytest.raises(OutputError, match=r"holds 'mine\.c', which no export wrote: it is not overwritten"):
         export_model(model, str(folder), name="third", overwrite=True)

@@ -204,6 +204,12 @@ def twins(file: Any) -> None:
     plain(file.require_group("b"))
 
 
+def camera(file: Any) -> None:
+    for name, columns in (("camera", ("frame", "exposure")), ("piezo", ("drive", "interferometer"))):
+        for column in columns:
+            file[f"{name}/{column}"] = np.arange(4.0)
+
+
 def dangling(file: Any) -> None:
     file["voltage"] = h5py.SoftLink("/nowhere")
 
@@ -221,6 +227,9 @@ REFUSALS: dict[str, tuple[Callable[[Any], None], str, str]] = {
     "two groups": (
         twins, "", "{log}: no columns of numbers in this group: it has /a/displacement, /a/time_s, "
         "/a/voltage, /b/displacement, /b/time_s, /b/voltage (write {log}::/a for the first of 2 tables)"),
+    "a camera beside a drive": (
+        camera, "", "{log}: no columns of numbers in this group: it has /camera/exposure, /camera/frame, "
+        "/piezo/drive, /piezo/interferometer (write {log}::/piezo)"),
     "a link that leads nowhere": (dangling, "", "{log}: no columns of numbers in this group: it is empty"),
 }  # fmt: skip
 

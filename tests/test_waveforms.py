@@ -242,7 +242,7 @@ GAP = TIME + np.where(np.arange(200) > 50, 0.01, 0.0)
         ("drive.csv --to tdms --volts 0:10 -o o.tdms", 2, "--volts: tdms files hold volts, no codes"),
         ("drive.csv --to uint16 --volts 0:100 --codes -5:10 -o o.bin", 2, "--codes -5:10: give whole numbers from 0 to 65535"),
         ("drive.csv --to keysight-arb -o o.csv", 2, "o.csv: a keysight-arb file is called *.arb"),
-        ("drive.csv --to keysight-arb --points 32 -o o.arb", 3, "drive.csv: 32 points move the drive by up to 0.205 V, more than 0.08 (more --points, a higher --rate, or --tolerance VOLT)"),
+        ("drive.csv --to keysight-arb --points 32 -o o.arb", 3, "drive.csv: 32 points move the drive by up to 0.205 V, more than 0.08 V (more --points, a higher --rate, or --tolerance VOLT)"),
         ("drive.csv --to keysight-arb --rate 10000 --points 1000 -o o.arb", 2, "--points 1,000: the drive takes 1,991 at 10000 a second (leave --rate out, or at most 5020.1)"),
         ("drive.csv --to keysight-arb --loop --rate 10000 --points 4000 -o o.arb", 2, "--rate 10000: the loop of 0.2 s is 2000 points (a --rate of 20000 makes 4,000)"),
         ("drive.csv --to keysight-arb --loop --rate 10001 -o o.arb", 2, "--rate 10001: the loop of 0.2 s is 2000.2 points (a --rate of 10000 makes 2,000)"),

@@ -426,6 +426,6 @@ def _summary_lines(summary: ExportSummary) -> list[str]:
         same, close = (summary.bounds[f"{key}_percent"] for key in ("same_gears", "after_close_turn"))
         lines.append(
             f"error at most {same:.2g} % of the range while both cross the same gears, {close:.2g} % after a "
-            "turn close to a gear's end"
+            f"turn within {100.0 * summary.bounds['close_turn_fraction']:.2g} % of a gear's width from an end"
         )
     return lines + list(summary.notes)

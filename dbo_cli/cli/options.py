@@ -244,9 +244,9 @@ COUPLING = Option(
     "Channels: find how much each shows in the others, from a log in which all move (excite --channels).",
 )
 RATED_MIN = Option(
-    "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", number
+    "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", figure
 )
-RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.", number)
+RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.", figure)
 FORCE = Option("--force", "Keep a model that is no better than a straight line.")
 
 # --- simulate, compensate, check ---

@@ -15,6 +15,8 @@ from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.clock import GAP_STEPS, median_step
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
+EXACT = 1e-12  # of a variance: what sums and transforms of double precision leave of two equal drives
+FEWEST_SHARED = 0.25  # of the shorter of the two: in a few rows everything is like everything
 ANOTHER = 0.5  # correlation below which a recording is of another drive
 SAME_RATE = 1e-3  # two clocks may differ by this fraction
 OTHER_SPEED = 0.1  # of what is left at the right speed: less at another one, and it was played at that
@@ -143,6 +145,8 @@ class Likeness(NamedTuple):
         Recording = gain drive + offset; the correlation of the two, without its sign.
     largest, left
         The largest difference, and what is left of it after gain and offset.
+    ends, cut
+        The recording's range, and what is left of the difference where the drive is cut off there.
     """
 
     lag: int
@@ -153,6 +157,8 @@ class Likeness(NamedTuple):
     alike: float
     largest: float
     left: float
+    ends: tuple[float, float]
+    cut: float
 
 
 def played_tolerance(drive: Floats, tolerance: float | None) -> float:
@@ -167,6 +173,7 @@ def check_played(
     steps: tuple[float | None, float | None],
     tolerance: float | None = None,
     gain: float = 1.0,
+    suffix: str = "",
 ) -> None:
     """Compare a recording of the drive with what was to be played; problems and figures go to ``checked``.
 
@@ -180,6 +187,8 @@ def check_played(
         Largest difference allowed; a thousandth of the drive's range where not given.
     gain
         Of an amplifier behind the place of the recording: it is compared times that.
+    suffix
+        The unit, behind a blank, for messages.
     """
     most = played_tolerance(drive, tolerance)
     own, other = steps
@@ -207,15 +216,21 @@ def check_played(
         checked.problems.append(f"{count - found.rows:,} of {count:,} rows were not played")
     if found.largest > most:
         cause = "neither a gain nor an offset explains it"
-        if found.left <= 0.5 * found.largest:
-            cause = f"gain {found.gain:.6g} and offset {found.offset:.6g} explain all but {found.left:.3g}"
+        if found.cut <= most:
+            beyond = (found.ends[0] - drive.min(), drive.max() - found.ends[1])
+            cut = [f"{end:.6g}" for end, by in zip(found.ends, beyond, strict=True) if by > most]
+            cause = f"it is the drive cut off at {' and '.join(cut)}{suffix}: a limit of the amplifier?"
+        elif found.left <= 0.5 * found.largest:
+            cause = f"gain {found.gain:.6g} and offset {found.offset:.6g}{suffix} explain all but "
+            cause += f"{found.left:.3g}{suffix}"
         if found.left <= 0.5 * found.largest and gain != 1.0:
             cause += (
                 f"; before the amplifier an amplitude of {100.0 * abs(found.gain):.4g} % and an offset of "
-                f"{found.offset / gain:.4g}"
+                f"{found.offset / gain:.4g}{suffix}"
             )
         checked.problems.append(
-            f"what was played differs by up to {found.largest:.6g}, more than {most:.3g} ({cause})"
+            f"what was played differs by up to {found.largest:.6g}{suffix}, more than {most:.3g}{suffix} "
+            f"({cause})"
         )
 
 
@@ -271,14 +286,31 @@ def _fitted(a: Floats, b: Floats, lag: int, part: float) -> Likeness:
     offset = middle - gain * float(a.mean())
     alike = 1.0 if np.ptp(a) == 0.0 else abs(float(np.corrcoef(a, b)[0, 1])) if np.ptp(b) > 0.0 else 0.0
     largest, left = float(np.abs(b - a).max()), float(np.abs(b - gain * a - offset).max())
-    return Likeness(lag, part, a.size, gain, offset, alike, largest, left)
+    ends = float(b.min()), float(b.max())
+    cut = float(np.abs(b - np.clip(a, *ends)).max())
+    return Likeness(lag, part, a.size, gain, offset, alike, largest, left, ends, cut)
 
 
 def _lag(drive: Floats, played: Floats) -> int:
-    """Return by how many rows the recording is later: where the two are most alike."""
+    """Return by how many rows the recording is later: where the rows that belong together tell it best.
+
+    That is the logarithm of the likelihood that one is the other times a gain, n log(1/(1 - r^2)) of n rows
+    whose correlation is r: a recording may begin late and end early.
+    """
     from scipy.signal import correlate
 
-    likeness = np.abs(correlate(played - played.mean(), drive - drive.mean(), method="fft"))
-    near = np.flatnonzero(likeness >= likeness.max() * (1.0 - 1e-9))
-    lags = near - (drive.size - 1)
-    return int(lags[np.argmin(np.abs(lags))])
+    a, b = drive - drive.mean(), played - played.mean()
+    lags = np.arange(1 - a.size, b.size)
+    begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
+    count = end - begin
+    sums = [
+        (total := np.concatenate([[0.0], np.cumsum(values)]))[end + shift] - total[begin + shift]
+        for values, shift in ((a, 0), (b, lags), (a * a, 0), (b * b, lags))
+    ]
+    spread = (sums[2] - sums[0] ** 2 / count) * (sums[3] - sums[1] ** 2 / count)
+    shared = correlate(b, a, method="fft") - sums[0] * sums[1] / count
+    moving = (spread > EXACT * spread.max()) & (count >= FEWEST_SHARED * min(a.size, b.size))
+    alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
+    evidence = -count * np.log(np.maximum(1.0 - alike, EXACT))
+    near = lags[evidence >= evidence.max() * (1.0 - 1e-9)]
+    return int(near[np.argmin(np.abs(near))])

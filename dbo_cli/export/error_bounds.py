@@ -95,6 +95,10 @@ def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> _Loop:
     return _Loop(own, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy))
 
 
+class NarrowGearsError(ModelError):
+    """The gears are too narrow for the arithmetic; fewer would do."""
+
+
 def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     """Return the bounds for inputs inside the model's range, in the output's unit and in % of its range.
 
@@ -155,8 +159,8 @@ def _tolerance(place: float, narrow: float, rising: float, low: float, plan: Cas
     part = 2.0 * max(place / narrow, rising / low)
     power = min(math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
-        raise ModelError(
+        raise NarrowGearsError(
             f"{plan.backlash.n} gears are too narrow for this arithmetic: its rounding is {100.0 * part:.2g}"
-            " % of the smallest (`gears` fewer, or `arithmetic` q31 or double)"
+            " % of the smallest"
         )
     return 2.0**-power

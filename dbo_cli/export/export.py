@@ -8,10 +8,11 @@ from dataclasses import asdict, replace
 from importlib import resources
 from typing import Literal
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.export import source_text as c
 from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
 from dbo_cli.export.double_code import double_code
+from dbo_cli.export.error_bounds import NarrowGearsError
 from dbo_cli.export.export_folder import FORMAT, MANIFEST, check_folder, write_folder
 from dbo_cli.export.host_files import fmu_bytes, library_files
 from dbo_cli.export.project_files import ExportSummary, project_files
@@ -71,7 +72,13 @@ def export_model(
     model = replace(model, input=c.plain_quantity(model.input), output=c.plain_quantity(model.output))
     model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
     plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
-    code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
+    try:
+        code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
+    except NarrowGearsError as problem:
+        fewer = _gears_that_do(model, plan, arithmetic)
+        raise ModelError(
+            f"{problem} ({fewer}`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'})"
+        ) from None
     words = _words(plan, name, arithmetic)
     summary = _summary(plan, code, folder, name, arithmetic, loss, tuple(_notes(plan, loss, words)))
     files = _files(plan, code, summary, words, arduino, fmu, shared)
@@ -81,6 +88,20 @@ def export_model(
     files[MANIFEST] = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
     write_folder(folder, {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}, overwrite)
     return summary
+
+
+def _gears_that_do(model: ActuatorModel, plan: CascadePlan, arithmetic: str) -> str:
+    """Return the remedy for gears that are too narrow: how many, halved until they do, are wide enough."""
+    gears, rate = plan.backlash.n // 2, None if plan.time_step is None else 1.0 / plan.time_step
+    while gears:
+        fewer = plan_cascade(with_fewer_gears(model, gears)[0], plan.direction, rate, plan.limits)
+        try:
+            single_code(fewer, arithmetic == "q31")
+        except NarrowGearsError:
+            gears //= 2
+        else:
+            return f"`gears` {gears}, or "
+    return ""
 
 
 def _check_choices(arithmetic: str, direction: str, double_only: dict[str, bool], arduino: bool) -> None:
@@ -157,12 +178,12 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[s
         found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
         found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
     if plan.limits is not None:
-        slew = plan.limits.max_slew
+        slew, unit = plan.limits.max_slew, c.unit_behind(drive)
         found["LEAST"], found["MOST_SLEW"] = (
             repr(plan.limits.v_min),
             (
-                f"{plan.limits.v_max!r}{c.unit_behind(drive)}"
-                f"{'' if slew is None else f', changing by at most {slew!r} a second'}"
+                f"{plan.limits.v_max!r}{unit}"
+                f"{'' if slew is None else f', changing by at most {slew!r}{unit} a second'}"
             ),
         )
     if loss:

@@ -47,6 +47,9 @@ def _not_of_an_export(target: Path) -> list[str]:
     try:
         listed = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
         known = set(listed["files"]) if listed["format"] == FORMAT else set()
+        known |= {f"{listed['name']}_test", "example"} | {
+            path.removesuffix(".c") + ".o" for path in known
+        }  # make's
     except (OSError, ValueError, KeyError, TypeError):
         known = set()
     found = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())

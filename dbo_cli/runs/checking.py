@@ -72,10 +72,13 @@ def check_file(
     block, unit, step, remarks = _read(drive, options.voltage, reading)
     values, rows = block.values["voltage"], np.asarray(block.rows)
     if against is not None:
-        other, _, own, more = _read(against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None))
+        other, _, own, more = _read(
+            against, None, dataclasses.replace(reading, rows=ALL_ROWS, time=None), unit
+        )
         remarks.add(more)
         most = None if options.tolerance is None else in_unit("tolerance", options.tolerance, unit)
         slack = played_tolerance(other.values["voltage"], most) / abs(options.gain)
+    suffix = f" {unit}" if unit else ""
     checked = check_drive(
         values,
         block.time,
@@ -84,13 +87,13 @@ def check_file(
         loop=options.loop,
         tolerance=0.0 if against is None else slack,
         place=lambda row: f"row {int(rows[row]):,}",
-        suffix=f" {unit}" if unit else "",
+        suffix=suffix,
     )
     missing = np.diff(rows) > 1
     if missing.any():
         checked.problems.insert(0, f"row {int(rows[np.argmax(missing)]) + 1:,}: holds no number")
     if against is not None:
-        check_played(checked, other.values["voltage"], values, (own, step), most, options.gain)
+        check_played(checked, other.values["voltage"], values, (own, step), most, options.gain, suffix)
     name = drive.name
     if read := plain_in(
         unit, options.v_min, options.v_max, options.max_slew, options.from_, options.tolerance
@@ -109,11 +112,16 @@ def check_file(
 
 
 def _read(
-    address: Address, voltage: str | None, reading: ReadingOptions
+    address: Address, voltage: str | None, reading: ReadingOptions, wanted: str | None = None
 ) -> tuple[SampleBlock, str | None, float | None, Remarks]:
-    """Return a drive read whole, its unit and its even step (s); rows that hold no number are dropped."""
+    """Return a drive read whole (in ``wanted``, where both units are known), its unit and its even step (s).
+
+    Rows that hold no number are dropped.
+    """
     options = dataclasses.replace(reading, skip_bad=True)
     with open_log(address, {"voltage": wish("voltage", voltage, option="voltage")}, options) as log:
+        if wanted is not None and log.columns["voltage"].unit is not None:
+            log.convert("voltage", wanted, "the recording is")
         block = joined(list(log.blocks()))
         step = 1.0 / log.stated_rate if log.stated_rate else None
         if step is None and block.time is not None:

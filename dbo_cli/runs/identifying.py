@@ -26,6 +26,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.roles import bring_to, recording_wishes, short_names
@@ -139,6 +140,10 @@ def identify_recordings(
         The options contradict each other or the recordings.
     """
     tests = [log.recording for log in validation]
+    if options.rated is not None:
+        unit, (low, high) = logs[0].recording.voltage_unit, options.rated
+        rated = in_unit("v_min", low, unit), in_unit("v_max", high, unit)
+        options = dataclasses.replace(options, rated=rated)
     found = identify_model([log.recording for log in logs], options, tests, prior)
     provenance: dict[str, Any] = {
         "program": program_version_string(),

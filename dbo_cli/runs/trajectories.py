@@ -127,8 +127,9 @@ def _speed(axis: str, values: Floats, name: str, model: ActuatorModel) -> list[s
     if speed <= FASTER * seen:
         return []
     return [
-        f"{axis} asks for some {speed:.3g} {model.input.unit or 'V'}/s, and {name} has seen {seen:.3g}: how "
-        f"late the actuator is then is a guess (not at {FASTER * seen / speed:.2g} times the speed)"
+        f"{axis} needs a drive of some {speed:.3g} {model.input.unit or 'V'}/s; the logs of {name} show at "
+        f"most {seen:.3g}, so how late the actuator is at that speed is a guess (up to "
+        f"{FASTER * seen / speed:.2g} times the speed it is known)"
     ]
 
 

@@ -149,7 +149,7 @@ def write_waveform(
     if played.moved > most:
         raise LimitError(
             f"{names[0]}: {played.volts.shape[1]:,} points move the drive by up to {played.moved:.3g} V, "
-            f"more than {most:.3g} (more `points`, a higher `rate`, or `tolerance` VOLT)"
+            f"more than {most:.3g} V (more `points`, a higher `rate`, or `tolerance` VOLT)"
         )
     data, back, lines = _encoded(played, names, options)
     with all_or_none():

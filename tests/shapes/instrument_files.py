@@ -59,6 +59,8 @@ INSTRUMENT_FILES = [
                        "without the header)"),
     FormatFile("LabVIEW .lvm, one X column, units", f"{HAND} (NI's specification)", ".lvm",
                text(*lvm("One"), *rows("\t"))),
+    FormatFile("LabVIEW .lvm, a comment in its first row", f"{HAND} (NI's specification)", ".lvm",
+               text(*lvm("One"), rows("\t")[0] + "\tbegin", *rows("\t")[1:])),
     FormatFile("LabVIEW .lvm, no X column, X0 and Delta_X", f"{HAND} (NI's specification)", ".lvm",
                text(*lvm("No", "-0.001"), *["\t" + row for row in rows("\t", (V, D))]), time=LATER),
     FormatFile("LabVIEW .lvm, no X column, its header again before the third row", f"{HAND} (NI's specification)",

@@ -245,11 +245,11 @@ def _stepped(displacement: Floats) -> bool:
     return len(steps) == 0 or float(np.median(steps)) < 1.5 * float(steps.min())
 
 
-def rated_warnings(lowest: float, highest: float, rated: tuple[float, float] | None) -> list[str]:
+def rated_warnings(lowest: float, highest: float, rated: tuple[float | str, float | str] | None) -> list[str]:
     """Warn where the logs cover less or more than the drive's rated range (both in the voltage's unit)."""
     if rated is None:
         return []
-    low, high = rated
+    low, high = map(float, rated)
     slack = 0.01 * (high - low)
     warnings = []
     if lowest < low - slack or highest > high + slack:

@@ -50,7 +50,7 @@ class IdentificationOptions:
     zero : {"none", "mean", "first"} or float
         Displacement that counts as zero: as logged, the log's mean, its first, or a value.
     rated : (float, float), optional
-        The drive's full range, for a warning where the logs cover less.
+        The drive's full range, for a warning where the logs cover less; texts have a unit (``"1.2kV"``).
     force : bool
         Keep a model that would be refused.
     dynamics : int, optional
@@ -72,7 +72,7 @@ class IdentificationOptions:
     skip_seconds: float = 0.0
     method: str = "least-squares"
     zero: str | float = "none"
-    rated: tuple[float, float] | None = None
+    rated: tuple[float | str, float | str] | None = None
     force: bool = False
     sensor_delay: float = 0.0
     sensor_lag: float = 0.0
@@ -127,9 +127,11 @@ class IdentificationOptions:
     def _check_rated(self) -> None:
         if self.rated is None:
             return
-        if not (isinstance(self.rated, Sequence) and len(self.rated) == 2):
+        if isinstance(self.rated, str) or not (isinstance(self.rated, Sequence) and len(self.rated) == 2):
             raise UsageError(f"`rated` {self.rated!r}: give both ends of the drive's range")
         low, high = self.rated
+        if isinstance(low, str) or isinstance(high, str):
+            return  # checked when they are in the logs' unit
         if not (_is_number(low) and _is_number(high) and -math.inf < low < high < math.inf):
             raise UsageError(f"`rated` {self.rated!r}: the lower end must be a number below the upper one")
 

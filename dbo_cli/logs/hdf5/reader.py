@@ -20,7 +20,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.byte_source import Request, brief
-from dbo_cli.logs.column_names import TIME_NAMES
+from dbo_cli.logs.column_names import DISPLACEMENT, TIME_NAMES, VOLTAGE
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -167,12 +167,21 @@ def _nearest_clock(node: Any) -> list[Statement]:
 def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[ColumnSource]]]) -> str:
     text = f"{address.text}: no columns of numbers in this group: {_list_groups(file)}"
     whole = [
-        clean_text(node.name)
+        (
+            sum(
+                any(one.label.lower() in role.guesses for one in sources) for role in (VOLTAGE, DISPLACEMENT)
+            ),
+            clean_text(node.name),
+        )
         for node, sources in tables
         if sum(one.label.lower() not in TIME_NAMES for one in sources) > 1
     ]
     if whole:
-        return f"{text} (write {address.path}::{whole[0]} for the first of {len(whole)} tables)"
+        names = [
+            name for roles, name in whole if roles == max(whole)[0]
+        ]  # what a camera wrote beside a drive
+        of_many = f" for the first of {len(names)} tables" if len(names) > 1 else ""
+        return f"{text} (write {address.path}::{names[0]}{of_many})"
     if tables:
         paths = list(_dataset_paths(file))
         node = tables[0][0].name.strip("/") + "/"

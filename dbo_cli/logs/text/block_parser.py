@@ -168,7 +168,7 @@ class BlockParser:
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
         cells = split_cells(line, self.dialect.delimiter)
-        problem = _wrong_width(cells, self.dialect.width)
+        problem = _wrong_width(cells, self.dialect.width, self.dialect.remarks)
         row: list[float] = []
         cell, blank = "-", False
         for pick in () if problem else self.picks.values():
@@ -238,9 +238,9 @@ class BlockParser:
         return sorted((self.dialect.numeric | stamps) - {pick.number - 1 for pick in self.picks.values()})
 
 
-def _wrong_width(cells: list[str], width: int) -> str:
+def _wrong_width(cells: list[str], width: int, remarks: bool) -> str:
     """Describe what is wrong with a row's length; an empty cell more at the end is a trailing delimiter."""
-    if len(cells) == width or (len(cells) == width + 1 and not cells[-1]):
+    if len(cells) == width or (len(cells) == width + 1 and (remarks or not cells[-1])):
         return ""
     plural = "s" if len(cells) != 1 else ""
     return f"{len(cells)} cell{plural} where the other rows have {width}"

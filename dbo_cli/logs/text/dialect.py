@@ -48,7 +48,8 @@ class Dialect:
     where the log has none, else ``width`` cells long.  ``numeric`` are the columns (from 0) that hold numbers
     in most rows; ``writings`` is how each column is written (``ColumnInfo.written``), where any holds time
     stamps; ``header_block`` is what stands again before each segment of the data; ``sparse`` tells that every
-    row leaves out a number that other rows have; ``labels`` are comments of names or units.
+    row leaves out a number that other rows have; ``labels`` are comments of names or units; ``remarks`` tells
+    that a row may end in one cell of text more.
     """
 
     delimiter: str
@@ -63,6 +64,7 @@ class Dialect:
     header_block: HeaderBlock | None = None
     sparse: bool = False
     labels: tuple[tuple[str, str], ...] = ()
+    remarks: bool = False
 
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""

@@ -220,6 +220,7 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     rows = [split_cells(line, delimiter) for line in lines[ends[0] + 1 : ends[1] + 3]]
     channels = {cells[0]: cells[1:] for cells in rows[:-2] if cells[0]}
     names = rows[-2]
+    remarks = names[-1] == "Comment"  # which a row has or leaves out
     while names and names[-1] in ("", "Comment"):
         names.pop()
     x_columns = file.get("X_Columns", "One").lower()
@@ -238,8 +239,10 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     steps = [found for value in channels.get("Delta_X", []) for found in _step("Delta_X", value)]
     clock = tuple(dict.fromkeys(steps)) if timed else ()
     decimal = "," if file.get("Decimal_Separator") == "," else "."
-    width = max(len(names), len(rows[-1]))
-    return _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
+    width = len(names) if remarks and rows[-1][-1] else max(len(names), len(rows[-1]))
+    found = _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
+    assert found.dialect is not None
+    return replace(found, dialect=replace(found.dialect, remarks=remarks))
 
 
 def _labview_waveforms(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
