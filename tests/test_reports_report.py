@@ -415,7 +415,11 @@ class TestConditioningSweep:
         assert (log.figures.samples, log.figures.rmse) == (600, 0.5)
         assert log.figures.max_abs_row > 400
         assert log.figures.desired_max == 20.0
-        assert log.notes == ("a.csv: 400 rows before time 0, on the way to the move, left out",)
+        assert log.notes == (
+            "a.csv: 400 rows before time 0, on the way to the move, left out",
+            "a.csv: without the mean error 0 % of the RMSE is left: where the mean is the sensor's zero, "
+            "`remove_offset` takes it off",
+        )
         assert log == self.log(100)
 
     def test_figures_show_the_trajectory_alone(self):

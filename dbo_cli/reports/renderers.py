@@ -138,7 +138,7 @@ def log_tables(report: Report) -> tuple[list[Column], list[Column]]:
         name,
         Column("loop left", f"Hysteresis left{unit}", lambda log: digits(log.figures.loop_width)),
         Column("% range", "the same, % of range", lambda log: digits(log.figures.loop_width_percent)),
-        Column("noise", f"Noise alone{unit}", lambda log: digits(log.figures.loop_noise, 2)),
+        Column("by noise", f"Noise alone{unit}", lambda log: digits(log.figures.loop_noise, 2)),
         Column("lag left", "Delay left (samples)", lambda log: digits(log.figures.lag_left, 3)),
         Column("seconds", "", lambda log: digits(log.figures.lag_left_seconds, 3)),
         Column("", "Delay left (ms)", lambda log: digits(log.figures.lag_left_seconds, 3, 1000.0)),

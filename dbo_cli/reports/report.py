@@ -255,6 +255,9 @@ def check_limits(
         raise LimitError(missed[0] + more)
 
 
+OFFSET_ALONE = 1.0 / 3.0  # of the RMSE is left, at most, without the mean: nine tenths of the square are its
+
+
 @dataclass(frozen=True)
 class _Evaluation:
     """How one log is compared; each ``run`` begins anew."""
@@ -293,6 +296,12 @@ class _Evaluation:
             figure_data.finish(figures, whole.metrics.distribution)
         notes += [dwells.note()] if dwells is not None else []
         notes += _notes(name, options.labels, figures)
+        rest = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
+        if rest < OFFSET_ALONE * figures.rmse:
+            notes.append(
+                f"{name}: without the mean error {100.0 * rest / figures.rmse:.0f} % of the RMSE is left: "
+                "where the mean is the sensor's zero, `remove_offset` takes it off"
+            )
         return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
 
     def _paired(self, blocks: Iterable[PairBlock]) -> tuple[Iterator[PairBlock], int, list[str]]:

@@ -199,25 +199,6 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
     return Choice(basis, structure, score, interval, clockwise)
 
 
-def runners_up(prepared: Prepared, choice: Choice) -> list[tuple[str, float]]:
-    """Return the two best candidates that were not chosen, in words, and their RMSE on data left out.
-
-    The RMSE is in the displacement's unit, on the wrong side of the asymmetry like all equation errors.
-    """
-    statistics = gather(fewer_rows(prepared.logs), choice.basis, SEGMENTS[SEGMENTS_ONE_AMPLITUDE - 1][0])
-    found = []
-    for slopes in ("growing", "falling", "free"):
-        for segments, kinks in SEGMENTS[:SEGMENTS_ONE_AMPLITUDE]:
-            other = replace(choice.structure, slopes=slopes, segments=segments, knot_smoothness=kinks)
-            if (slopes, segments) != (choice.structure.slopes, choice.structure.segments):
-                try:
-                    left = cross_validate(statistics, other).rmse
-                except FitError:
-                    continue
-                found.append((f"{slopes} slopes with {segments} segments", abs(prepared.scale) * left))
-    return sorted(found, key=lambda one: one[1])[:2]
-
-
 class _Search:
     """The candidates of one identification, and what is known of them.
 

@@ -40,7 +40,6 @@ from dbo_cli.hysteresis.identification.search import (
     Choice,
     Orders,
     choose,
-    runners_up,
     sample_period,
     slowest_lag,
 )
@@ -121,7 +120,7 @@ def identify_static(
         *([] if clocked else [NO_CLOCK]),
     ]
     if rmse > NO_BETTER * line:
-        warnings.append(_no_loop(prepared, choice, rmse, line, options.force))
+        warnings.append(_no_loop(recordings, rmse, line, options.force))
     checks = [validation_of(model, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
     expected = expect(
         prepared, choice, model, rmse, white_noise([one.values for one in residuals]) / max(rmse, TINY) ** 2
@@ -153,14 +152,20 @@ def _orders(options: IdentificationOptions) -> Orders:
     )
 
 
-def _no_loop(prepared: Prepared, choice: Choice, rmse: float, line: float, force: bool) -> str:
+SCALES_APART = 2.0  # between the gains of logs; a piezo's own at small and at full swings differs by less
+
+
+def _no_loop(recordings: Sequence[Recording], rmse: float, line: float, force: bool) -> str:
     """Refuse a model that is no better than a straight line (FitError), or say so where it is kept."""
-    message = (
-        f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): the log shows "
-        "no loop that this class of models can follow; the next candidates: "
-        + ", ".join(f"{words} {left:.4g}" for words, left in runners_up(prepared, choice))
-        + " on data left out; check the columns and the sensor"
-    )
+    gains = [abs(float(np.polyfit(log.voltage, log.displacement, 1)[0])) for log in recordings]
+    least, most = int(np.argmin(gains)), int(np.argmax(gains))
+    cause = "the log shows no loop that this class of models can follow; check the columns and the sensor"
+    if gains[most] > SCALES_APART * gains[least]:
+        cause = (
+            f"the gain of {recordings[least].name} is {gains[least] / gains[most]:.3g} of that of "
+            f"{recordings[most].name}: bring the logs to one scale (`scale`)"
+        )
+    message = f"the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}): {cause}"
     if not force:
         raise FitError(f"{message} (`force` keeps the model)")
     return message
