@@ -111,7 +111,8 @@ def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
     assert (done.code, done.out) == (0, "")
     begins, expected = done.err.splitlines()
     assert begins.endswith("is not known (--from VOLT says it, --approach ramps there)")
-    assert re.fullmatch(r"dbo: \S+: expected error of the move 0\.00\d+ um RMS \(.* %.*\)", expected)
+    stated = re.fullmatch(r"dbo: \S+: expected error of the move (0\.\d+) um RMS \(.* %.*\)", expected)
+    assert stated is not None
     line = [sys.executable, str(SAMPLES / "straight_line.py"), str(log), str(trajectory), "-o", "line.csv"]
     subprocess.run(line, check=True)
     for name, seed in (("line", "1"), ("drive", "2")):
@@ -121,6 +122,7 @@ def test_the_whole_road(dbo: Any, tmp_path: Path) -> None:
     before, after = json.loads(done.out)["logs"]
     assert before["rmse"] > 0.4
     assert after["ratio_to_first"] <= 0.06
+    assert 0.4 < after["rmse"] / float(stated[1]) < 1.4
 
 
 def test_the_bench_of_the_closed_loop_is_the_actuator_a_sample_at_a_time() -> None:

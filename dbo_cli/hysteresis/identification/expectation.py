@@ -102,7 +102,7 @@ def expect(
     cycles = max(choice.score.rmse, fitted)
     held_out, left_out = groups_left_out(some, choice.basis, choice.structure, cycles)
     known = delivered * held_out / fitted
-    trend = _gain_trend(some, choice, own, fitted**2, noise)
+    trend = _gain_trend(some, choice, own, noise * fitted**2)
     swings = np.vstack([swings_between_turns(log.voltage, choice.basis.span)[1] for log in some])
     seen = thinned(swings, choice.basis.span)
     moves = _invented_moves(some, choice.basis)
@@ -112,25 +112,28 @@ def expect(
     return Expectation(known, fitted, figure, kept, seen, left_out, len(swings), trend)
 
 
-def _gain_trend(
-    logs: Sequence[PreparedLog], choice: Choice, own: Solution, fitted: float, noise: float
-) -> float | None:
+def _gain_trend(logs: Sequence[PreparedLog], choice: Choice, own: Solution, floor: float) -> float | None:
     """Return by how much the gain changes along a log, where that explains most of the error beyond noise.
 
-    A part of the output that grows along the log, and a part of 1 (the sensor's zero need not be that of the
-    gain), go through the slope of the asymmetry's inverse as a change of the output does.
+    A part of the output that grows along the log goes through the slope of the asymmetry's inverse as a
+    change of the output does. So does a zero that moves, which is no change of the gain: what that explains
+    does not count.
+    ``floor`` is the mean square that is noise.
     """
     steepness = np.diff(corners(own.knots, choice.structure.segments)) * choice.structure.segments
-    changing = []
+    moving, changing = [], []
     for log in logs:
         place = np.clip((log.output * len(steepness)).astype(np.int64), 0, len(steepness) - 1)
         grown = steepness[place] * np.linspace(-0.5, 0.5, len(log.output))
+        moving.append(replace(log, drift=np.column_stack((log.drift, grown))))
         changing.append(replace(log, drift=np.column_stack((log.drift, grown, grown * log.output))))
-    statistics = gather(changing, choice.basis, choice.structure.segments)
-    gram, rows = statistics.total()
-    solution = solve(gram, statistics.columns, choice.structure, rows)
-    left, floor = squared_error(gram, solution.vector) / rows, noise * fitted
-    if fitted <= most_noise(floor, rows) or left - floor > GAIN_EXPLAINS * (fitted - floor):
+    lefts = []
+    for some in (moving, changing):
+        statistics = gather(some, choice.basis, choice.structure.segments)
+        gram, rows = statistics.total()
+        solution = solve(gram, statistics.columns, choice.structure, rows)
+        lefts.append(squared_error(gram, solution.vector) / rows)
+    if lefts[0] <= most_noise(floor, rows) or lefts[1] - floor > GAIN_EXPLAINS * (lefts[0] - floor):
         return None
     last = np.cumsum([log.drift.shape[1] for log in changing]) - 1
     return float(max(solution.drift[last], key=abs))
