@@ -35,14 +35,7 @@ def report_channels(
     """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
     chosen = report_form(output, form)
     check_document(output, "a report", chosen)
-    if figures is not None or chosen == "html":
-        raise UsageError(
-            "figures are drawn of one channel at a time: name its columns (text, JSON and CSV hold all)"
-        )
-    if options.trajectory is not None:
-        raise UsageError(
-            "`trajectory` holds one desired signal: a pattern takes `desired` from the log itself"
-        )
+    _check_asked(options, figures is not None or chosen == "html")
     wanted = None if options.model is not None else options.desired or ""
     drive = (options.voltage or "") if options.model is not None else options.voltage
     columns = Columns.of(desired=wanted, measured=options.measured or "", voltage=drive)
@@ -86,6 +79,18 @@ def report_channels(
     if percents:
         outcome.remarks.notes.append(spread_line(percents, "channel", "RMSE of range", {}))
     return Written(report, chosen, outcome.remarks, outcome.failure)
+
+
+def _check_asked(options: TrackingOptions, drawn: bool) -> None:
+    """Refuse what is there for one channel only (UsageError)."""
+    if drawn:
+        raise UsageError(
+            "figures are drawn of one channel at a time: name its columns (text, JSON and CSV hold all)"
+        )
+    if options.trajectory is not None:
+        raise UsageError(
+            "`trajectory` holds one desired signal: a pattern takes `desired` from the log itself"
+        )
 
 
 def _reported(

@@ -58,11 +58,8 @@ def signals_of_channels(
 
     The first parameter of ``columns`` is the signal's. What is said of each channel is summed up.
     """
-    if destination.live:
-        raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
-    check_order(model_file, log_file.text)
-    if CHANNEL not in destination.output.text:
-        _check_table(destination)
+    each_own = CHANNEL in destination.output.text
+    _check_asked(model_file, log_file, destination)
     outcome = Outcome()
     remarks: dict[str, Remarks] = {}
     summaries: list[dict[str, Any]] = []
@@ -79,25 +76,21 @@ def signals_of_channels(
 
         def jobs() -> Iterator[tuple[str, Callable[[], Remarks]]]:
             for channel in channels:
-                yield (
-                    channel,
-                    functools.partial(
-                        use_case, models(channel), log_of(channel), _of_channel(destination, channel),
-                        reading, column=column_of(pattern, channel), state=in_name(state, channel), **more,
-                    ),
-                )  # fmt: skip
+                words = (models(channel), log_of(channel), _of_channel(destination, channel), reading)
+                own = {"column": column_of(pattern, channel), "state": in_name(state, channel)}
+                yield channel, functools.partial(use_case, *words, **own, **more)
 
         with all_or_none():
             table = ChannelTable(destination, channels, pattern)
-            if CHANNEL in destination.output.text:
+            if each_own:
                 make_folder_of(destination.output)
             done = run_jobs(jobs(), work.processes)
             good = good_ones(done, work, "channel", outcome, len(channels), listener)
-            pads = CHANNEL not in destination.output.text and _may_pad(more.get("options"), state, reading)
+            pads = not each_own and _may_pad(more.get("options"), state, reading)
             for one in _together(good, coupling, pads, -2 if wanted else -1):
                 assert one.value is not None
                 remarks[one.name] = one.value
-                if CHANNEL in destination.output.text:
+                if each_own:
                     write_kept(one.outputs, destination.protect)
                 else:
                     table.add(one.name, one.outputs)
@@ -106,6 +99,15 @@ def signals_of_channels(
             _write_summaries(summaries, destination)
     sum_up_remarks(remarks, pattern, outcome.remarks)
     return outcome
+
+
+def _check_asked(model_file: str, log_file: Address, destination: Destination) -> None:
+    """Refuse what cannot be had of channels (UsageError)."""
+    if destination.live:
+        raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
+    check_order(model_file, log_file.text)
+    if CHANNEL not in destination.output.text:
+        _check_table(destination)
 
 
 def _together(

@@ -213,8 +213,8 @@ def identify_set(
         raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
     reading = ReadingOptions(time=time if isinstance(time, str) else None, sample_rate=sample_rate)
     known = read_model_set(prior) if prior is not None and not isinstance(prior, Mapping) else prior
-    chosen: dict[str, Any] = chosen_of(options)
-    chosen |= {key: True for key, on in (("shared_shape", common_shape), ("coupling", coupled)) if on}
+    more = {"shared_shape": common_shape, "coupling": coupled}
+    chosen = chosen_of(options) | {key: True for key, on in more.items() if on}
     with contextlib.ExitStack() as stack:
         opened = _opened([*logs, *validation], reading, patterns, stack)
         channels = opened[0].channels
@@ -244,14 +244,13 @@ def identify_set(
             arguments = arguments_of(_names(recordings(channels[0])[0]), [], chosen | dict(patterns.patterns))
             shape = shared_shape(channels, lambda one: recordings(one)[0], options, arguments, jobs).model
             options = options_of_channel(options)
-        found, said = {}, {}
-        for one in good_ones(run_jobs(calls(), jobs), Work(jobs), "channel", Outcome(), len(channels)):
-            assert one.value is not None
-            found[one.name] = Model(one.value.model, one.value.summary, one.value.remarks)
-            said[one.name] = one.value.remarks.warnings
+        done = good_ones(run_jobs(calls(), jobs), Work(jobs), "channel", Outcome(), len(channels))
+        found = {one.name: one.value for one in done if one.value is not None}
+    models = {name: Model(one.model, one.summary, one.remarks) for name, one in found.items()}
+    said = {name: model.warnings for name, model in models.items()}
     for text in summed_up(said, "channel"):
         warnings.warn(text, DboWarning, stacklevel=3)
-    return ModelSet(found, coupling)
+    return ModelSet(models, coupling)
 
 
 def _opened(

@@ -130,15 +130,17 @@ def identify_static(
     )
     warnings += _expected_warnings(expected, line) + _late_warnings(choice, prepared, expected, options)
     notes = fit_notes(recordings[0].displacement_unit, prepared, choice.clockwise, expected.gain_trend)
-    summary = said + prepared.notes + _summary(figures, model, prepared, checks, options.sensor)
-    summary += notes
-    figures["notes"] = notes
-    if options.sensor:
-        figures["sensor"] = {"delay": options.sensor.delay, "lag": options.sensor.lag}
-    figures |= {} if expected.gain_trend is None else {"gain_trend": expected.gain_trend}
-    figures |= {"swings": expected.swing_values(), "warnings": list(warnings)}
+    summary = said + prepared.notes + _summary(figures, model, prepared, checks, options.sensor) + notes
+    figures |= {"notes": notes} | _figures_of(expected, options) | {"warnings": list(warnings)}
     figures["alternatives"] = [one.values() for one in expected.alternatives]
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+
+
+def _figures_of(expected: Expectation, options: IdentificationOptions) -> dict[str, object]:
+    """Return what is known of the sensor, of the gain, and of the logs' swings, for the model file."""
+    sensor = {"delay": options.sensor.delay, "lag": options.sensor.lag} if options.sensor else None
+    found = {"sensor": sensor, "gain_trend": expected.gain_trend, "swings": expected.swing_values()}
+    return {key: value for key, value in found.items() if value is not None}
 
 
 def _orders(options: IdentificationOptions) -> Orders:
