@@ -407,9 +407,9 @@ def test_a_set_is_exported_to_a_folder_a_channel(dbo: Any) -> None:
     )
     assert dbo("export", "set.json::2", "--name", "tip_2", "-o", "one").code == 0
     assert Path("one/tip_2.c").read_bytes() == Path("c/2/tip_2.c").read_bytes()
-    assert dbo("export", "set.json", "-o", "c") == (
-        2, "", "dbo: error: set.json: is a set of models: name one of them (set.json::CHANNEL), or a folder for each (-o 'c/{channel}')\n",
-    )  # fmt: skip
+    together = dbo("export", "set.json", "--name", "tip", "-o", "all")
+    assert (together.code, "dbo: warning: the models of set.json are coupled" in together.err) == (0, True)
+    assert "tip_2_step(&state->of_1, in[1])" in Path("all/tip.c").read_text()
 
 
 # --- the virtual mirror ---

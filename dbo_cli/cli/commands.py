@@ -340,8 +340,8 @@ def export(given: Given) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
     C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
-    q31 (32-bit fixed point) come with a derived bound on their error. Of a set, each model has a folder
-    (-o 'c/{channel}') and names of its own, so that all can be linked together.
+    q31 (32-bit fixed point) come with a derived bound on their error. A set goes to one folder
+    with one kernel, tables of each channel and calls that step all, or (-o 'c/{channel}') to a folder each.
     """
     from dbo_cli.remarks import Remarks
     from dbo_cli.runs.channel_exports import export_models

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from importlib import resources
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.export import source_text as c
@@ -66,8 +67,45 @@ def export_model(
         The folder exists already or cannot be written; ``fmu`` or ``shared`` find no C compiler.
     """
     c.check_name(name)
-    _check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
+    check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
     check_folder(folder, overwrite)
+    one = translated(
+        model, folder, name=name, direction=direction, arithmetic=arithmetic, sample_rate=sample_rate,
+        gears=gears, v_min=v_min, v_max=v_max, max_slew=max_slew, lookup=lookup,
+    )  # fmt: skip
+    files = _files(one, arduino, fmu, shared)
+    summary = replace(one.summary, files=(*sorted(files), MANIFEST))
+    figures = asdict(summary)
+    del figures["folder"], figures["warnings"]
+    write_export(folder, files, figures, overwrite)
+    return summary
+
+
+def write_export(
+    folder: str, files: Mapping[str, str | bytes], figures: Mapping[str, Any], overwrite: bool
+) -> None:
+    """Write the files of an export, and beside them its figures for programs."""
+    manifest = {"format": FORMAT, "version": 1, **figures}
+    everything = {**files, MANIFEST: json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"}
+    content = {k: v.encode() if isinstance(v, str) else v for k, v in everything.items()}
+    write_folder(folder, content, overwrite)
+
+
+class Translated(NamedTuple):
+    """A model as C: how it is computed, its code, its figures, and what every file of it knows."""
+
+    plan: CascadePlan
+    code: c.ModelCode
+    summary: ExportSummary
+    words: c.Values
+
+
+def translated(
+    model: ActuatorModel, folder: str, *, name: str, direction: Direction, arithmetic: Arithmetic,
+    sample_rate: float | None, gears: int | None, v_min: float | str | None, v_max: float | str | None,
+    max_slew: float | str | None, lookup: bool,
+) -> Translated:  # fmt: skip
+    """Translate a model into C; see ``export_model``."""
     model = replace(model, input=c.plain_quantity(model.input), output=c.plain_quantity(model.output))
     model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
     plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
@@ -78,13 +116,7 @@ def export_model(
         raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{other})") from None
     words = _words(plan, name, arithmetic)
     summary = _summary(plan, code, folder, name, arithmetic, loss, tuple(_notes(plan, loss, words)))
-    files = _files(plan, code, summary, words, arduino, fmu, shared)
-    summary = replace(summary, files=(*sorted(files), MANIFEST))
-    manifest = {"format": FORMAT, "version": 1, **asdict(summary)}
-    del manifest["folder"], manifest["warnings"]
-    files[MANIFEST] = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-    write_folder(folder, {k: v.encode() if isinstance(v, str) else v for k, v in files.items()}, overwrite)
-    return summary
+    return Translated(plan, code, summary, words)
 
 
 def _gears_that_do(model: ActuatorModel, plan: CascadePlan, arithmetic: str) -> str:
@@ -101,7 +133,9 @@ def _gears_that_do(model: ActuatorModel, plan: CascadePlan, arithmetic: str) -> 
     return ""
 
 
-def _check_choices(arithmetic: str, direction: str, double_only: dict[str, bool], arduino: bool) -> None:
+def check_choices(
+    arithmetic: str, direction: str, double_only: dict[str, bool], arduino: bool = False
+) -> None:
     """Refuse choices that do not exist or contradict each other."""
     if arithmetic not in ARITHMETICS:
         raise UsageError(f"`arithmetic` {arithmetic!r}: there are {', '.join(ARITHMETICS)}")
@@ -161,7 +195,7 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
         "MEANING": f"the {'displacement wanted' if inverse else 'drive'} in,"
         f" the {'drive' if inverse else 'displacement'} out",
         "timed": plan.time_step is not None, "ahead": plan.read_ahead > 0.0, "inverse": inverse,
-        "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
+        "alone": True, "counts": arithmetic == "q31", "AHEAD": repr(plan.read_ahead),
         "RATE": repr(0.0 if plan.time_step is None else 1.0 / plan.time_step),
     }  # fmt: skip
 
@@ -190,15 +224,13 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[s
     return c.fill("notes.md", {**words, **found}).splitlines()
 
 
-def _files(
-    plan: CascadePlan, code: c.ModelCode, summary: ExportSummary, words: c.Values, arduino: bool, fmu: bool,
-    shared: bool,
-) -> dict[str, str | bytes]:  # fmt: skip
+def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str, str | bytes]:
     """Return the content of every file by its path in the folder."""
+    plan, code, summary, words = one
     name = summary.name
-    own = {file.replace("NAME", name): text for file, text in c.model_sources(words, code).items()}
+    own = c.model_sources(words, code)
     test = own.pop(f"{name}_test.c")
-    sources = own | _kernel_files(words, summary.arithmetic, code.headers)
+    sources = own | kernel_files(words, summary.arithmetic, code.headers)
     files: dict[str, str | bytes] = {**project_files(plan, code, summary, words, sources, test, arduino)}
     if shared:
         files |= library_files(words, sources)
@@ -207,7 +239,7 @@ def _files(
     return files
 
 
-def _kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
+def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources as they are, and headers that make their names this export's own."""
     name, guard = words["NAME"], words["GUARD"]
     files = _kernel_texts(arithmetic, headers)

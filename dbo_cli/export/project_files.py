@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 from dbo_cli.export.cascade_plan import CascadePlan
@@ -62,17 +62,12 @@ def project_files(
     sources: Mapping[str, str], test: str, arduino: bool,
 ) -> dict[str, str]:  # fmt: skip
     """Return every file by its path in the folder: the sources, and what stands around them."""
-    name, small = summary.name, summary.arithmetic == "double"
-    compiled = " ".join(file for file in _ordered(sources) if file.endswith(".c"))
-    values: dict[str, str | bool] = {
-        **words, "NUMBER": code.number, "small": small, "counts": summary.arithmetic == "q31",
-        "DEFINES": "-DDBO_SMALL" if small else "", "SOURCE_FILES": compiled,
-        "COMPILED_FILES": f"-DDBO_SMALL {compiled}" if small else compiled,
-        "HEADER_FILES": " ".join(file for file in _ordered(sources) if file.endswith(".h")),
-        "SAMPLE": code.vectors[0].inputs[10],
+    name = summary.name
+    values = {
+        **build_values(words, code.number, sources, [f"{name}_test.c"]), "SAMPLE": code.vectors[0].inputs[10],
         "INPUT_TEXT": _capitalised(plan.model.input), "OUTPUT_TEXT": _capitalised(plan.model.output),
     }  # fmt: skip
-    page = fill("README.md", {**values, **_figures(plan, summary)})
+    page = fill("README.md", {**values, **shown_figures(plan, summary)})
     if arduino:
         return {
             **{f"src/{file}": text for file, text in sources.items()},
@@ -81,16 +76,35 @@ def project_files(
             "library.properties": fill("library.properties", values),
             "README.md": page,
         }
+    example = fill("example_main.c", values)
+    written = {f"{name}_test.c": test, "example_main.c": example, "README.md": page}
+    return {**sources, **written, **build_files(values)}
+
+
+def build_values(
+    words: Values, number: str, sources: Mapping[str, str], tests: Sequence[str]
+) -> dict[str, str | bool]:
+    """Return what build files and pages know of an export's sources and of the files of its self-test."""
+    small = number == "double"
+    compiled = " ".join(file for file in _ordered(sources) if file.endswith(".c"))
+    return {
+        **words, "NUMBER": number, "small": small, "counts": number == "int32_t",
+        "DEFINES": "-DDBO_SMALL" if small else "", "SOURCE_FILES": compiled,
+        "COMPILED_FILES": f"-DDBO_SMALL {compiled}" if small else compiled,
+        "HEADER_FILES": " ".join(file for file in _ordered(sources) if file.endswith(".h")),
+        "TEST_FILES": " ".join(tests), "TEST_FILTERS": ", ".join(f'"-<{file}>"' for file in tests),
+    }  # fmt: skip
+
+
+def build_files(values: Values) -> dict[str, str]:
+    """Return what builds the sources: for make, CMake and PlatformIO."""
+    name = values["NAME"]
     target = {**values, "TARGET_NAME": name, "CONFIG_FILE": f"{name}Config.cmake"}
     del target["NAME"]  # a word of CMake's own
     return {
-        **sources,
-        f"{name}_test.c": test,
-        "example_main.c": fill("example_main.c", values),
         "Makefile": fill("Makefile", values),
         "CMakeLists.txt": fill("CMakeLists.txt", target),
         "library.json": fill("library.json", values),
-        "README.md": page,
     }
 
 
@@ -104,7 +118,7 @@ def _capitalised(quantity: Quantity) -> str:
     return f"{quantity.quantity[:1].upper()}{quantity.quantity[1:]}{unit}"
 
 
-def _figures(plan: CascadePlan, summary: ExportSummary) -> Values:
+def shown_figures(plan: CascadePlan, summary: ExportSummary) -> Values:
     """Return what README.md shows of an export's figures."""
     drive, result = plan.drive, plan.model.output
     figures = {key.upper(): str(value) for key, value in asdict(summary).items()}

@@ -210,16 +210,17 @@ def delay_line(samples: int, number: str, between: str) -> tuple[list[str], str]
 
 
 def model_sources(words: Values, code: ModelCode) -> dict[str, str]:
-    """Return NAME.h, NAME.c and NAME_test.c by template; ``words`` are what every file of an export knows."""
+    """Return a model's header, source and self-test; ``words`` are what every file of an export knows."""
     values = {
         **words, **code.values, "NUMBER": code.number,
         "members": "".join(f"    {member}\n" for member in code.members),
         "kernel_headers": "".join(f'#include "{header}"\n' for header in code.headers),
     }  # fmt: skip
+    name = words["NAME"]
     return {
-        "NAME.h": fill("NAME.h", values),
-        "NAME.c": fill(code.template, values),
-        "NAME_test.c": _self_test(values, code),
+        f"{name}.h": fill("NAME.h", values),
+        f"{name}.c": fill(code.template, values),
+        f"{name}_test.c": _self_test(values, code),
     }
 
 

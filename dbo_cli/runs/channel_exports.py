@@ -1,11 +1,10 @@
-"""Export of a set of models: a folder of sources for each channel, whose names can be linked together."""
+"""Export of a model or of a set of models: one folder of all, or (``{channel}``) a folder of each."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from dbo_cli.errors import UsageError
-from dbo_cli.export import ExportSummary, export_model
+from dbo_cli.export import ExportSummary, export_model, export_set
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.whole_output import all_or_none
@@ -16,26 +15,23 @@ from dbo_cli.runs.channels import CHANNEL, in_name, make_folder_of
 def export_models(
     model_file: str, folder: str, remarks: Remarks, *, name: str, **options: Any
 ) -> dict[str, ExportSummary]:
-    """Export a model, or each of a set to a folder of its own (``{channel}`` in ``folder``), by channel.
+    """Export a model, or a set: to one folder with one kernel, or (``{channel}``) to a folder of each model.
 
     Raises
     ------
     UsageError
-        A set would go to one folder, or a channel's name is no part of an identifier.
+        A channel's name makes no names of its own in C, or an option is not for sets.
     """
     if not is_set(model_file):
         return {"": export_model(read_model(model_file), folder, name=name, **options)}
-    if CHANNEL not in folder:
-        raise UsageError(
-            f"{model_file}: is a set of models: name one of them ({model_file}::CHANNEL), or a folder "
-            f"for each (-o '{folder}/{CHANNEL}')"
-        )
     models = read_set(model_file)
     if models.coupling is not None:
         remarks.warn(
             f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
             "of all has to be multiplied by the inverse of the gains first (docs/model-file.md)"
         )
+    if CHANNEL not in folder:
+        return export_set(models, folder, name=name, **options)
     with all_or_none():
         make_folder_of(parse_address(folder))
         return {

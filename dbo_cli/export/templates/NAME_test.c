@@ -43,6 +43,7 @@ unsigned NAME_self_test(void) {
     return wrong;
 }
 
+/*? alone */
 #ifndef DBO_NO_MAIN
 int main(void) {
     const unsigned wrong = NAME_self_test();
@@ -53,3 +54,4 @@ int main(void) {
     return wrong > 0;
 }
 #endif
+/*: alone */
