@@ -90,6 +90,8 @@ def project_files(
         "Makefile": fill("Makefile", values),
         "CMakeLists.txt": fill("CMakeLists.txt", target),
         "library.json": fill("library.json", values),
+        "zephyr/module.yml": fill("zephyr_module.yml", target),
+        "zephyr/CMakeLists.txt": fill("zephyr_CMakeLists.txt", target),
         "README.md": page,
     }
 
