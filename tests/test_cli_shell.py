@@ -236,15 +236,19 @@ def test_completion_scripts_are_printed(shell: str) -> None:
         ("dbo trajectory s", "spiral staircase sine"),
     ],
 )
-def test_a_shell_is_told_what_could_be_typed(typed: str, offered: str, model_file: Path) -> None:
-    Path("log.csv").write_text("time_s,Drive (V),Pos (um),a b (V)\n0,1,2,3\n1,2,3,4\n")
-    Path("other.csv").write_text("time_s,Drive (V),where\n0,1,2\n1,2,3\n")
+def test_a_shell_is_told_what_could_be_typed(
+    typed: str, offered: str, tmp_path: Path, model_file: Path
+) -> None:
+    (tmp_path / "log.csv").write_text("time_s,Drive (V),Pos (um),a b (V)\n0,1,2,3\n1,2,3,4\n")
+    (tmp_path / "other.csv").write_text("time_s,Drive (V),where\n0,1,2\n1,2,3\n")
     asked = os.environ | {
         "_DBO_COMPLETE": "complete_bash",
         "COMP_WORDS": typed,
         "COMP_CWORD": str(len(typed.split(" ")) - 1),
     }
-    done = subprocess.run([sys.executable, "-m", "dbo_cli"], capture_output=True, text=True, env=asked)
+    done = subprocess.run(
+        [sys.executable, "-m", "dbo_cli"], capture_output=True, text=True, env=asked, cwd=tmp_path
+    )
     assert (done.returncode, done.stdout.split(), done.stderr) == (0, offered.split(), "")
 
 

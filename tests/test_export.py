@@ -307,7 +307,7 @@ def test_the_same_model_gives_the_same_bytes(tmp_path: Path) -> None:
         for k in range(2):
             folder = tmp_path / f"{arithmetic}{k}"
             export_model(made_model(1), str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
-            contents.append({p.name: p.read_bytes() for p in folder.iterdir()})
+            contents.append({p.name: p.read_bytes() for p in folder.rglob("*") if p.is_file()})
         assert contents[0] == contents[1]
 
 
@@ -316,7 +316,8 @@ def test_the_summary_and_the_page_agree(tmp_path: Path) -> None:
     model = delayed(made_model(1), 0.002)
     summary = export_model(model, str(folder), name="x", arithmetic="q31", sample_rate=RATE, gears=48)
     told = json.loads((folder / "export.json").read_text())
-    assert set(summary.files) == {p.name for p in folder.iterdir()}
+    found = (str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+    assert sorted(summary.files) == sorted(found)
     assert (told["format"], told["gears"], told["table_bytes"]) == ("dbo-export", 48, summary.table_bytes)
     page = (folder / "README.md").read_text()
     assert f"{summary.table_bytes} bytes" in page
@@ -434,7 +435,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_old_one(
 ) -> None:
     model, folder = made_model(0, terms=0), tmp_path / "out"
     export_model(model, str(folder), name="first")
-    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    before = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
     def full(self: Path, data: bytes) -> int:
         raise OSError(28, "No space left on device")
@@ -442,7 +443,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_old_one(
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OutputError, match="cannot be written: No space left on device"):
         export_model(model, str(folder), name="second", overwrite=True)
-    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == before
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 

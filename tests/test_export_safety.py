@@ -385,6 +385,47 @@ def test_the_platformio_manifest_leaves_out_the_programs(tmp_path: Path) -> None
     assert sorted(mains) == ["axis_test.c", "example_main.c"]
 
 
+ZEPHYR = """cmake_minimum_required(VERSION 3.13)
+project(stand_in C)
+macro(zephyr_library_named name)
+  add_library(${name} STATIC)
+  set(ZEPHYR_LIBRARY ${name})
+endmacro()
+macro(zephyr_library_sources)
+  target_sources(${ZEPHYR_LIBRARY} PRIVATE ${ARGN})
+endmacro()
+macro(zephyr_library_compile_definitions)
+  target_compile_definitions(${ZEPHYR_LIBRARY} PRIVATE ${ARGN})
+endmacro()
+macro(zephyr_library_compile_options)
+  target_compile_options(${ZEPHYR_LIBRARY} PRIVATE ${ARGN})
+endmacro()
+macro(zephyr_include_directories)
+  include_directories(${ARGN})
+endmacro()
+add_subdirectory(x/zephyr axis)
+add_executable(user x/axis_test.c)
+target_include_directories(user PRIVATE x)
+target_link_libraries(user PRIVATE axis)
+"""
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
+@pytest.mark.parametrize("arithmetic", ["double", "q31"])
+def test_the_zephyr_module_builds_with_stand_ins(arithmetic: Any, tmp_path: Path) -> None:
+    """Zephyr itself is not at hand: its commands are those of CMake that they stand for."""
+    export_model(made_model(0), str(tmp_path / "x"), name="axis", sample_rate=RATE, arithmetic=arithmetic)
+    assert (tmp_path / "x/zephyr/module.yml").read_text() == "name: axis\nbuild:\n  cmake: zephyr\n"
+    (tmp_path / "CMakeLists.txt").write_text(ZEPHYR)
+    for step in (["-S", ".", "-B", "b"], ["--build", "b"]):
+        subprocess.run(["cmake", *step], cwd=tmp_path, check=True, capture_output=True)
+    assert (
+        "every bit as expected"
+        in subprocess.run(["b/user"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    )
+
+
 # ---- comments, templates
 
 

@@ -19,6 +19,7 @@ from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleS
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports import drawing
+from dbo_cli.reports.channel_figures import plots_of_channels, row_width
 from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
 from dbo_cli.reports.figures import label_decades, plots_of_comparison, plots_of_log
 from dbo_cli.reports.models import loop_of, plots_of_model
@@ -443,7 +444,9 @@ def test_errors_of_all_logs_stand_in_one_figure():
     [plot] = plots_of_comparison(report, figure_data)
     assert plot.title == "Error of the first 6 of 8 logs against time"
     assert plot.head == pytest.approx(5 * 0.17)
-    page = to_html(report, [[]] * 8, comparison_plots=[plot])
+    own = plots_of_log(report, report.logs[0], figure_data[0])[1]
+    page = to_html(report, [[own], *[[]] * 7], comparison_plots=[plot])
+    assert page.count("<section>") == 1  # a log without figures and segments needs none
     assert page.index("Error of the first 6") < page.index("<section>")
 
 
@@ -561,3 +564,64 @@ def test_the_response_of_a_model_with_dynamics_is_drawn_with_what_was_measured()
                 )
     bare = ActuatorModel("forward", *quantities, (gears,))
     assert "bode" not in {plot.key for plot in plots_of_model(bare)}
+
+
+def report_of(names, percents, unit="um"):
+    """Return a report on channels of these RMSE, in % of a range of 10."""
+    one = log_of(100)[0].logs[0]
+    logs = []
+    for name, percent in zip(names, percents, strict=True):
+        rmse = 1.0 if percent is None else percent / 10.0
+        logs.append(replace(one, name=name, figures=replace(one.figures, rmse=rmse, nrmse_percent=percent)))
+    return Report.of(logs, ReportOptions(), unit)
+
+
+def painted(plot):
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_axes((0.1, 0.1, 0.8, 0.8))
+    plot.paint(axes)
+    return axes
+
+
+@pytest.mark.parametrize("count, spread", [(1, 0.0), (3, 1.0), (128, 1.0), (128, 100.0)])
+def test_the_bars_of_a_histogram_add_up_to_the_channels(count, spread):
+    percents = 1.0 + spread * np.random.default_rng(4).uniform(0.0, 1.0, count)
+    report = report_of(map(str, range(1, count + 1)), percents)
+    for plot, unit, values in zip(
+        plots_of_channels(report), ("% of range", "µm"), (percents, percents / 10), strict=False
+    ):
+        axes = painted(plot)
+        assert sum(bar.get_height() for bar in axes.patches) == count
+        assert axes.get_xlabel() == f"RMSE ({unit})"
+        assert axes.get_xscale() == ("log" if spread > 30.0 else "linear")
+        assert [line.get_xdata()[0] for line in axes.lines] == [np.median(values), values.max()]
+
+
+def test_a_map_of_numbered_channels_leaves_those_that_failed_blank():
+    names = [str(k) for k in (9, *range(1, 5), *range(6, 9), *range(10, 33))]
+    percents = [7.5, *np.linspace(1.0, 2.0, len(names) - 1)]
+    *_, plot = plots_of_channels(report_of(names, percents))
+    axes = painted(plot)
+    cells = axes.images[0].get_array()
+    assert cells.shape == (4, 8) and plot.key == "map" and "8 numbers a row" in plot.title
+    assert np.flatnonzero(cells.mask).tolist() == [4]  # 5 is missing
+    assert (cells[1, 0], axes.patches[0].get_xy()) == (7.5, (-0.5, 0.5))  # 9, the worst
+    assert "worst: 9, 7.50 %, 0.750 µm" in plot.words
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["1", "9", "17", "25"]
+
+
+def test_few_or_named_channels_are_bars_in_their_order():
+    *_, plot = plots_of_channels(report_of(["10", "2", "1"], [3.0, 2.0, None]))
+    axes = painted(plot)
+    others, worst = (bars.get_data().values[::2] for bars in axes.patches)
+    assert (others.tolist(), worst.tolist()) == ([0.0, 2.0, 0.0], [0.0, 0.0, 3.0])
+    assert [text.get_text() for text in axes.texts] == ["1", "2", "10"]
+    *_, plot = plots_of_channels(report_of([f"long name of {k}" for k in range(300)], np.ones(300)))
+    assert len(painted(plot).texts) < 10
+    histogram, plot = plots_of_channels(report_of(["x", "y"], [None, None], None))  # no range: in the unit
+    assert (painted(plot).get_ylabel(), painted(histogram).get_xlabel()) == ("RMSE", "RMSE")
+
+
+def test_rows_of_a_map_are_full_where_they_can_be():
+    assert [row_width(count) for count in (12, 25, 97, 127, 128, 5000)] == [4, 5, 10, 12, 16, 100]

@@ -313,6 +313,38 @@ def test_report_has_a_line_a_channel(mirror: Any) -> None:
     assert mirror(*words, "--max-rmse", "1e-9").code == 3
 
 
+def test_report_draws_all_channels_together(mirror: Any) -> None:
+    words = ("report", "log.csv", "--desired", "R_{}", "--measured", "D_{}", "--figures")
+    said = mirror(*words, "pictures", "-o", "page.html")
+    assert said.code == 0, said.err
+    assert sorted(folder_content(Path("pictures"))) == [
+        f"channels-{key}.{kind}"
+        for key in ("histogram-percent", "histogram-rmse", "map")
+        for kind in ("png", "svg")
+    ]
+    page = Path("page.html").read_text(encoding="utf-8")
+    assert page.count("<figure>") == 3 and page.count("<section>") == 0
+    assert all(f'<span class="name">{c}</span>' in page for c in CHANNELS)
+    worst = max(
+        json.loads(mirror(*words[:-1], "--format", "json").out)["logs"], key=lambda log: log["nrmse_percent"]
+    )["name"]
+    assert f"for those of one name its columns: --desired 'R_{worst}', --measured 'D_{worst}'\n" in said.err
+
+
+def test_figures_of_channels_are_refused_before_anything_is_written(mirror: Any) -> None:
+    words = ("report", "log.csv", "--measured", "D_{}", "-o", "page.html", "--figures")
+    before = folder_content(Path())
+    said = mirror(*words, "map.png", "--desired", "R_{}")
+    assert said.code == 2 and "map.png: there are several figures: name a folder" in said.err
+    said = mirror(*words, "pictures", "--desired", "R_{}", "--trajectory", "log.csv")
+    assert (
+        said.code == 2
+        and "holds one desired signal: a pattern takes --desired from the log itself" in said.err
+    )
+    said = mirror(*words, "pictures", "--desired", "R_{}", "--lag", ROWS)
+    assert said.code == 1 and folder_content(Path()) == before
+
+
 def test_show_lists_the_models_of_a_set(mirror: Any) -> None:
     said = mirror("show", "set.json")
     assert said.out.splitlines()[0] == "3 models (FILE::CHANNEL names one)"

@@ -277,6 +277,7 @@ def report(given: Given) -> None:
     first, compensated after it. With --model the model's prediction takes the place of the desired signal:
     it is run from the first row on, and --rows says which rows count. With --trajectory the desired signal
     comes from a file of its own.
+    Patterns (--desired 'desired_{}' --measured 'D{}') give a line a channel, and figures of all together.
     Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
     """
     from dbo_cli.runs.many import reported

@@ -105,6 +105,8 @@ def build_files(values: Values) -> dict[str, str]:
         "Makefile": fill("Makefile", values),
         "CMakeLists.txt": fill("CMakeLists.txt", target),
         "library.json": fill("library.json", values),
+        "zephyr/module.yml": fill("zephyr_module.yml", target),
+        "zephyr/CMakeLists.txt": fill("zephyr_CMakeLists.txt", target),
     }
 
 

@@ -31,6 +31,7 @@ WIDE_BAND = 1.5  # times the lowest frequency, up to which segments are of one f
 LENGTH_UNITS = ("m", "mm", "um", "nm", "pm")
 WIDEST = 52  # letters of 9 points in 4.3 inches of legend; names that need more stand below each other
 LEGEND_LINE = 0.17  # inches
+BARS: dict[str, Any] = {"color": style.FILL, "edgecolor": style.INK, "linewidth": 0.4}  # of a histogram
 
 
 def shown_unit(unit: str | None) -> str:
@@ -201,8 +202,7 @@ class _LogView:
         share, edges = np.histogram(
             np.clip(values - self._offset, low, high), bins, range=(low, high), weights=counts
         )
-        look: dict[str, Any] = {"color": style.FILL, "edgecolor": style.INK, "linewidth": 0.4}
-        axes.bar(edges[:-1], 100.0 * share / self._figures.samples, np.diff(edges), align="edge", **look)
+        axes.bar(edges[:-1], 100.0 * share / self._figures.samples, np.diff(edges), align="edge", **BARS)
         if self._figures.max_abs > 3.0 * self._figures.p95_abs > 0.0:
             axes.set_yscale("log")  # or a spike of one sample in a million is not to be seen
             label_decades(axes.yaxis)

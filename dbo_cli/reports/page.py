@@ -41,7 +41,8 @@ def to_html(
     report : Report
         The values.
     plots : sequence of sequences of Plot
-        For every log of the report, in its order, the figures to show (``figures.plots_of_log``).
+        For every log of the report, in its order, the figures to show (``figures.plots_of_log``); a log
+        that has neither figures nor segments has no section.
     comparison_plots : sequence of Plot
         The figures of all logs together (``figures.plots_of_comparison``); they stand first.
     model_plots : sequence of Plot
@@ -66,6 +67,8 @@ def to_html(
         )
     parts.append(drawn_figures(comparison_plots, "all"))
     for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
+        if not (figures or log.segments):
+            continue
         parts.append(f"<section><h2>{breakable(log.name)}</h2>{drawn_figures(figures, f'l{number}')}")
         if log.segments:
             parts.append(f"<h3>{escape(segment_words(report).capitalize())}</h3>")

@@ -73,7 +73,6 @@ def report_logs(
     inputs += selected_files(options.desired, options.measured, options.voltage, reading.time)
     check_output(output, inputs)
     if figures is not None:
-        refuse_picture(figures)
         prepare_folder(figures)
     model = None if options.model is None else read_model(options.model)
     traced = figures is not None or chosen == "html"
@@ -108,6 +107,7 @@ def report_form(output: Address, form: str | None) -> str:
 
 def prepare_folder(folder: str) -> None:
     """Make a folder for outputs where there is none, and refuse one that cannot be written to."""
+    refuse_picture(folder)
     with contextlib.suppress(OutputError):  # check_folder has the better message
         make_folder(folder)
     check_folder(folder)
