@@ -128,12 +128,17 @@ def test_the_self_test_of_a_set_names_the_channel_that_differs(tmp_path: Path) -
     assert "stage: 1 of " in done.stdout
 
 
+def contents(folder: str) -> dict[str, bytes]:
+    files = (path for path in Path(folder).rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
 def test_the_command_writes_one_folder(dbo: Any) -> None:
     Path("set.json").write_bytes(set_to_bytes(actuators(False), None))
     words = ("export", "set.json", "--name", "tip", "--sample-rate", 1000)
     said = dbo(*words, "-o", "fw")
     assert said.code == 0, said.err
-    first = {path.name: path.read_bytes() for path in Path("fw").iterdir()}
+    first = contents("fw")
     listed = json.loads(first["export.json"])
     assert sorted(first) == sorted(listed["files"])
     assert list(listed["channels"]) == list(CHANNELS)
@@ -142,7 +147,7 @@ def test_the_command_writes_one_folder(dbo: Any) -> None:
     assert "Read 0.0015 s (1.5 samples) ahead" in page and "(channel tip z)\n" in page
     assert dbo(*words, "-o", "fw", "-q").code == 1  # the folder exists
     assert dbo(*words, "-o", "fw", "-q", "--overwrite").code == 0
-    assert {path.name: path.read_bytes() for path in Path("fw").iterdir()} == first
+    assert contents("fw") == first
     assert dbo(*words, "-o", "other", "--fmu") == (
         2, "", "dbo: error: --fmu is of one model: export a folder a channel (-o 'other/{channel}')\n"
     )  # fmt: skip

@@ -97,7 +97,7 @@ def build_values(
 
 
 def build_files(values: Values) -> dict[str, str]:
-    """Return what builds the sources: for make, CMake and PlatformIO."""
+    """Return what builds the sources: for make, CMake, PlatformIO and Zephyr."""
     name = values["NAME"]
     target = {**values, "TARGET_NAME": name, "CONFIG_FILE": f"{name}Config.cmake"}
     del target["NAME"]  # a word of CMake's own
