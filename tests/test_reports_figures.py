@@ -621,6 +621,7 @@ def test_few_or_named_channels_are_bars_in_their_order():
     assert len(painted(plot).texts) < 10
     histogram, plot = plots_of_channels(report_of(["x", "y"], [None, None], None))  # no range: in the unit
     assert (painted(plot).get_ylabel(), painted(histogram).get_xlabel()) == ("RMSE", "RMSE")
+    assert plot.words == "A bar a channel; worst: x, 1.00."
 
 
 def test_rows_of_a_map_are_full_where_they_can_be():

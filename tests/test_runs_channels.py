@@ -324,6 +324,7 @@ def test_report_draws_all_channels_together(mirror: Any) -> None:
     ]
     page = Path("page.html").read_text(encoding="utf-8")
     assert page.count("<figure>") == 3 and page.count("<section>") == 0
+    assert page.index("<figure>") < page.index("<table>")
     assert all(f'<span class="name">{c}</span>' in page for c in CHANNELS)
     worst = max(
         json.loads(mirror(*words[:-1], "--format", "json").out)["logs"], key=lambda log: log["nrmse_percent"]

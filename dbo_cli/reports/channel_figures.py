@@ -49,7 +49,7 @@ def plots_of_channels(report: Report) -> list[Plot]:
     values, unit = next(iter(found.values()))
     worst = int(np.nanargmax(values))
     head = f"worst: {short_name(names[worst], 20)}, {_amount(values[worst], unit)}"
-    if unit != report.unit:
+    if unit != (report.unit or ""):
         head += f", {_amount(rmse[worst], report.unit or '')}"
     if len(names) > NAMED and numbers and len(set(numbers)) == len(names) > (numbers[-1] - numbers[0]) / 2:
         width = row_width(numbers[-1] - min(numbers[0], 1) + 1)

@@ -44,7 +44,8 @@ def to_html(
         For every log of the report, in its order, the figures to show (``figures.plots_of_log``); a log
         that has neither figures nor segments has no section.
     comparison_plots : sequence of Plot
-        The figures of all logs together (``figures.plots_of_comparison``); they stand first.
+        The figures of all logs together (``figures.plots_of_comparison``); they stand before those of each,
+        and before the tables where there are no others: the tables of channels are long.
     model_plots : sequence of Plot
         The figures of the model, where one was compared (``models.plots_of_model``).
     title, program : str
@@ -53,9 +54,11 @@ def to_html(
     report = replace(report, unit=shown_unit(report.unit) or None)
     found = " ".join(map(breakable, headline(report).split()))
     errors, left = log_tables(report)
+    together = drawn_figures(comparison_plots, "all")
     parts = [f"<h1>{escape(title)}</h1>", f'<p class="headline">{found}.</p>']
     parts += [
         f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
+        *([] if any(plots) else [together]),
         _table(errors, report.logs),
     ]
     parts += ["<h2>What is left of hysteresis and delay</h2>", _table(left, report.logs, chief=1)]
@@ -65,7 +68,8 @@ def to_html(
         parts.append(
             '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
         )
-    parts.append(drawn_figures(comparison_plots, "all"))
+    if any(plots):
+        parts.append(together)
     for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
         if not (figures or log.segments):
             continue
