@@ -258,3 +258,8 @@ def test_stamps_read_the_same_by_every_parser(tmp_path: Path, monkeypatch: pytes
 def test_a_clock_that_jumps_far_is_told_in_a_few_digits(tmp_path: Path) -> None:
     log, _ = read(tmp_path, "time_s", lambda k: 1e308 if k == 5 else 0.01 * k)
     assert any("time goes backwards at line 8 (from 1e+308 s to 0.06 s)" in note for note in log.notes)
+
+
+def test_a_unit_that_lost_a_letter_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"counts 'TIME/#secs', which is no known unit of time"):
+        read(tmp_path, "TIME/#secs", lambda k: 1e3 * STEP * k)

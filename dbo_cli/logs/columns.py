@@ -49,6 +49,8 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
+_HASHED = re.compile(r"/#[^\W\d]")  # TIME/#secs may have been ms
+
 _LISTED = 20  # names of columns that a message holds at most
 _NAMING = ("length", "angle")  # a column called "um" is in um; "m" and "Volts" may be anything
 _LETTERED = ("", "channel", "ch", "chan", "input", "probe")  # "Channel A" is not in amperes
@@ -108,8 +110,10 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def is_torn(text: str) -> bool:
-    """Return whether brackets do not fit together: what they state is not clear."""
-    return any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}"))
+    """Return whether brackets do not fit, or a # stands for a letter of the unit: it is not clear."""
+    return any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}")) or bool(
+        _HASHED.search(text)
+    )
 
 
 def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
