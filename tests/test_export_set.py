@@ -16,8 +16,7 @@ from exported import COMPILERS, TYPES, WARNINGS, as_given, compiled, made_model,
 from test_export import delayed
 
 from dbo_cli.errors import DboError
-from dbo_cli.export import export_model
-from dbo_cli.export.export_set import export_set
+from dbo_cli.export import export_model, export_set
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.linear_sections import Lag
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -31,10 +30,6 @@ FLAGS = [
 ]  # the same for the self-test and the library: each source is compiled once
 GEARS = 64
 CHANNELS = ("1", "tip z", "3")
-OPTIONS: dict[str, Any] = {
-    "direction": "inverse", "sample_rate": RATE, "gears": None, "v_min": None, "v_max": None,
-    "max_slew": None, "lookup": False,
-}  # fmt: skip
 
 
 def actuators(moving: bool) -> dict[str, ActuatorModel]:
@@ -80,7 +75,7 @@ def loaded(folder: Path, name: str, arithmetic: str) -> Any:
 def test_a_set_has_one_kernel_and_the_bits_of_each_channel(arithmetic: Any, tmp_path: Path) -> None:
     models = actuators(moving=arithmetic == "double")
     folder = tmp_path / "fw"
-    made = export_set(models, str(folder), name="stage", arithmetic=arithmetic, **OPTIONS)
+    made = export_set(models, str(folder), name="stage", arithmetic=arithmetic, sample_rate=RATE)
     assert len(list(folder.glob("dbo_kernel*.c"))) == 1
     assert {f"stage_{word}.{kind}" for word in ("1", "tip_z", "3") for kind in "ch"} <= {
         path.name for path in folder.iterdir()
@@ -115,7 +110,7 @@ def test_a_set_has_one_kernel_and_the_bits_of_each_channel(arithmetic: Any, tmp_
 @pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 def test_the_self_test_of_a_set_names_the_channel_that_differs(tmp_path: Path) -> None:
     folder = tmp_path / "fw"
-    export_set(actuators(False), str(folder), name="stage", arithmetic="q31", **OPTIONS)
+    export_set(actuators(False), str(folder), name="stage", arithmetic="q31", sample_rate=RATE)
     path = folder / "stage_tip_z_test.c"
     text = path.read_text()
     row = text.index("{\n", text.index("expected_0")) + 2
@@ -171,5 +166,5 @@ def test_channels_that_cannot_stand_side_by_side_are_refused(
 ) -> None:
     models = dict.fromkeys(channels, made_model(0, gears=8, slopes=8, terms=0))
     with pytest.raises(DboError, match=re.escape(message)):
-        export_set(models, str(tmp_path / "fw"), name="x", arithmetic="double", **OPTIONS)
+        export_set(models, str(tmp_path / "fw"), name="x")
     assert list(tmp_path.iterdir()) == []

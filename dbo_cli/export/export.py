@@ -102,8 +102,8 @@ class Translated(NamedTuple):
 
 def translated(
     model: ActuatorModel, folder: str, *, name: str, direction: Direction, arithmetic: Arithmetic,
-    sample_rate: float | None, gears: int | None, v_min: float | str | None, v_max: float | str | None,
-    max_slew: float | str | None, lookup: bool,
+    lookup: bool, sample_rate: float | None = None, gears: int | None = None,
+    v_min: float | str | None = None, v_max: float | str | None = None, max_slew: float | str | None = None,
 ) -> Translated:  # fmt: skip
     """Translate a model into C; see ``export_model``."""
     model = replace(model, input=c.plain_quantity(model.input), output=c.plain_quantity(model.output))

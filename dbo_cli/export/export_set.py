@@ -9,7 +9,15 @@ from typing import Any
 
 from dbo_cli.errors import DboError, UsageError
 from dbo_cli.export import source_text as c
-from dbo_cli.export.export import Translated, check_choices, kernel_files, translated, write_export
+from dbo_cli.export.cascade_plan import Direction
+from dbo_cli.export.export import (
+    Arithmetic,
+    Translated,
+    check_choices,
+    kernel_files,
+    translated,
+    write_export,
+)
 from dbo_cli.export.export_folder import MANIFEST, check_folder
 from dbo_cli.export.project_files import ExportSummary, build_files, build_values, shown_figures
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -18,8 +26,9 @@ _OF_THE_SET = {"folder", "files", "warnings", "direction", "arithmetic"}  # not 
 
 
 def export_set(
-    models: Mapping[str, ActuatorModel], folder: str, *, name: str, overwrite: bool = False,
-    arduino: bool = False, fmu: bool = False, shared: bool = False, **options: Any,
+    models: Mapping[str, ActuatorModel], folder: str, *, name: str = "actuator",
+    direction: Direction = "inverse", arithmetic: Arithmetic = "double", lookup: bool = False,
+    overwrite: bool = False, arduino: bool = False, fmu: bool = False, shared: bool = False, **options: Any,
 ) -> dict[str, ExportSummary]:  # fmt: skip
     """Write the models of a set as C sources with one kernel, and return what each channel amounts to.
 
@@ -39,19 +48,22 @@ def export_set(
                 f"`{option}` is of one model: export a folder a channel (-o '{folder}/{{channel}}')"
             )
     c.check_name(name)
-    check_choices(options["arithmetic"], options["direction"], {"lookup": options["lookup"]})
+    check_choices(arithmetic, direction, {"lookup": lookup})
     check_folder(folder, overwrite)
     made = {}
     for channel, own in _names(models, name).items():
         try:
             c.check_name(own)
-            made[channel] = translated(models[channel], folder, name=own, **options)
+            made[channel] = translated(
+                models[channel], folder, name=own, direction=direction, arithmetic=arithmetic, lookup=lookup,
+                **options,
+            )  # fmt: skip
         except DboError as problem:
             raise type(problem)(f"channel {channel}: {problem}") from None
     files = _files(made, name)
     listed = [*sorted(files), MANIFEST]
     figures = {
-        "name": name, "direction": options["direction"], "arithmetic": options["arithmetic"], "files": listed,
+        "name": name, "direction": direction, "arithmetic": arithmetic, "files": listed,
         "channels": {
             channel: {key: value for key, value in asdict(one.summary).items() if key not in _OF_THE_SET}
             for channel, one in made.items()
