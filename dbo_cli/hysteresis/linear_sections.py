@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,9 +104,11 @@ class Resonance(Mode):
         fade = np.exp(-zeta * angle)
         sine, cosine = fade * np.sin(root * angle) / root, fade * np.cos(root * angle)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            step = np.where(angle < _SERIES, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine))
+            # One step, as in every fit, is summed in plain numbers: the same bits in a fifth of the time.
+            small: Any = angle.item() if angle.size == 1 else angle
+            step = np.where(angle < _SERIES, _series(small, zeta, 0), 1.0 - (cosine + zeta * sine))
             ramp = np.where(
-                angle < _SERIES, _series(angle, zeta, 1), 1.0 - (2.0 * zeta * step + sine) / angle
+                angle < _SERIES, _series(small, zeta, 1), 1.0 - (2.0 * zeta * step + sine) / angle
             )
             rate = np.where(angle > 0.0, step / angle, 0.0)
         return np.column_stack([sine, step, ramp, cosine - zeta * sine, sine, rate])
@@ -121,16 +123,15 @@ class Resonance(Mode):
         return gain
 
 
-def _series(angle: Floats, zeta: float, order: int) -> Floats:
+def _series(angle: Any, zeta: float, order: int) -> Any:
     """Return p after an input that rises from 0 to 1 at once (``order`` 0) or evenly (1), as a power series.
 
     p'' + 2ζp' + p = input in units of 1/ω; the terms d_n = c_n angleⁿ follow from the two before.
     """
-    squared, drive = angle * angle, np.ones_like(angle)
-    before = now = np.zeros_like(angle)  # d_0 and d_1
-    total = np.zeros_like(angle)
+    squared = angle * angle
+    before = now = total = 0.0 * squared  # d_0 and d_1
     for n in range(_TERMS):
-        asked = squared * drive if n == order else 0.0
+        asked = squared if n == order else 0.0
         following = (asked - 2.0 * zeta * (n + 1) * angle * now - squared * before) / ((n + 2) * (n + 1))
         total = total + following
         before, now = now, following
