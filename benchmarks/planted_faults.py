@@ -72,7 +72,7 @@ FAULTS: list[Fault] = [
          "samples below the range are counted, in Python"),
     ),
     *_faults(
-        "hysteresis/gear_table.py",
+        "hysteresis/operators.py",
         KERNEL,
         ("CROSSING_TOLERANCE = 1e-9", "CROSSING_TOLERANCE = 0.0", "a turn on a breakpoint, forward and inverse"),
         ("rounded: Floats = np.rint(widths / grid) * grid", "rounded: Floats = widths + 0.0",
@@ -107,7 +107,7 @@ FAULTS: list[Fault] = [
          "a delay of a whole number of samples shifts exactly"),
     ),
     *_faults(
-        "hysteresis/relaxation.py",
+        "hysteresis/operators.py",
         MODEL,
         ("np.exp(-steps[:, np.newaxis] / np.array(self.tau))",
          "1.0 / (1.0 + steps[:, np.newaxis] / np.array(self.tau))",
@@ -116,7 +116,7 @@ FAULTS: list[Fault] = [
          "memories are at rest at the first sample, in the fit"),
     ),
     *_faults(
-        "hysteresis/initial_states.py",
+        "hysteresis/model_state.py",
         MODEL,
         ("return min(ends, key=", "return max(ends, key=", "the nearer side of a step is taken"),
         ("off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])", "off = 0.0",
@@ -444,7 +444,7 @@ FAULTS: list[Fault] = [
         ("if self.samples < needed:", "if self.samples < needed - 1:", "a window too short is refused"),
     ),
     *_faults(
-        "reports/dwells.py",
+        "reports/sample_pairs.py",
         ("settling", "cli_shell"),
         ("held = block.only(~new & (time - start", "held = block.only((time - start",
          "the first row of a level is not one at which it has been held"),
