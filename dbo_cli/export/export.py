@@ -13,11 +13,18 @@ from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.export import source_text as c
 from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
 from dbo_cli.export.double_code import double_code
-from dbo_cli.export.error_bounds import NarrowGearsError
-from dbo_cli.export.export_folder import FORMAT, MANIFEST, check_folder, write_folder
-from dbo_cli.export.host_files import fmu_bytes, library_files
-from dbo_cli.export.project_files import ExportSummary, project_files
+from dbo_cli.export.project_files import (
+    FORMAT,
+    MANIFEST,
+    ExportSummary,
+    check_folder,
+    fmu_bytes,
+    library_files,
+    project_files,
+    write_folder,
+)
 from dbo_cli.export.single_code import single_code
+from dbo_cli.export.single_tables import NarrowGearsError
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.logs.units import in_unit
 

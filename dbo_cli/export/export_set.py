@@ -18,8 +18,14 @@ from dbo_cli.export.export import (
     translated,
     write_export,
 )
-from dbo_cli.export.export_folder import MANIFEST, check_folder
-from dbo_cli.export.project_files import ExportSummary, build_files, build_values, shown_figures
+from dbo_cli.export.project_files import (
+    MANIFEST,
+    ExportSummary,
+    build_files,
+    build_values,
+    check_folder,
+    shown_figures,
+)
 from dbo_cli.hysteresis.model import ActuatorModel
 
 _OF_THE_SET = {"folder", "files", "warnings", "direction", "arithmetic"}  # not of a channel in export.json

@@ -9,9 +9,15 @@ import numpy as np
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
-from dbo_cli.export.error_bounds import derive_bounds
 from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables
-from dbo_cli.export.single_tables import axes_of, check_memories, counts_of_range, single_tables, to_counts
+from dbo_cli.export.single_tables import (
+    axes_of,
+    check_memories,
+    counts_of_range,
+    derive_bounds,
+    single_tables,
+    to_counts,
+)
 from dbo_cli.export.source_text import ModelCode, Vectors, array, delay_line, hex_float, integer, struct_rows
 
 Text = Callable[[Any], str]

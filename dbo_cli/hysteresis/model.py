@@ -36,7 +36,6 @@ from dbo_cli.hysteresis.cascade import (
 )
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
-from dbo_cli.hysteresis.initial_states import StartName, start_drive, start_state
 from dbo_cli.hysteresis.model_state import (
     NEGLIGIBLE,
     DriveLimits,
@@ -44,6 +43,9 @@ from dbo_cli.hysteresis.model_state import (
     OutsideError,
     Quantity,
     Simulated,
+    StartName,
+    start_drive,
+    start_state,
 )
 from dbo_cli.hysteresis.operators import (
     Axis,
@@ -53,8 +55,8 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
     OutputLimits,
     Outside,
+    Relaxation,
 )
-from dbo_cli.hysteresis.relaxation import Relaxation
 
 __all__ = [
     "NEGLIGIBLE",

@@ -21,11 +21,19 @@ import numpy as np
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import Rows
-from dbo_cli.reports.dwells import Dwells
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
 from dbo_cli.reports.loop_and_lag import monotone_ends
 from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import BeforeZero, PairBlock, batched, find_lag, lagged, released, scored
+from dbo_cli.reports.sample_pairs import (
+    BeforeZero,
+    Dwells,
+    PairBlock,
+    batched,
+    find_lag,
+    lagged,
+    released,
+    scored,
+)
 
 if TYPE_CHECKING:
     import pandas

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import DboError, FitError, UsageError
-from dbo_cli.hysteresis.coupling import Coupling
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.model_set import read_model, set_to_bytes
+from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
 from dbo_cli.logs.addresses import Address, Given, check_document
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import FloatArray

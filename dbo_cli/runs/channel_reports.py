@@ -94,7 +94,7 @@ def _write(report: Report, output: Address, form: str, figures: str | None, inpu
     """Write the report; a page and figures show all channels together."""
     plots: list[Plot] = []
     if figures is not None or form == "html":
-        from dbo_cli.reports.channel_figures import plots_of_channels
+        from dbo_cli.reports.figures import plots_of_channels
 
         plots = plots_of_channels(report)
     if figures is not None:

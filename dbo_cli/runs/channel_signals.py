@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.coupling import Coupling
-from dbo_cli.hysteresis.initial_states import START_NAMES
+from dbo_cli.hysteresis.model_set import Coupling
+from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.channels import PLACE, column_of, is_matrix
 from dbo_cli.logs.out_column import OutColumn

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drives.bank import Bank
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.hysteresis.coupling import Coupling
+from dbo_cli.hysteresis.model_set import Coupling, read_set, set_to_bytes
 from dbo_cli.hysteresis.model_set import ModelSet as SetFile
-from dbo_cli.hysteresis.model_set import read_set, set_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.whole_output import write_whole
