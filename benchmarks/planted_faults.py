@@ -294,11 +294,11 @@ FAULTS: list[Fault] = [
         ("while unique.casefold() in taken:", "while unique in taken:", "file names differ where letters' size does not"),
     ),
     *_faults(
-        "logs/binary/arrow.py",
+        "logs/binary/library_files.py",
         ("logs_values",),
-        ("return None if name == _INDEX and kind.is_integer() else source", "return source",
+        ("return None if index and stored.is_integer() else source", "return source",
          "row numbers of pandas are no column"),
-        ('label="time" if name == _INDEX else name', "label=name", "stamps of pandas are the time"),
+        ('replace(source, label="time") if index else source', "source", "stamps of pandas are the time"),
     ),
     *_faults(
         "logs/column_table.py",
@@ -356,7 +356,7 @@ FAULTS: list[Fault] = [
         ("tip = (high - low) * turn / math.pi", "tip = 0.0 * turn / math.pi", "a triangle's tips stay in the range"),
     ),
     *_faults(
-        "waveforms/generator_files.py",
+        "waveforms.py",
         ("waveforms",),
         ("found = found - (self.decode(found) > within[1])", "found = found - 0",
          "a code next to the upper limit is the one inside it"),
@@ -367,7 +367,7 @@ FAULTS: list[Fault] = [
          "a file that reads back as something else is not written"),
     ),
     *_faults(
-        "waveforms/points.py",
+        "waveforms.py",
         ("waveforms",),
         ("seconds = (rows if loop else rows - 1) / rate", "seconds = rows / rate", "a drive played once keeps its ends"),
         ("period = seconds if loop else None", "period = None", "a loop goes on from its last row to its first"),

@@ -25,7 +25,7 @@ from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputE
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.runs.identifying import identify_logs
+from dbo_cli.runs.identifying import IdentifyRun
 
 ROOT = Path(__file__).resolve().parent.parent
 LIST = "identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory, waveform"
@@ -330,7 +330,7 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
     ear: Any = Ear()
     asked = IdentificationOptions(gears=8, points=0, relaxation=(), delay=0.0)
     log, output = map(parse_address, (ROOT / "sample_data" / "identification.csv", tmp_path / "m.json"))
-    identify_logs([log], [], output, ReadingOptions(block_rows=4000), asked, listener=ear)
+    IdentifyRun([log], [], ReadingOptions(block_rows=4000), asked).run(output, ear)
     assert [one for one in ear.heard if one[0] != "opened"] == [
         ("progressed", 4000), ("progressed", 1786), ("working", "fitting 5,786 rows"), ("finished",),
     ]  # fmt: skip

@@ -99,18 +99,16 @@ def identify(given: Given) -> None:
     if (given.v_min is None) != (given.v_max is None):
         raise UsageError("`v_min` and `v_max` belong together: the rated range of the drive")
     from dbo_cli.hysteresis.identification import IdentificationOptions
+    from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.many import identified
 
-    asked = IdentificationOptions(
+    fixed = IdentificationOptions(
         **given.of([*options.IDENTIFICATION, options.ZERO, options.METHOD, options.FORCE]),
         skip_seconds=given.skip,
         rated=None if given.v_min is None else (given.v_min, given.v_max),
     )
-    more = given.of(
-        [options.VOLTAGE, options.DISPLACEMENT, options.PRIOR, options.SHARED_SHAPE, options.COUPLING]
-    )
-    words = (given.log, given.validate or [], given.output, reading, asked)
-    _finish(given, identified(*words, **more, work=_work(given), listener=Progress(given.reporter, "read")))
+    asked = IdentifyRun(given.log, given.validate or [], reading, fixed, **given.of(options.FITTED))
+    _finish(given, identified(asked, given.output, _work(given), Progress(given.reporter, "read")))
     if not given.output.is_stream and "{" not in given.output.text:
         model = shlex.quote(given.output.text)
         given.reporter.note(
@@ -170,21 +168,14 @@ def simulate(given: Given) -> None:
     log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
     model.json - --flush).
     """
-    from dbo_cli.runs.files import simulate_log
+    from dbo_cli.runs.files import SignalRun
     from dbo_cli.runs.many import signals
 
-    outcome = signals(
-        simulate_log,
-        given.model,
-        given.log,
-        _destination(given, [given.model, *given.log, given.state]),
-        given.reading,
-        {"input": given.input},
-        **given.of([options.OUTSIDE, options.STATE]),
-        work=_work(given),
-        listener=Progress(given.reporter, "written"),
+    destination = _destination(given, [given.model, *given.log, given.state])
+    asked = SignalRun(
+        given.model, given.log[0], destination, given.reading, given.input, given.state, given.outside
     )
-    _finish(given, outcome)
+    _finish(given, signals(asked, given.log, _work(given), Progress(given.reporter, "written")))
 
 
 @_command(
@@ -215,25 +206,17 @@ def compensate(given: Given) -> None:
     reading = given.reading
     from dbo_cli.drives.options import DriveOptions
 
-    asked = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
-    from dbo_cli.runs.files import compensate_trajectory
+    drive = DriveOptions(**given.of(options.DRIVING))  # the state is read with the model
+    from dbo_cli.runs.files import SignalRun
     from dbo_cli.runs.many import signals
 
     tracked = given.tracked or ()
-    outcome = signals(
-        compensate_trajectory,
-        given.model,
-        given.trajectory,
-        _destination(given, [given.model, *given.trajectory, given.state, *tracked]),
-        reading,
-        {"displacement": given.displacement},
-        options=asked,
-        tracked=tracked,
-        **given.of([options.STATE, options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
-        work=_work(given),
-        listener=Progress(given.reporter, "written"),
-    )
-    _finish(given, outcome)
+    destination = _destination(given, [given.model, *given.trajectory, given.state, *tracked])
+    asked = SignalRun(
+        given.model, given.trajectory[0], destination, reading, given.displacement, given.state, drive=drive,
+        tracked=tracked, **given.of([options.TRACKED_VOLTAGE, options.TRACKED_MEASURED]),
+    )  # fmt: skip
+    _finish(given, signals(asked, given.trajectory, _work(given), Progress(given.reporter, "written")))
 
 
 @_command(
@@ -281,20 +264,12 @@ def report(given: Given) -> None:
     Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
     """
     from dbo_cli.runs.many import reported
-    from dbo_cli.runs.reporting import Limits
+    from dbo_cli.runs.reporting import Limits, ReportRun
     from dbo_cli.runs.tracking import TrackingOptions
 
-    asked = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
-    written = reported(
-        given.log,
-        given.output,
-        given.reading,
-        asked,
-        form=given.format,
-        figures=given.figures,
-        work=_work(given),
-        listener=Progress(given.reporter, "compared"),
-    )
+    tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
+    asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures)
+    written = reported(asked, _work(given), Progress(given.reporter, "compared"))
     given.reporter.remarks(written.remarks)
     if written.form != "text":
         given.reporter.notes(written.report.notes)

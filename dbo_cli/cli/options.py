@@ -243,6 +243,7 @@ COUPLING = Option(
     "--coupling",
     "Channels: find how much each shows in the others, from a log in which all move (excite --channels).",
 )
+FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SHARED_SHAPE, COUPLING)  # of the fields of ``IdentifyRun``
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", figure
 )
