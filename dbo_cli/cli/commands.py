@@ -297,8 +297,7 @@ def report(given: Given) -> None:
     A limit (--max-rmse, --max-abs, --max-nrmse-percent) is missed; the report is written all the same.
     """
     from dbo_cli.runs.many import reported
-    from dbo_cli.runs.reporting import Limits, ReportRun
-    from dbo_cli.runs.tracking import TrackingOptions
+    from dbo_cli.runs.reporting import Limits, ReportRun, TrackingOptions
 
     tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
     asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures)
@@ -374,7 +373,7 @@ def export(given: Given) -> None:
         dbo export model.json -o firmware --arithmetic float --sample-rate 10000
     """
     from dbo_cli.remarks import Remarks
-    from dbo_cli.runs.channel_exports import export_models
+    from dbo_cli.runs.channels import export_models
     from dbo_cli.runs.jobs import summed_up
 
     remarks = Remarks()

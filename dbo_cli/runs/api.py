@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from dbo_cli.hysteresis.model import ActuatorModel
     from dbo_cli.runs.identifying import RecordedLog
-    from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
+    from dbo_cli.runs.reporting import TrackingOptions, TrackingReport, TrackingRun
 
 __all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
 
@@ -298,7 +298,7 @@ def report(
     logs = [] if measured is not None else _logs(wanted)
     asked = _tracking_options(options, logs, voltage, time)
     predicting = None if model is None else _model(model).actuator
-    from dbo_cli.runs.tracking import TrackingRun
+    from dbo_cli.runs.reporting import TrackingRun
 
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
     options["sample_rate"] = sample_rate
@@ -351,7 +351,7 @@ def _tracking_options(
     options: dict[str, Any], logs: Sequence[Any], voltage: Any, time: Any
 ) -> TrackingOptions:
     """Take what belongs to ``TrackingOptions`` out of the options of ``report``; the others remain."""
-    from dbo_cli.runs.tracking import TrackingOptions
+    from dbo_cli.runs.reporting import TrackingOptions
 
     known = {field.name for field in dataclasses.fields(TrackingOptions)}
     asked = {key: options.pop(key) for key in known & options.keys()}

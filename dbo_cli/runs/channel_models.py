@@ -13,6 +13,7 @@ import numpy as np
 
 from dbo_cli.errors import DboError, FitError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
@@ -27,14 +28,15 @@ from dbo_cli.runs.channels import (
     Columns,
     address_of,
     make_folder_of,
+    matrix_of,
     models_by_channel,
     opened_readers,
 )
-from dbo_cli.runs.coupled import Recordings, recordings_apart
 from dbo_cli.runs.identifying import (
     Identified,
     IdentifyRun,
     RecordedLog,
+    Recordings,
     identify_recordings,
     read_recordings,
 )
@@ -251,6 +253,49 @@ def _recorded(
 
 def _as_it_is(recorded: Recordings) -> Recordings:
     return recorded
+
+
+def recordings_apart(
+    recorded: Mapping[str, Recordings],
+) -> tuple[Coupling, dict[str, Recordings]]:
+    """Find the coupling in the recordings of all channels; return them without it.
+
+    Parameters
+    ----------
+    recorded
+        By channel.
+
+    Raises
+    ------
+    InputError
+        The channels of a log have different rows.
+    FitError, ModelError
+        The logs do not tell the coupling, or it cannot be undone.
+    """
+    channels = list(recorded)
+    logs = [list(of_all) for of_all in zip(*(fit for fit, _ in recorded.values()), strict=True)]
+    checks = [list(of_all) for of_all in zip(*(check for _, check in recorded.values()), strict=True)]
+    coupling = find_coupling(channels, [_frames(channels, one) for one in logs])
+    for one in [*logs, *checks]:
+        own = coupling.apart(
+            matrix_of(channels, [log.recording.displacement for log in one], one[0].recording.name)
+        )
+        for place, log in enumerate(one):
+            changed = dataclasses.replace(log.recording, displacement=np.ascontiguousarray(own[:, place]))
+            one[place] = dataclasses.replace(log, recording=changed)
+    return coupling, {
+        channel: ([one[k] for one in logs], [one[k] for one in checks]) for k, channel in enumerate(channels)
+    }
+
+
+def _frames(channels: Sequence[str], logs: Sequence[RecordedLog]) -> Frames:
+    first = logs[0].recording
+    seconds = first.seconds()
+    return Frames(
+        np.arange(float(len(first.voltage))) if seconds is None else seconds,
+        matrix_of(channels, [log.recording.voltage for log in logs], first.name),
+        matrix_of(channels, [log.recording.displacement for log in logs], first.name),
+    )
 
 
 def _identified(

@@ -44,6 +44,10 @@ class RecordedLog:
     remarks: Remarks = field(default_factory=Remarks)
 
 
+Recordings = tuple[Sequence[RecordedLog], Sequence[RecordedLog]]
+"""Of one actuator: what is fitted, and what its model is judged on."""
+
+
 @dataclass(frozen=True)
 class Identified:
     """A model, what was found (``summary``), and the remarks of the run."""

@@ -20,8 +20,7 @@ from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning
 from dbo_cli.runs.channel_models import ChannelFits, patterns_of, refuse_two_shapes
 from dbo_cli.runs.channels import common_rows
-from dbo_cli.runs.coupled import Recordings
-from dbo_cli.runs.identifying import IdentifyRun
+from dbo_cli.runs.identifying import IdentifyRun, Recordings
 from dbo_cli.runs.jobs import Outcome, Work, summed_up
 from dbo_cli.runs.model import Model
 
