@@ -4,9 +4,10 @@
 
 Actuators of 80 gears with a random resonance (15 to 130 Hz at 2 kHz, damping 0.003 to 0.4) and lag are driven
 by ``excite`` with a small sweep and identified; the same without a resonance. Prints the errors of frequency
-and damping, and how many of the stated intervals hold the truth; exits 1 where a frequency is off by more than
-0.5 %, a damping by more than 20 %, or a resonance is found where there is none. ``--learn`` prints instead the error by pass of repeated moves, slow and fast,
-with models whose loop is 20 % or whose resonance is 5 % wrong, or that know no resonance.
+and damping, and how many of the stated intervals hold the truth; exits 1 where a frequency is off by more
+than 0.5 %, a damping by more than 20 %, or a resonance is found where there is none. ``--learn`` prints
+instead the error by pass of repeated moves, slow and fast, with models whose loop is 20 % or whose resonance
+is 5 % wrong, or that know no resonance.
 """
 
 from __future__ import annotations
