@@ -23,9 +23,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import dbo_cli as dbo
-from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance
+from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.excitation import Excitation, sweep
-from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.runs.model import Model
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))

@@ -30,9 +30,8 @@ from dbo_cli.drives.learning import ORDER, RepeatedMove, Tracked
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import slow_output_range
-from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
-from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.runs.model import Model
 
 Floats = NDArray[np.float64]

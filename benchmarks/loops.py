@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import LimitError
 from dbo_cli.hysteresis.cascade import slow_output_range
-from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -41,7 +41,6 @@ from dbo_cli.hysteresis.model import (
     ScaleStage,
     Stage,
 )
-from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.runs.model import Model
 
 Floats = NDArray[np.float64]

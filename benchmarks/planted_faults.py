@@ -72,7 +72,7 @@ FAULTS: list[Fault] = [
          "samples below the range are counted, in Python"),
     ),
     *_faults(
-        "hysteresis/gear_table.py",
+        "hysteresis/operators.py",
         KERNEL,
         ("CROSSING_TOLERANCE = 1e-9", "CROSSING_TOLERANCE = 0.0", "a turn on a breakpoint, forward and inverse"),
         ("rounded: Floats = np.rint(widths / grid) * grid", "rounded: Floats = widths + 0.0",
@@ -89,7 +89,8 @@ FAULTS: list[Fault] = [
          "a tie of the settled state is decided by a tolerance"),
         ("first_outside=self.first_outside + samples if self.outside else 0,", "first_outside=self.first_outside,",
          "the first sample outside is named by its place in the block"),
-        ("rest = np.zeros((1, terms))", "rest = np.ones((1, terms))", "relaxation is at rest at the first sample"),
+        ("factors = np.zeros((1, self._gain.size))", "factors = np.ones((1, self._gain.size))",
+         "relaxation is at rest at the first sample"),
     ),
     *_faults(
         "hysteresis/delay.py",
@@ -107,7 +108,7 @@ FAULTS: list[Fault] = [
          "a delay of a whole number of samples shifts exactly"),
     ),
     *_faults(
-        "hysteresis/relaxation.py",
+        "hysteresis/operators.py",
         MODEL,
         ("np.exp(-steps[:, np.newaxis] / np.array(self.tau))",
          "1.0 / (1.0 + steps[:, np.newaxis] / np.array(self.tau))",
@@ -116,7 +117,7 @@ FAULTS: list[Fault] = [
          "memories are at rest at the first sample, in the fit"),
     ),
     *_faults(
-        "hysteresis/initial_states.py",
+        "hysteresis/model_state.py",
         MODEL,
         ("return min(ends, key=", "return max(ends, key=", "the nearer side of a step is taken"),
         ("off = CROSSING_TOLERANCE * (operator.x_range[1] - operator.x_range[0])", "off = 0.0",
@@ -131,7 +132,7 @@ FAULTS: list[Fault] = [
          "the slew limit holds from the first sample on"),
         ("clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)",
          "clipped = False", "a first sample beyond the limits counts as clipped"),
-        ("miss * self._input_per_stage_input()", "miss", "what the start misses is told in the user's unit"),
+        ("miss * (self.input.span / (high - low))", "miss", "what the start misses is told in the user's unit"),
         ("            steps[0] = 0.0\n", "            pass\n", "the step before the very first sample does not matter"),
     ),
     *_faults(
@@ -293,11 +294,11 @@ FAULTS: list[Fault] = [
         ("while unique.casefold() in taken:", "while unique in taken:", "file names differ where letters' size does not"),
     ),
     *_faults(
-        "logs/binary/arrow.py",
+        "logs/binary/library_files.py",
         ("logs_values",),
-        ("return None if name == _INDEX and kind.is_integer() else source", "return source",
+        ("return None if index and stored.is_integer() else source", "return source",
          "row numbers of pandas are no column"),
-        ('label="time" if name == _INDEX else name', "label=name", "stamps of pandas are the time"),
+        ('replace(source, label="time") if index else source', "source", "stamps of pandas are the time"),
     ),
     *_faults(
         "logs/column_table.py",
@@ -355,7 +356,7 @@ FAULTS: list[Fault] = [
         ("tip = (high - low) * turn / math.pi", "tip = 0.0 * turn / math.pi", "a triangle's tips stay in the range"),
     ),
     *_faults(
-        "waveforms/generator_files.py",
+        "waveforms.py",
         ("waveforms",),
         ("found = found - (self.decode(found) > within[1])", "found = found - 0",
          "a code next to the upper limit is the one inside it"),
@@ -366,7 +367,7 @@ FAULTS: list[Fault] = [
          "a file that reads back as something else is not written"),
     ),
     *_faults(
-        "waveforms/points.py",
+        "waveforms.py",
         ("waveforms",),
         ("seconds = (rows if loop else rows - 1) / rate", "seconds = rows / rate", "a drive played once keeps its ends"),
         ("period = seconds if loop else None", "period = None", "a loop goes on from its last row to its first"),
@@ -444,7 +445,7 @@ FAULTS: list[Fault] = [
         ("if self.samples < needed:", "if self.samples < needed - 1:", "a window too short is refused"),
     ),
     *_faults(
-        "reports/dwells.py",
+        "reports/sample_pairs.py",
         ("settling", "cli_shell"),
         ("held = block.only(~new & (time - start", "held = block.only((time - start",
          "the first row of a level is not one at which it has been held"),

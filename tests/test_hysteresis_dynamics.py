@@ -12,8 +12,7 @@ from trials import Floats
 
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, undone
-from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
+from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, ZeroPhaseLowPass, undone
 
 RATE = 20_000.0
 STEP = 1.0 / RATE

@@ -36,7 +36,7 @@ from dbo_cli.hysteresis.identification.regressors import (
 )
 from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of, time_constant_grid
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
-from dbo_cli.hysteresis.swings import turning_points
+from dbo_cli.hysteresis.move_error import turning_points
 
 
 def sine(cycles: int = 5, samples: int = 40, low: float = 0.0, high: float = 10.0) -> np.ndarray:

@@ -10,7 +10,6 @@ from trials import Floats
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.delay import read_ahead
-from dbo_cli.hysteresis.initial_states import start_drive, start_state
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -24,6 +23,7 @@ from dbo_cli.hysteresis.model import (
     ScaleStage,
     slow_output_range,
 )
+from dbo_cli.hysteresis.model_state import start_drive, start_state
 from dbo_cli.hysteresis.operators import BacklashState
 
 VOLTAGE = Quantity("voltage", "V", 0.0, 3.6)

@@ -13,8 +13,17 @@ import pytest
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Quantity, ScaleStage
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.move_error import APART, WIDENING, Alternative, alternatives_of, move_error, spread
-from dbo_cli.hysteresis.swings import MOST, thinned, unlike
+from dbo_cli.hysteresis.move_error import (
+    APART,
+    MOST_SWINGS,
+    WIDENING,
+    Alternative,
+    alternatives_of,
+    move_error,
+    spread,
+    thinned,
+    unlike,
+)
 
 STEP = 0.01
 
@@ -96,7 +105,7 @@ def test_swings_unlike_those_of_the_logs_widen_it() -> None:
 def test_swings_close_together_are_kept_once() -> None:
     many = np.random.default_rng(1).uniform(0.0, 10.0, (20_000, 2))
     kept = thinned(many, 10.0)
-    assert 64 < len(kept) <= MOST
+    assert 64 < len(kept) <= MOST_SWINGS
     assert unlike(np.array([2.0, 7.0, 3.0]), kept, 10.0) < 0.1
     assert unlike(np.zeros(5), kept, 10.0, 5) == 0.0
 

@@ -14,7 +14,6 @@ from trials import random_operator, random_trajectory
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.delay import interpolated
-from dbo_cli.hysteresis.gear_table import on_binary_grid
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     Counts,
@@ -22,6 +21,7 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
     OutputLimits,
     Relaxation,
+    on_binary_grid,
 )
 
 FAST = kernel.KIND == "compiled"

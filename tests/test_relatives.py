@@ -25,10 +25,9 @@ from dbo_cli.hysteresis.model import DriveLimits
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, OutsideError, Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator
-from dbo_cli.relatives.fitting import RELATIVES, fit, solve
+from dbo_cli.relatives.fitting import RELATIVES, Design, fit, gather, rows_of, solve
 from dbo_cli.relatives.judging import NAMES, compare
 from dbo_cli.relatives.play_model import RelativeModel
-from dbo_cli.relatives.play_regressors import Design, gather, rows_of
 from dbo_cli.relatives.plays import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
 from dbo_cli.runs.model import Model
 
@@ -318,8 +317,8 @@ def test_the_fit_is_that_of_an_independent_bounded_solver(name: Kind) -> None:
     design = Design(name, 12, ready.low, ready.high, delay=1.3 * STEP)
     products = gather([log], design)
     gram, count = products.total()
-    solution = solve(products, design, gram)
-    table = np.full((len(log.output), products.slopes), np.nan)
+    solution = solve(products, gram)
+    table = np.full((len(log.output), design.slopes), np.nan)
     for rows, columns in rows_of(log, design):
         table[rows] = columns
     n, one = design.plays, design.operator()

@@ -19,9 +19,14 @@ from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleS
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports import drawing
-from dbo_cli.reports.channel_figures import plots_of_channels, row_width
 from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
-from dbo_cli.reports.figures import label_decades, plots_of_comparison, plots_of_log
+from dbo_cli.reports.figures import (
+    label_decades,
+    plots_of_channels,
+    plots_of_comparison,
+    plots_of_log,
+    row_width,
+)
 from dbo_cli.reports.models import loop_of, plots_of_model
 from dbo_cli.reports.page import breakable, to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate

@@ -13,7 +13,6 @@ import pytest
 import dbo_cli as dbo
 from dbo_cli.drives.gate import GateError
 from dbo_cli.errors import InputError, LimitError, ModelError, UsageError
-from dbo_cli.hysteresis import bank as banks
 from dbo_cli.hysteresis import kernel, stepper
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
@@ -61,7 +60,7 @@ def frames(seed: int = 1) -> np.ndarray:
 @pytest.fixture(params=["compiled", "python"])
 def either_kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     if request.param == "python":
-        for module in (kernel, banks.kernel, stepper.kernel):
+        for module in (kernel, stepper.kernel):
             monkeypatch.setattr(module, "CHOSEN", kernel.PythonKernel)
     elif kernel.compiled_kernel() is None:
         pytest.skip("the compiled kernel is not there")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
-from dbo_cli.hysteresis.relaxation import Relaxation
+from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, Relaxation
 
 Floats = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.drives.controller import Controller
 from dbo_cli.drives.gate import GateError
 from dbo_cli.errors import DboError, InputError, UsageError
-from dbo_cli.hysteresis.bank import ROUNDING, make_bank
-from dbo_cli.hysteresis.coupling import Coupling
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_set import Coupling
 from dbo_cli.hysteresis.model_state import ModelState
+from dbo_cli.hysteresis.stepper import ROUNDING, make_bank
 
 Floats = NDArray[np.float64]
 

@@ -19,12 +19,10 @@ from dbo_cli.drives.lookahead import DriveLag, LookAhead
 from dbo_cli.drives.options import DriveOptions, Figure
 from dbo_cli.drives.pieces import ramp
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.hysteresis.bank import ROUNDING
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, memory_free, through
-from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
-from dbo_cli.hysteresis.stepper import BacklashStepper
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
+from dbo_cli.hysteresis.stepper import ROUNDING, BacklashStepper
 from dbo_cli.logs.reading_options import checked_rate
 from dbo_cli.logs.units import in_unit
 

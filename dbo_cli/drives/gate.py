@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, LimitError
-from dbo_cli.hysteresis.bank import ROUNDING
 from dbo_cli.hysteresis.model_state import DriveLimits
+from dbo_cli.hysteresis.stepper import ROUNDING
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -15,9 +15,14 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.delay import read_ahead
-from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage, InverseMemory, undone
+from dbo_cli.hysteresis.dynamics import (
+    DynamicsInverter,
+    DynamicsStage,
+    InverseMemory,
+    ZeroPhaseLowPass,
+    undone,
+)
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
-from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.clock import JITTER, require_even
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.logs.sources import Source

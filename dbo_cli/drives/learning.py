@@ -22,10 +22,9 @@ from dbo_cli.drives.history import PassRecord, read_history
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import soft_rise
 from dbo_cli.errors import InputError
-from dbo_cli.hysteresis.linear_sections import Resonance
+from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.loops import settled_output
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.clock import even_step
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import Source, WholeSource

@@ -18,10 +18,10 @@ from dbo_cli.drives.model_run import Response
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, require_rows
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass
 from dbo_cli.hysteresis.loops import Settled, settled_run, settling, slow_output, undone_loop
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
-from dbo_cli.hysteresis.smoothing import ZeroPhaseLowPass
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import Source, WholeSource
 

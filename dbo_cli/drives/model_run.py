@@ -13,9 +13,15 @@ import numpy as np
 from dbo_cli.drives.inputs import Inputs
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import ModelState, OutsideError, Quantity, Simulated
+from dbo_cli.hysteresis.model_state import (
+    START_NAMES,
+    ModelState,
+    OutsideError,
+    Quantity,
+    Simulated,
+    StartName,
+)
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock
 from dbo_cli.logs.sources import Source, remarks_of

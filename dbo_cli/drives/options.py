@@ -10,9 +10,8 @@ from typing import Literal
 import numpy as np
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.logs.units import UnitFactor, in_unit, unit_factor
 
 Seconds = float | Literal["auto"] | None

@@ -9,9 +9,15 @@ import numpy as np
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
-from dbo_cli.export.error_bounds import derive_bounds
 from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables
-from dbo_cli.export.single_tables import axes_of, check_memories, counts_of_range, single_tables, to_counts
+from dbo_cli.export.single_tables import (
+    axes_of,
+    check_memories,
+    counts_of_range,
+    derive_bounds,
+    single_tables,
+    to_counts,
+)
 from dbo_cli.export.source_text import ModelCode, Vectors, array, delay_line, hex_float, integer, struct_rows
 
 Text = Callable[[Any], str]
@@ -53,7 +59,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "counts": q31, "inverse": plan.direction == "inverse", "terms": bool(t.terms), "spare": bool(spare),
         "delay": bool(delay), "tables": tables, "delay_line": delay,
         "SPARE_WORDS": str(len(spare or ())),
-        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.covered),
+        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,

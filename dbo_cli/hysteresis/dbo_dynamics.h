@@ -1,7 +1,7 @@
 /* The linear dynamics behind the gears: second-order sections and lags, their inverse, and a smoother.
  *
  * C99, no allocation, no library calls; the same rules as dbo_kernel.h. The readable twin is
- * dynamics_kernel.py; both give the same bits. All numbers that depend on a model or on the time between
+ * kernel.py; both give the same bits. All numbers that depend on a model or on the time between
  * samples are made by the caller (dynamics.py), once for an even clock.
  */
 #ifndef DBO_DYNAMICS_H

@@ -1,4 +1,4 @@
-/* See dbo_plays.h. The readable twin of this file is relatives/plays_kernel.py; both give the same bits. */
+/* See dbo_plays.h. The readable twin of this file is relatives/plays.py; both give the same bits. */
 #include "dbo_plays.h"
 
 #define LANES DBO_PLAY_LANES

@@ -1,6 +1,6 @@
 /* Weighted sums of play operators: what the Prandtl-Ishlinskii operator and its descendants are made of.
  *
- * C99, no allocation, no library calls; the readable twin is relatives/plays_kernel.py, and both give the same bits.
+ * C99, no allocation, no library calls; the readable twin is relatives/plays.py, and both give the same bits.
  * Arrays are padded to whole groups of DBO_PLAY_LANES plays with weight 0 and infinite reach, so that a compiler
  * may keep a group in vector registers; `n` counts the real ones. Play 0 has reach 0: it is the last input.
  */

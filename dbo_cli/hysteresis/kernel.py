@@ -1,8 +1,8 @@
 """The recursions of the paper in readable Python, and the choice between them and the compiled kernel.
 
-The functions here and those of the extension ``_kernel`` (``dbo_kernel.c``) have the same arguments and
-give the same bits: every floating-point operation is written in the same order in both. The compiled
-kernel is taken where it was built; ``DBO_KERNEL=python`` in the environment chooses the Python twin,
+The functions here and those of the extension ``_kernel`` (``dbo_kernel.c``, ``dbo_dynamics.c``) have the same
+arguments and give the same bits: every floating-point operation is written in the same order in both. The
+compiled kernel is taken where it was built; ``DBO_KERNEL=python`` in the environment chooses the Python twin,
 ``DBO_KERNEL=compiled`` insists on the other.
 
 Equation numbers are those of Aye and Ang (2018). Gears are rows ``(dx, dy, slope, crossing_fraction)``: the
@@ -25,9 +25,71 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis import dynamics_kernel
 
 Floats = NDArray[np.float64]
+
+
+def dynamics_run(output: Floats, state: Floats, x: Floats, y: Floats, step: Floats) -> None:
+    """Fill ``y`` with ``x`` after all sections; ``state`` (sections × 3: p, q, u) becomes that after it.
+
+    ``output`` has two numbers a section, ``step`` six a section in one row or in one row for each sample; see
+    ``dbo_dynamics.h`` for their meaning.
+    """
+    sections = state.size // 3
+    held = [list(row) for row in state.reshape(sections, 3).tolist()]
+    outputs = output.reshape(sections, 2).tolist()
+    rows = step.reshape(-1, sections, 6).tolist()
+    result = []
+    for k, value in enumerate(x.tolist()):
+        row = rows[k] if len(rows) > 1 else rows[0]
+        for s, (p_q, p_lead, p_change, q_q, q_lead, q_change), (by_lead, by_q) in zip(
+            held, row, outputs, strict=True
+        ):
+            p, q, u = s
+            lead, change = u - p, value - u
+            p = p + ((p_q * q + p_lead * lead) + p_change * change)
+            q = (q_q * q + q_lead * lead) + q_change * change
+            s[:] = p, q, value
+            value = p + (by_lead * (value - p) + by_q * q)
+        result.append(value)
+    y[:] = result
+    state[:] = np.array(held).reshape(state.shape)
+
+
+def dynamics_undo(numbers: Floats, weight: Floats, state: Floats, y: Floats, u: Floats) -> None:
+    """Fill ``u`` with the input of one section whose output is ``y``, which goes on for ``len(weight)`` more.
+
+    ``numbers`` are aa, ab, ba, bb, a_in, b_in, a_out, b_out of ``dbo_section_inverse``; ``state`` (y, a, b)
+    becomes that after the samples of ``u``.
+    """
+    count = u.size
+    future = np.zeros(count)
+    for j in range(weight.size, 0, -1):
+        future += weight[j - 1] * (y[j : j + count] - y[j - 1 : j - 1 + count])
+    aa, ab, ba, bb, a_in, b_in, a_out, b_out = numbers.tolist()
+    last, a, b = state.tolist()
+    result = []
+    for value, ahead in zip(y[:count].tolist(), future.tolist(), strict=True):
+        change = value - last
+        a, b = (aa * a + ab * b) + a_in * change, (ba * a + bb * b) + b_in * change
+        last = value
+        result.append(value + ((a_out * a + b_out * b) + ahead))
+    u[:] = result
+    state[:] = last, a, b
+
+
+def smooth(weight: Floats, x: Floats, y: Floats) -> None:
+    """Fill ``y`` with a symmetric weighted mean of ``x``, which has ``len(weight)`` more at either end."""
+    reach, count = weight.size, y.size
+    middle = x[reach : reach + count]
+    total = np.zeros(count)
+    for j in range(reach, 0, -1):
+        total += weight[j - 1] * (
+            (x[reach - j : reach - j + count] - middle) + (x[reach + j : reach + j + count] - middle)
+        )
+    y[:] = middle + total
+
+
 Words = NDArray[np.uint64]
 
 WORD = 64
@@ -59,65 +121,27 @@ class _Walk:
     def __init__(self, gears: Floats, n: int, run: int, words: Words) -> None:
         rows: list[tuple[float, float, float, float]] = [tuple(row) for row in gears.tolist()]
         self.gears = rows if len(rows) >= n else [rows[i // run] for i in range(n)]
-        self.n = n
-        self.words = words
-        self.bits = int.from_bytes(words[: state_words(self.n)].tobytes(), "little")
-        self.x = 0.0
-        self.y = 0.0
-        for i in range(self.n):
+        self.n, self.words = n, words
+        self.bits = int.from_bytes(words[: state_words(n)].tobytes(), "little")
+        self.x = self.y = 0.0
+        for i in range(n):
             if self.bits >> i & 1:
                 self.x += self.gears[i][0]
                 self.y += self.gears[i][1]
-        self.set = find_first_one(self.bits, self.n)
-        self.zero = find_first_zero(self.bits)
+        self.set, self.zero = find_first_one(self.bits, n), find_first_zero(self.bits)
 
     def cross(self, rising: bool) -> None:
-        """Go to the neighbour on the way."""
-        if rising:
-            self.move_up()
-        else:
-            self.move_down()
-
-    def move_up(self) -> None:
-        """Go to the upper neighbour: set b_Z (6)-(7)."""
-        self.x += self.gears[self.zero][0]
-        self.y += self.gears[self.zero][1]
-        self.bits |= 1 << self.zero
-        self.set = 0
-        self.zero = find_first_zero(self.bits)
-
-    def move_down(self) -> None:
-        """Go to the lower neighbour: clear b_S (8)-(9)."""
-        self.x -= self.gears[self.set][0]
-        self.y -= self.gears[self.set][1]
-        self.bits &= ~(1 << self.set)
-        self.zero = 0
-        self.set = find_first_one(self.bits, self.n)
+        """Go to the neighbour on the way: set b_Z (6)-(7), or clear b_S (8)-(9)."""
+        gear, sign = (self.zero, 1.0) if rising else (self.set, -1.0)
+        self.x += sign * self.gears[gear][0]
+        self.y += sign * self.gears[gear][1]
+        self.bits ^= 1 << gear
+        self.set, self.zero = find_first_one(self.bits, self.n), find_first_zero(self.bits)
 
     def finish(self) -> None:
         """Write the bits back into the caller's words."""
         size = 8 * state_words(self.n)
         self.words[: size // 8] = np.frombuffer(self.bits.to_bytes(size, "little"), dtype="<u8")
-
-
-class _Counts:
-    """How many samples lay outside or were clipped, and the first of each."""
-
-    def __init__(self) -> None:
-        self.outside = self.first_outside = self.clipped = self.first_clipped = 0
-
-    def note(self, index: int, outside: bool, clipped: bool) -> None:
-        """Count sample ``index``."""
-        if outside:
-            self.first_outside = self.first_outside if self.outside else index
-            self.outside += 1
-        if clipped:
-            self.first_clipped = self.first_clipped if self.clipped else index
-            self.clipped += 1
-
-    def as_tuple(self) -> tuple[int, int, int, int]:
-        """Return (outside, first_outside, clipped, first_clipped)."""
-        return self.outside, self.first_outside, self.clipped, self.first_clipped
 
 
 def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool) -> tuple[float, bool]:
@@ -227,6 +251,11 @@ def towards(last: float, step: float) -> float:
     return total + digit if lost > 0.0 else total
 
 
+def _counted(samples: list[int]) -> tuple[int, int]:
+    """Return how many samples there are, and the first; 0 where there is none."""
+    return len(samples), samples[0] if samples else 0
+
+
 def backlash_run(
     gears: Floats,
     n: int,
@@ -257,7 +286,8 @@ def backlash_run(
     every gear from dx to dx + kappa dy, and the rest is known. Returns the counts of ``dbo_counts``.
     """
     walk = _Walk(gears, n, run, words)
-    counts = _Counts()
+    outsides: list[int] = []
+    clipped: list[int] = []
     weights: list[float] = gain.tolist()
     held: list[float] = memory.tolist()
     steps: list[float | None] = [None] if not step.size else step.tolist()
@@ -281,12 +311,15 @@ def backlash_run(
             rest, outside = _solve(walk, u, kappa, -math.inf, math.inf, extend)
             last = y0 + (rest + remembered) if after else y0 + rest
         y[k] = last
-        counts.note(k, outside, excess > slack)
+        if outside:
+            outsides.append(k)
+        if excess > slack:
+            clipped.append(k)
         if weights and not after:
             _remember(held, a, last - reference)
     walk.finish()
     memory[:] = held
-    return counts.as_tuple()
+    return (*_counted(outsides), *_counted(clipped))
 
 
 def _engage(walk: _Walk, u: float, shift: Callable[[int, float], None]) -> tuple[int, float]:
@@ -383,9 +416,9 @@ class PythonKernel:
     backlash_engagement = staticmethod(backlash_engagement)
     memory_run = staticmethod(memory_run)
     point_run = staticmethod(point_run)
-    dynamics_run = staticmethod(dynamics_kernel.dynamics_run)
-    dynamics_undo = staticmethod(dynamics_kernel.dynamics_undo)
-    smooth = staticmethod(dynamics_kernel.smooth)
+    dynamics_run = staticmethod(dynamics_run)
+    dynamics_undo = staticmethod(dynamics_undo)
+    smooth = staticmethod(smooth)
 
 
 def choose(wish: str) -> tuple[str, Any]:

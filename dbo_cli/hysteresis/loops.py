@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.cascade import through
-from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated, StartName
 from dbo_cli.hysteresis.operators import BacklashState
 
 Floats = NDArray[np.float64]

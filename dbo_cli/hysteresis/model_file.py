@@ -307,7 +307,7 @@ STAGES = {
 }
 """Every stage that a model of gears may have; ``docs/model-file.md`` says what they mean."""
 
-OTHER_STAGES = "dbo_cli.relatives.play_files"
+OTHER_STAGES = "dbo_cli.relatives.play_model"
 """The module that reads another hysteresis than that of gears; imported where a file has such a stage."""
 
 

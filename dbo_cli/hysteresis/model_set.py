@@ -3,6 +3,10 @@
 A set is ``{"format": "dbo-model-set", "version": 1, "models": {CHANNEL: a model file's object, ...}}``
 (docs/model-file.md); where the channels were found to be coupled, version 2, with ``"coupling"``.
 ``FILE::CHANNEL`` names one model of it wherever a model is asked for.
+
+Coupling: what each actuator moves shows, in part, in the displacement of others. ``y - r = C (u - r)``: y is
+what the sensors of all channels show, u what each actuator would show if the others stood at their reference
+r, and C has ones on its diagonal. It is static: a frame has no memory.
 """
 
 from __future__ import annotations
@@ -11,10 +15,15 @@ import functools
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.coupling import Coupling, read_coupling
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import (
     MODEL_FORMAT,
@@ -27,6 +36,157 @@ from dbo_cli.hysteresis.model_file import (
     model_values,
 )
 from dbo_cli.hysteresis.model_file import read_model as read_single_model
+
+Floats = NDArray[np.float64]
+
+MOST_CONDITION = 100.0
+"""Of the matrix, in strokes of the channels: undoing it may make a model's error and the sensors' noise
+larger by so much, and of an error of 0.1 % of the stroke that leaves 10 %."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Static gains between channels.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        In the order of the arrays.
+    gains : array of shape (channels, channels)
+        Row: the channel in which it shows; column: the actuator that moves; ones on the diagonal.
+    reference : array of shape (channels,)
+        Displacement of each channel at which it shows in no other.
+    strokes : array of shape (channels,)
+        What each channel reaches, for the condition number alone.
+
+    Raises
+    ------
+    ModelError
+        The matrix cannot be undone, or only with errors that grow more than ``MOST_CONDITION`` times.
+    """
+
+    channels: tuple[str, ...]
+    gains: Floats
+    reference: Floats
+    strokes: Floats
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be undone."""
+        if not self.condition <= MOST_CONDITION:
+            size = f"{self.condition:.3g}" if self.condition < 1e15 else "infinite: it is singular"
+            raise ModelError(
+                f"coupling: the condition number of the gains is {size}; above {MOST_CONDITION:g} solving "
+                "for all channels makes their errors as much larger (leave out one that moves like others)"
+            )
+
+    @cached_property
+    def condition(self) -> float:
+        """Condition number of the gains, each in strokes of its channels."""
+        return float(np.linalg.cond(self.gains / self.strokes[:, None] * self.strokes))
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        return np.asarray(np.linalg.inv(self.gains), dtype=np.float64)
+
+    def apart(self, together: Floats) -> Floats:
+        """Return what each actuator does alone where the sensors show ``together`` (..., channels)."""
+        found: Floats = self.reference + (together - self.reference) @ self._inverse.T
+        return found
+
+    def together(self, apart: Floats) -> Floats:
+        """Return what the sensors show of what each actuator does alone (..., channels)."""
+        found: Floats = self.reference + (apart - self.reference) @ self.gains.T
+        return found
+
+    def of(self, channels: Sequence[str]) -> Coupling:
+        """Return the same in another order of the channels; all have to be there (InputError)."""
+        missing = [channel for channel in self.channels if channel not in set(channels)]
+        if missing:
+            more = f" and {len(missing) - 1:,} more" if len(missing) > 1 else ""
+            raise InputError(
+                f"the models are coupled, so that all {len(self.channels):,} channels are needed at once: "
+                f"channel {missing[0]}{more} is missing"
+            )
+        place = {channel: number for number, channel in enumerate(self.channels)}
+        order = [place[channel] for channel in channels]
+        return Coupling(
+            tuple(channels), self.gains[np.ix_(order, order)], self.reference[order], self.strokes[order]
+        )
+
+    @cached_property
+    def largest(self) -> tuple[float, str, str]:
+        """The gain farthest from 0 off the diagonal, the channel that moves and the one in which it shows."""
+        size = np.abs(self.gains / self.strokes[:, None] * self.strokes) * ~np.eye(
+            len(self.channels), dtype=bool
+        )
+        row, column = np.unravel_index(int(np.argmax(size)), size.shape)
+        return float(self.gains[row, column]), self.channels[column], self.channels[row]
+
+    @property
+    def count(self) -> int:
+        """Pairs of channels of which one shows in the other."""
+        return int(np.count_nonzero(self.gains)) - len(self.channels)
+
+    def summary(self) -> str:
+        """Say in one line what it is."""
+        if not self.count:
+            return "coupling: no channel shows in another"
+        gain, moving, seen = self.largest
+        pairs = len(self.channels) * (len(self.channels) - 1)
+        return (
+            f"coupling: {self.count:,} of {pairs:,} gains are not 0; largest: "
+            f"{moving} shows in {seen}, {100.0 * gain:.3g} %; condition number {self.condition:.3g}"
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Return the keys and values of a file: the gains in each channel by the actuators that move."""
+        shown = {
+            channel: {
+                other: float(self.gains[row, column])
+                for column, other in enumerate(self.channels)
+                if column != row and self.gains[row, column]
+            }
+            for row, channel in enumerate(self.channels)
+        }
+        reference = dict(zip(self.channels, self.reference.tolist(), strict=True))
+        return {"reference": reference, "gains": {channel: own for channel, own in shown.items() if own}}
+
+
+def read_coupling(root: Any, strokes: Mapping[str, float]) -> Coupling:
+    """Return the coupling that a node of a set's file describes (ModelError, with the key that is wrong).
+
+    Parameters
+    ----------
+    root
+        The node (``model_file.Node``).
+    strokes
+        Of the set's channels, in their order.
+    """
+    root.only(("reference", "gains"))
+    order = {channel: number for number, channel in enumerate(strokes)}
+
+    def known(node: Any, place: str) -> Any:
+        for channel in node.values:
+            if channel not in order:
+                raise root.refuse(place, f"there is no model of channel {json.dumps(channel)}")
+        return node
+
+    reference = known(root.node("reference"), "reference")
+    reference.only(tuple(strokes))
+    gains = np.eye(len(strokes))
+    rows = known(root.node("gains"), "gains")
+    for channel in rows.values:
+        shown = known(rows.node(channel), f"gains.{channel}")
+        for other in shown.values:
+            if other == channel:
+                raise shown.refuse(other, "is the gain of a channel in itself, which is 1")
+            gains[order[channel], order[other]] = shown.number(other)
+    at_rest = np.array([reference.number(channel) for channel in strokes])
+    found: Coupling = root.build(
+        lambda: Coupling(tuple(strokes), gains, at_rest, np.array(list(strokes.values())))
+    )
+    return found
+
 
 SET_VERSION = 2  # of a set with a coupling; 1 of one without, which older programs read, too
 _LISTED = 10  # channels that a message names at most

@@ -3,7 +3,8 @@
 A log cannot tell everything: other slopes, another bend or another memory may explain it as well, and predict
 other things of one move and the same of another. Identification keeps such models with the one it chose
 (``fit.alternatives``); they are played over the very move. What the logs themselves tell, the error on what
-was left out of the fit, is in every figure, and the wider the less the move's swings are like the logs' own.
+was left out of the fit, is in every figure, and the wider the less the move's swings, between its turns, are
+like the logs' own.
 """
 
 from __future__ import annotations
@@ -21,9 +22,13 @@ from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_stages, stage_values
-from dbo_cli.hysteresis.swings import unlike
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn
+MOST_SWINGS = 256  # are kept with a model: some 4 kB
+NEAREST = 0.02  # of the range: swings that lie closer together are kept once
 
 MOST_ROWS = 131_072  # of a move are looked at: its first ones, 1 MB of drive and some 30 ms
 MOST = 8  # other models are played: identification keeps four
@@ -38,6 +43,67 @@ the range) erred 1.1 times what was stated without either, in the middle; after 
 4.7 so, and 4.2 with 2 in place of 4/3, which stated 3.3 times what came on the authors' pair (2.4 so). Swings
 with the turn before them, or their mean distance, gained nothing.
 """
+
+
+def turning_points(signal: Floats, threshold: float) -> Integers:
+    """Rows where ``signal`` reverses by more than ``threshold``: alternating maxima and minima.
+
+    The first sample of a plateau counts as the turn. The two ends of the signal are not turning points.
+    """
+    slope = np.sign(np.diff(signal))
+    moving = np.flatnonzero(slope)
+    if len(moving) == 0:
+        return np.empty(0, np.int64)
+    changes = np.flatnonzero(np.diff(slope[moving]))
+    candidates = np.concatenate(([0], moving[changes] + 1, [len(signal) - 1]))
+    values = signal[candidates]
+    turns: list[int] = []
+    best = 0
+    direction = 0.0
+    for place in range(1, len(candidates)):
+        change = values[place] - values[best]
+        if direction == 0.0:
+            if abs(change) > threshold:
+                direction = np.sign(change)
+                best = place
+        elif change * direction >= 0.0:
+            best = place
+        elif abs(change) > threshold:
+            turns.append(int(candidates[best]))
+            direction = -direction
+            best = place
+    return np.asarray(turns, dtype=np.int64)
+
+
+def swings_between_turns(drive: Floats, span: float) -> tuple[Integers, Floats]:
+    """Return the rows between which a drive swings, (swings + 1,), and from where to where, (swings, 2)."""
+    turns = turning_points(drive, SMALLEST_TURN * span)
+    edges = np.concatenate(([0], turns, [len(drive) - 1]))
+    return edges, np.column_stack((drive[edges[:-1]], drive[edges[1:]]))
+
+
+def thinned(swings: Floats, span: float) -> Floats:
+    """Return at most ``MOST_SWINGS`` of the swings, one of those that lie close together."""
+    near = NEAREST * span
+    while True:
+        kept: Floats = swings[np.unique(np.round(swings / near), axis=0, return_index=True)[1]]
+        if len(kept) <= MOST_SWINGS:
+            return kept
+        near *= 2.0
+
+
+def unlike(drive: Floats, known: Floats, span: float, begin: int = 0) -> float:
+    """Return how far the swings of a drive are from the nearest known ones, in units of the range, RMS.
+
+    A swing is a point: where it comes from and where it goes. Swings count as long as they take, from the row
+    ``begin`` on.
+    """
+    edges, swings = swings_between_turns(drive, span)
+    rows = np.maximum(edges[1:] - np.maximum(edges[:-1], begin), 0)
+    if not rows.any():
+        return 0.0
+    squares = ((swings[:, None] - known) ** 2).sum(axis=2).min(axis=1)
+    return float(np.sqrt(rows @ squares / rows.sum())) / span
 
 
 @dataclass(frozen=True)
@@ -149,8 +215,7 @@ def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:
 
 def _straight(model: ActuatorModel, drive: Floats) -> Floats:
     """Return what the best straight line through the model's slow loop over its range makes of a drive."""
-    stages = tuple(one for one in model.stages if not isinstance(one, DynamicsStage | DelayStage))
-    still = dataclasses.replace(model, stages=stages)
+    still = model.without_lag
     way = np.linspace(model.input.minimum, model.input.maximum, 101)
     loop = np.concatenate((way, way[::-1]))
     gain, offset = np.polyfit(loop, played(still, loop, 1e9 if still.needs_time else None), 1)

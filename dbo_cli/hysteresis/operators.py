@@ -1,7 +1,8 @@
 """The Discrete Backlash Operator, the Discrete Point Operator, their states and their inverses.
 
 Operators are values: they hold no state and are never changed. A state goes in and a new one comes out,
-and the output does not depend, to the last bit, on how a signal is cut into blocks.
+and the output does not depend, to the last bit, on how a signal is cut into blocks. First come
+the widths of gears and segments (what is refused, and the grid that makes their sums exact), and relaxation.
 
 Source: Y. N. Aye and W. T. Ang (2018), "A Discrete Backlash Operator for Identification and Compensation of
 Hysteresis and Non-linearity for Piezoelectric Actuator"; equation numbers are the paper's.
@@ -10,36 +11,192 @@ Hysteresis and Non-linearity for Piezoelectric Actuator"; equation numbers are t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.errors import ModelError
+from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.gear_table import (
-    CROSSING_TOLERANCE,
-    checked_pair,
-    equal_run,
-    gear_table,
-    on_binary_grid,
-)
-from dbo_cli.hysteresis.relaxation import Relaxation
-
-__all__ = [
-    "BacklashState",
-    "Counts",
-    "DiscreteBacklashOperator",
-    "DiscretePointOperator",
-    "OutputLimits",
-    "Relaxation",
-]
 
 Floats = NDArray[np.float64]
 Axis = Literal["input", "output"]
 Outside = Literal["extend", "hold", "error"]
+
+CROSSING_TOLERANCE = 1e-9
+"""A gear counts as crossed when all but this fraction of it is travelled (more where rounding is coarse)."""
+
+_LARGEST_TOLERANCE = 1.0 / 16.0
+_ROUNDING_STEPS = 64.0 * np.finfo(np.float64).eps
+_NARROWEST = 2.0**-42
+_FEW, _LOOKED_AT = 16, 256
+"""So few different steps among so many first rows are taken for all: looking one up costs 8 to 10 ns a
+row, the exponential function with five terms 45 to 95."""
+
+
+def checked_widths(key: str, widths: ArrayLike) -> Floats:
+    """Return a read-only copy of ``widths``; raise ModelError naming the key of what is wrong in it."""
+    values = np.array(widths, dtype=np.float64).reshape(-1)
+    if values.size == 0:
+        raise ModelError(f"{key}: is empty; at least one width is needed")
+    for i in np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))[:1]:
+        raise ModelError(f"{key}[{i}]: {float(values[i])!r} is not a finite width greater than 0")
+    values.flags.writeable = False
+    return values
+
+
+def checked_pair(dx: ArrayLike, dy: ArrayLike, x0: float, y0: float) -> tuple[Floats, Floats]:
+    """Return both axes' widths, checked against each other and the origins."""
+    widths, heights = checked_widths("dx", dx), checked_widths("dy", dy)
+    if widths.size != heights.size:
+        raise ModelError(f"dy: has {heights.size} entries where dx has {widths.size}")
+    for key, value in (("x0", x0), ("y0", y0)):
+        if not math.isfinite(value):
+            raise ModelError(f"{key}: {value!r} is not a finite number")
+    return widths, heights
+
+
+def on_binary_grid(key: str, widths: Floats) -> Floats:
+    """Round widths to multiples of the power of two that makes every sum of them exact in float64.
+
+    The grid is 2^-53 of the power of two above their sum, so no width moves by more than 2^-53 of the
+    sum. Adding and subtracting them, (6)-(9), then never rounds: X_B and Y_B equal (2)-(3) exactly after
+    any number of transitions. Rounding what is rounded changes nothing.
+
+    Raises
+    ------
+    ModelError
+        A width is smaller than 2^-42 of the sum, or the sum is beyond what float64 holds.
+    """
+    while True:
+        total = math.fsum(widths.tolist())
+        if not 1e-280 < total < 1e280:
+            raise ModelError(f"{key}: the widths add up to {total!r}, beyond the range of the arithmetic")
+        grid = math.ldexp(1.0, math.frexp(total)[1] - 53)
+        rounded: Floats = np.rint(widths / grid) * grid
+        for i in np.flatnonzero(rounded < _NARROWEST * total)[:1]:
+            raise ModelError(
+                f"{key}[{i}]: {float(widths[i])!r} is less than 2^-42 of the sum of all widths, {total!r}"
+            )
+        if np.array_equal(rounded, widths):
+            return rounded
+        widths = rounded
+
+
+def gear_table(dx: Floats, dy: Floats, scale_x: float, scale_y: float) -> Floats:
+    """Return the kernel's rows (dx, dy, slope, crossing_fraction) for widths on the binary grid.
+
+    ``crossing_fraction`` is where a gear counts as crossed: all but 1e-9 of it, since a drive
+    that turns on a breakpoint is the usual case and one unit in the last place must not decide which gear
+    engages on the way back. Where a gear is so narrow beside the numbers that are added and subtracted
+    (``scale_x``, ``scale_y``) that rounding exceeds that, the tolerance is 64 rounding steps of the coarser
+    axis. Exchanging the axes leaves it as it is, so an operator and its inverse decide alike.
+
+    Raises
+    ------
+    ModelError
+        A slope is beyond what float64 holds.
+    """
+    with np.errstate(over="ignore", under="ignore"):
+        rounding = _ROUNDING_STEPS * np.maximum(scale_x / dx, scale_y / dy)
+        fraction = 1.0 - np.clip(rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE)
+        slope, inverse_slope = dy / dx, dx / dy
+    for i in np.flatnonzero(~np.isfinite(slope) | ~np.isfinite(inverse_slope))[:1]:
+        raise ModelError(
+            f"dy[{i}]: {float(dy[i])!r} over dx[{i}], {float(dx[i])!r}, is beyond the range of the arithmetic"
+        )
+    gears: Floats = np.ascontiguousarray(np.column_stack([dx, dy, slope, fraction]))
+    gears.flags.writeable = False
+    return gears
+
+
+def equal_run(gears: Floats) -> int:
+    """Return how many neighbours are equal from every multiple of that number on.
+
+    The last run may be shorter. Identification gives many gears one slope, so that runs are long; 1 where
+    nothing repeats.
+    """
+    starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
+    run = math.gcd(*starts.tolist()) or len(gears)
+    return run if run * len(gears) < 2**32 else 1  # the kernel divides by a 32-bit multiplication
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Lag and creep beside the gears: sum_j gain_j L_j, each L_j a first-order lag of the voltage.
+
+    L_j,k = a_j L_j,k-1 + (1 - a_j)(v_k - reference), a_j = exp(-Δt_k/tau_j). Beyond the paper.
+
+    Attributes
+    ----------
+    reference : float
+        Voltage at which nothing is remembered.
+    tau : tuple of float
+        Time constants in seconds, > 0.
+    gain : tuple of float
+        Output per volt, >= 0, one for each time constant.
+    """
+
+    reference: float
+    tau: tuple[float, ...]
+    gain: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what no actuator has, naming the key."""
+        if not math.isfinite(self.reference):
+            raise ModelError(f"relaxation.reference: {self.reference!r} is not a finite number")
+        if not self.tau:
+            raise ModelError("relaxation.tau: is empty; leave relaxation out instead")
+        if len(self.tau) != len(self.gain):
+            raise ModelError(
+                f"relaxation.gain: has {len(self.gain)} entries where relaxation.tau has {len(self.tau)}"
+            )
+        for j, (tau, gain) in enumerate(zip(self.tau, self.gain, strict=True)):
+            if not (math.isfinite(tau) and tau > 0.0):
+                raise ModelError(f"relaxation.tau[{j}]: {tau!r} is not a finite time greater than 0")
+            if not (math.isfinite(gain) and gain >= 0.0):
+                raise ModelError(f"relaxation.gain[{j}]: {gain!r} is not a finite number of at least 0")
+
+    def decay(self, time_step: float | ArrayLike) -> Floats:
+        """Return a_j = exp(-Δt/tau_j) as rows: one for a single time step (s), else one per sample.
+
+        Steps that are all the same come as one row, too. An even clock written in decimals has two or three
+        different steps: each is computed once, with the bits of the exponential function all the same.
+
+        Raises
+        ------
+        InputError
+            A time step is negative or not a number.
+        """
+        steps = np.asarray(time_step, dtype=np.float64).reshape(-1)
+        if not np.all(steps >= 0.0):
+            k = int(np.flatnonzero(~(steps >= 0.0))[0])
+            raise InputError(f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards")
+        few, which = np.array(sorted(set(steps[:_LOOKED_AT].tolist()))), None
+        if few.size <= _FEW < steps.size:
+            which = np.minimum(np.searchsorted(few, steps), few.size - 1)
+            steps, which = (few, which) if np.array_equal(few[which], steps) else (steps, None)
+        factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))
+        return factors if which is None or steps.size == 1 else factors.take(which, axis=0)
+
+    def lags(
+        self, x: ArrayLike, time_step: float | ArrayLike, memory: Sequence[float] | None = None
+    ) -> tuple[Floats, tuple[float, ...]]:
+        """Return L_j after each sample (len(x) × terms) and after the last; at rest first without memory."""
+        drive = np.ascontiguousarray(x, dtype=np.float64)
+        held = np.array(memory if memory is not None else [0.0] * len(self.tau), dtype=np.float64)
+        rows = np.empty((drive.size, len(self.tau)))
+        decay = self.decay(time_step)
+        start = 0
+        if memory is None and drive.size:
+            rows[0] = held[:] = drive[0] - self.reference
+            start = 1
+        later = decay if len(decay) == 1 else np.ascontiguousarray(decay[start:])
+        kernel.CHOSEN.memory_run(self.reference, held, drive[start:], rows[start:], later)
+        return rows, tuple(held.tolist())
 
 
 @dataclass(frozen=True)
@@ -133,7 +290,7 @@ class DiscreteBacklashOperator:
     Outside [X_0, X_0 + Σ ΔX_i] the paper says nothing. ``extend`` goes on with the slope of gear n - 1, the
     last one engaged on the way there; ``hold`` keeps Y_B.
 
-    A gear counts as crossed when all but 1e-9 of it is travelled (see ``gear_table.gear_table``).
+    A gear counts as crossed when all but 1e-9 of it is travelled (see ``gear_table``).
     """
 
     def __init__(
@@ -149,9 +306,9 @@ class DiscreteBacklashOperator:
         self.x0, self.y0 = float(x0), float(y0)
         self.relaxation, self.memory_on = relaxation, memory_on
         self.n = self.dx.size
-        self._words_of_bits, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)
         self.gears = self._gears()
         self.equal_run = equal_run(self.gears)
+        self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
         self._width, self._height = (math.fsum(self.gears[:, axis].tolist()) for axis in (0, 1))
 
     def __repr__(self) -> str:
@@ -167,10 +324,8 @@ class DiscreteBacklashOperator:
         if self.relaxation is not None:
             drive = scale_x if self.memory_on == "input" else scale_y
             remembered = math.fsum(self.relaxation.gain) * (drive + abs(self.relaxation.reference))
-            if self.memory_on == "input":
-                scale_y += remembered
-            else:
-                scale_x += remembered
+            scale_x += remembered * (self.memory_on == "output")
+            scale_y += remembered * (self.memory_on == "input")
         return gear_table(dx, dy, scale_x, scale_y)
 
     def _at_rest(self, voltage: float) -> float:
@@ -247,14 +402,13 @@ class DiscreteBacklashOperator:
         """Return the kernel's buffer with the state's bits in it."""
         if state.bits < 0 or state.bits >> self.n:
             raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
-        words = np.zeros(self._buffer, dtype=np.uint64)
-        size = self._words_of_bits
+        words, size = np.zeros(kernel.buffer_words(self.n), dtype=np.uint64), kernel.state_words(self.n)
         words[:size] = np.frombuffer(state.bits.to_bytes(8 * size, "little"), dtype="<u8")
         return words
 
     def _bits(self, words: NDArray[np.uint64]) -> int:
         """Return B out of the kernel's buffer."""
-        return int.from_bytes(words[: self._words_of_bits].astype("<u8").tobytes(), "little")
+        return int.from_bytes(words[: kernel.state_words(self.n)].astype("<u8").tobytes(), "little")
 
     def run(
         self,
@@ -290,47 +444,45 @@ class DiscreteBacklashOperator:
             The state is not of this operator, or ``decay`` is missing.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y = np.empty_like(x)
-        words = self._words(state)
-        gain = np.array(self.relaxation.gain if self.relaxation else (), dtype=np.float64)
-        reference = self.relaxation.reference if self.relaxation else 0.0
+        y, words, terms = np.empty_like(x), self._words(state), self._gain.size
         if limits is not None and self.relaxation is not None and self.memory_on == "input":
             raise ModelError("limits on the output of an operator whose memory follows its input")
         bound = limits or OutputLimits()
-        memory = np.array(state.memory or [0.0] * gain.size, dtype=np.float64)
-        if memory.size != gain.size:
-            raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {gain.size}")
+        memory = np.array(state.memory or [0.0] * terms, dtype=np.float64)
+        if memory.size != terms:
+            raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {terms}")
         counts, before = Counts(), math.nan if last is None else last
         for begin, end, factors, steps in self._spans(x.size, state, decay, bound.step):
             found = kernel.CHOSEN.backlash_run(
-                self.gears, self.n, self.equal_run, self.x0, self.y0, outside != "hold", gain, reference,
-                self.memory_on == "output", words, memory, before, x[begin:end], y[begin:end], factors,
-                limits is not None, bound.low, bound.high, bound.slack, steps,
+                *self.constants(outside != "hold"), words, memory, before, x[begin:end], y[begin:end],
+                factors, limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts + Counts(*found).shifted(begin) if begin else Counts(*found)
+            counts = counts + Counts(*found).shifted(begin)
             before = float(y[end - 1])
         if x.size == 0:
             return y, state, counts
-        held = tuple(memory.tolist()) if gain.size else state.memory
+        held = tuple(memory.tolist()) if terms else state.memory
         return y, BacklashState(self._bits(words), held), counts
+
+    def constants(self, extend: bool) -> tuple[Any, ...]:
+        """Return the kernel's first arguments, the same for all blocks."""
+        reference = self.relaxation.reference if self.relaxation else 0.0
+        table = self.gears, self.n, self.equal_run, self.x0, self.y0
+        return *table, extend, self._gain, reference, self.memory_on == "output"
 
     def _spans(
         self, count: int, state: BacklashState, decay: Floats | None, step: float | Floats | None
     ) -> list[tuple[int, int, Floats, Floats]]:
         """Return (begin, end, decay, step) of the kernel's calls: a sample at rest is one of its own."""
-        steps = np.array([], dtype=np.float64) if step is None else np.array(step, np.float64).reshape(-1)
-        cuts = [0, count] if count else [0]
-        if self.relaxation is None:
-            return [(0, count, np.array([], dtype=np.float64), steps)][: len(cuts) - 1]
-        terms = len(self.relaxation.tau)
-        rest = np.zeros((1, terms))
-        if state.memory is None and count:
-            cuts = [0, 1, count] if count > 1 else [0, 1]
+        steps = np.array([] if step is None else step, dtype=np.float64).reshape(-1)
+        if self.relaxation is None or not count:
+            return [(0, count, np.empty(0), steps)] if count else []
+        at_rest = state.memory is None
         spans = []
-        for begin, end in pairwise(cuts):
+        for begin, end in pairwise([0, 1, count] if at_rest and count > 1 else [0, count]):
             factors = decay
-            if state.memory is None and begin == 0:
-                factors = rest
+            if at_rest and begin == 0:
+                factors = np.zeros((1, self._gain.size))
             elif factors is None:
                 raise ModelError("relaxation needs the time between samples (`sample_rate`)")
             if len(factors) not in (1, end - begin):

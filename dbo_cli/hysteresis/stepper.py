@@ -1,54 +1,49 @@
-"""One operator, one sample at a time: the kernel with a state that stays where it is.
+"""One operator or many, one sample at a time: the kernel with states that stay where they are.
 
 ``DiscreteBacklashOperator.run`` checks, allocates and converts for every block, which a block pays once and a
-live sample would pay each time (``benchmarks/live_speed.py``). The bits are the same.
+live sample would pay each time (``benchmarks/live_speed.py``). The bits are the same. A mirror of a thousand
+actuators asks for a thousand voltages a frame: a bank works through the steppers of all of them, and what
+stands before and behind their gears, in one call.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, OutputLimits
 
 Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
+ROUNDING = 8.0 * 2.0**-52
+"""Of the larger voltage: the last digits of a step between two rows, each rounded once or twice on its way
+through points and scales. A slew limit is kept to that, a range exactly."""
+
 
 class PythonStepper:
-    """The extension's ``Stepper`` in Python; arguments are those of ``kernel.backlash_run``.
+    """The extension's ``Stepper`` in Python: the operator's ``constants``, then what each step needs.
 
-    ``decay`` is one row, and ``step`` the largest change of the output, or NaN.
+    That is ``decay`` (one row), ``limited``, ``low``, ``high`` and ``slack``, as ``kernel.backlash_run`` has
+    them, and ``step``, the largest change of the output, or NaN.
     """
 
-    def __init__(
-        self,
-        gears: Floats,
-        n: int,
-        run: int,
-        x0: float,
-        y0: float,
-        extend: bool,
-        gain: Floats,
-        reference: float,
-        memory_on_output: bool,
-        decay: Floats,
-        limited: bool,
-        low: float,
-        high: float,
-        slack: float,
-        step: float,
-    ) -> None:
+    def __init__(self, *given: Any) -> None:
+        gears, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = given
         self._table = gears, n, run, x0, y0, extend, gain, reference, memory_on_output
+        limited, low, high, slack, step = limits
         exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3]])
         exchanged[:, 2] = gears[:, 0] / gears[:, 1]
         self._exchanged = exchanged, n, run, y0, x0, extend, gain, reference, not memory_on_output
         steps = np.array([] if math.isnan(step) else [step])
-        self._decay, self._limits = decay, (limited, low, high, slack, steps)
+        self._limits = limited, low, high, slack, steps
         self._words = np.zeros(kernel.buffer_words(n), np.uint64)
         self._memory, self.last = np.zeros(gain.size), math.nan
         self._planned: tuple[Words, Floats, float] | None = None
@@ -128,17 +123,14 @@ class BacklashStepper:
         limits: OutputLimits | None = None,
     ) -> None:
         terms, bound = operator.relaxation, limits or OutputLimits()
-        gain = np.array(terms.gain if terms else (), dtype=np.float64)
         decay = terms.decay(time_step) if terms and time_step is not None else np.zeros((0, 0))
         step = math.nan if bound.step is None else float(np.asarray(bound.step))
         make = PythonStepper if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Stepper
         self._operator, self._made_with = operator, (time_step, limits)
         self.inner = make(
-            operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, gain,
-            terms.reference if terms else 0.0, operator.memory_on == "output", decay, limits is not None,
-            bound.low, bound.high, bound.slack, step,
-        )  # fmt: skip
-        self._words, self._memory = operator._words(state), np.zeros(gain.size)
+            *operator.constants(True), decay, limits is not None, bound.low, bound.high, bound.slack, step
+        )
+        self._words, self._memory = operator._words(state), np.zeros(len(terms.gain) if terms else 0)
         self.plan, self.commit, self.apply = self.inner.plan, self.inner.commit, self.inner.apply
         self.set(state, last)
 
@@ -167,3 +159,135 @@ class BacklashStepper:
         """Take a state over from this operator or the exchanged one: its bits and memory mean the same."""
         memory = np.array(state.memory or (), dtype=np.float64)
         self.inner.set(self._operator._words(state), memory, last)
+
+
+class PythonBank:
+    """The extension's ``Bank`` in Python: the same arguments, the same bits.
+
+    Parameters
+    ----------
+    steppers
+        Of every channel, with a state.
+    before, before_places, after, after_places, back, back_places
+        The curves of every channel (``packed``): before the gears, behind them, and what undoes those behind.
+    limits
+        Rows low, high, most, last, a column of each channel: the range, the largest change (or NaN), and the
+        voltage that stands (or NaN).
+    """
+
+    def __init__(self, steppers: tuple[Any, ...], *curves_and_limits: Any) -> None:
+        *curves, limits = curves_and_limits
+        self._steppers = steppers
+        self._curves = [
+            [numbers[a:b].tolist() for a, b in itertools.pairwise(places.tolist())]
+            for numbers, places in zip(curves[::2], curves[1::2], strict=True)
+        ]
+        self._low, self._high, self._most, self._last = limits.reshape(4, -1).copy()
+        self._volts = np.zeros(len(steppers))
+        self._planned = False
+
+    def plan(self, x: Floats, y: Floats, clipped: NDArray[np.uint8], gate: bool) -> int:
+        """Fill ``y`` and ``clipped``; -1, or k where input k is no number, or -2 - k where limits break."""
+        self._planned = False
+        bad = np.flatnonzero(~np.isfinite(x))
+        if bad.size:
+            return int(bad[0])
+        for k, stepper in enumerate(self._steppers):
+            volts = stepper.plan(_run(self._curves[0][k], float(x[k])))
+            clipped[k] = stepper.clipped != 0
+            if self._curves[1][k]:
+                volts = min(max(_run(self._curves[1][k], volts), self._low[k]), self._high[k])
+            y[k] = self._volts[k] = volts
+            if gate and not self._may_pass(k, float(volts)):
+                return -2 - k
+        self._planned = True
+        return -1
+
+    def check(self, volts: Floats) -> int:
+        """Return the first channel whose voltage may not follow the last one, or -1."""
+        return next((k for k, one in enumerate(volts.tolist()) if not self._may_pass(k, one)), -1)
+
+    def commit(self) -> None:
+        """Go on to the states that the last plan leads to."""
+        if not self._planned:
+            raise ValueError("nothing was planned to be committed")
+        for stepper in self._steppers:
+            stepper.commit()
+        self._last[:], self._planned = self._volts, False
+
+    def apply(self, volts: Floats) -> int:
+        """Go on to the states that these voltages lead to; -1, or k where voltage k is no number."""
+        bad = np.flatnonzero(~np.isfinite(volts))
+        if bad.size:
+            return int(bad[0])
+        for k, stepper in enumerate(self._steppers):
+            stepper.apply(_run(self._curves[2][k], float(volts[k])))
+        self._last[:], self._planned = volts, False
+        return -1
+
+    def _may_pass(self, k: int, volts: float) -> bool:
+        low, high, most, last = (float(one[k]) for one in (self._low, self._high, self._most, self._last))
+        inside = low <= volts <= high
+        if last == last and not inside and not low <= last <= high:
+            inside = last <= volts <= low if last < low else high <= volts <= last
+        if inside and last == last and most == most:
+            inside = abs(volts - last) <= most + ROUNDING * max(abs(last), abs(volts))
+        return inside
+
+
+def _run(numbers: list[float], x: float) -> float:
+    """Pass a number through packed curves."""
+    place = 0
+    while place < len(numbers):
+        if numbers[place] == 0.0:
+            x = numbers[place + 1] * x + numbers[place + 2]
+            place += 3
+            continue
+        count, x0, y0 = int(numbers[place + 1]), numbers[place + 2], numbers[place + 3]
+        segments = np.array(numbers[place + 4 : place + 4 + 3 * count]).reshape(-1, 3)
+        y = np.empty(1)
+        kernel.point_run(segments, x0, y0, np.array([x]), y)
+        x, place = float(y[0]), place + 4 + 3 * count
+    return x
+
+
+def packed(stages: Sequence[MemoryFree]) -> tuple[Floats, Words]:
+    """Return the curves of every channel as numbers, and where each channel's begin.
+
+    A scale is ``0, gain, offset``; points are ``1, m, x0, y0`` and three numbers a segment.
+    """
+    rows: list[Floats] = []
+    for one in stages:
+        parts = [np.empty(0)]
+        for stage in one:
+            if isinstance(stage, ScaleStage):
+                parts.append(np.array([0.0, stage.gain, stage.offset]))
+            else:
+                head = np.array([1.0, float(len(stage.segments)), stage.x0, stage.y0])
+                parts += [head, np.asarray(stage.segments, dtype=np.float64).reshape(-1)]
+        rows.append(np.concatenate(parts))
+    places = np.concatenate([[0], np.cumsum([row.size for row in rows])]).astype(np.uint64)
+    return np.concatenate(rows), places
+
+
+def make_bank(
+    steppers: Sequence[BacklashStepper],
+    before: Sequence[MemoryFree],
+    after: Sequence[MemoryFree],
+    limits: Floats,
+) -> Any:
+    """Return the bank of the chosen kernel, which has the methods of ``PythonBank``.
+
+    Parameters
+    ----------
+    steppers
+        Of every channel, with a state.
+    before, after
+        The memory-free stages of every channel's inverse, before and behind the gears.
+    limits
+        As ``PythonBank`` has them.
+    """
+    make: Any = PythonBank if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Bank
+    back = [tuple(stage.inverse() for stage in reversed(one)) for one in after]
+    curves: list[Any] = [part for stages in (before, after, back) for part in packed(stages)]
+    return make(tuple(one.inner for one in steppers), *curves, np.ascontiguousarray(limits))

@@ -27,19 +27,19 @@ BINARY = {
     b"\x89HDF\r\n\x1a\n": ("HDF5", "hdf5.reader.open_hdf5"),
     b"MATLAB 5.0 MAT-file": ("a MATLAB file", "binary.arrays.open_matlab"),
     b"\x93NUMPY": ("a NumPy array", "binary.arrays.open_npy"),
-    b"PAR1": ("Parquet", "binary.arrow.open_parquet"),
-    b"ARROW1": ("Feather", "binary.arrow.open_feather"),
-    b"FEA1": ("Feather", "binary.arrow.open_old_feather"),
-    b"TDSm": ("TDMS", "binary.tdms.open_tdms"),
+    b"PAR1": ("Parquet", "binary.library_files.open_parquet"),
+    b"ARROW1": ("Feather", "binary.library_files.open_feather"),
+    b"FEA1": ("Feather", "binary.library_files.open_old_feather"),
+    b"TDSm": ("TDMS", "binary.library_files.open_tdms"),
     b"CDF\x01": ("netCDF", "binary.arrays.open_netcdf"),
     b"CDF\x02": ("netCDF", "binary.arrays.open_netcdf"),
-    b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.excel.open_excel"),
+    b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.library_files.open_excel"),
     # Texts that are no tables.
-    **dict.fromkeys((b"    -1\n", b"    -1\r\n"), ("UFF", "binary.uff.open_uff")),
-    **dict.fromkeys((b"IGOR\n", b"IGOR\r"), ("an Igor text file", "text.igor.open_igor")),
+    **dict.fromkeys((b"    -1\n", b"    -1\r\n"), ("UFF", "binary.library_files.open_uff")),
+    **dict.fromkeys((b"IGOR\n", b"IGOR\r"), ("an Igor text file", "text.whole_texts.open_igor")),
     **dict.fromkeys(
         (b'{"', b"{\n", b"{\r\n", b"[{", b"[[", b'["', b"[\n", b"[\r\n"),
-        ("JSON", "binary.json_rows.open_json"),
+        ("JSON", "text.whole_texts.open_json"),
     ),
 }
 ZIP = b"PK\x03\x04"  # APPNOTE.TXT 4.3.7; the other signatures are those of the file(1) database

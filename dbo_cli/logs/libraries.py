@@ -40,7 +40,7 @@ def set_host(chosen: Host) -> Host:
     """Choose what is done about libraries in this process; returns what was chosen before."""
     global _host
     before, _host = _host, chosen
-    keep_interrupts.cache_clear()
+    import_polars.cache_clear()
     return before
 
 
@@ -50,9 +50,11 @@ def host() -> Host:
 
 
 @functools.cache
-def keep_interrupts() -> None:
-    """Tell the host that polars has been imported; only the first call counts."""
+def import_polars() -> Any:
+    """Import polars, and tell the host of it once: polars puts a handler of its own before Python's."""
+    library = importlib.import_module("polars")
     _host.imported("polars")
+    return library
 
 
 def import_extra(module: str, place: str) -> Any:

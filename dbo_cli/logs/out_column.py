@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError
 from dbo_cli.logs.columns import split_header
-from dbo_cli.logs.libraries import keep_interrupts
+from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.units import is_known_unit
 
@@ -110,10 +110,7 @@ def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
 def _fast_rows(arrays: Sequence[ArrayLike], delimiter: str) -> memoryview:
     import io
 
-    import polars
-
-    keep_interrupts()
-
+    polars = import_polars()
     buffer = io.BytesIO()
     names = map(str, range(len(arrays)))
     columns = map(np.ascontiguousarray, arrays, repeat(np.float64))

@@ -27,7 +27,8 @@ from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock,
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
 
-_HDF5, _MATLAB, _EXCEL = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab", "binary.excel.open_excel"
+_HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab"
+_EXCEL = "binary.library_files.open_excel"
 _ZIP_ENDINGS = {".npz": "binary.arrays.open_npz"} | dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".ods"), _EXCEL)
 _USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
 
@@ -65,7 +66,7 @@ def _side_by_side(request: Request, table: TextTable) -> Table | None:
     names = {name.strip("_").lower() for name in table.dialect.headers}
     if not (table.dialect.sparse or "value" in names):
         return None
-    from dbo_cli.logs.text.long_table import SIGNALS, side_by_side
+    from dbo_cli.logs.text.whole_texts import SIGNALS, side_by_side
 
     try:
         if not table.source.is_regular:

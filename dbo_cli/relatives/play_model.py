@@ -3,7 +3,8 @@
 Forward: a scale that brings the drive to the operator's range, the plays, points (superposed dead zones are
 a curve of straight pieces) and scales, then perhaps a delay. A straight line is one play of radius 0. The
 commands take such a model as any other; what is made for gears alone (``export``, the live controller)
-refuses it.
+refuses it. Files have the stage and its state as in
+docs/model-file.md: ``hysteresis.model_file`` asks here when a file has a stage that it does not know.
 """
 
 from __future__ import annotations
@@ -16,13 +17,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.cascade import ScaleStage, through
+from dbo_cli.hysteresis.cascade import ScaleStage, Stage, through
 from dbo_cli.hysteresis.delay import DelayStage
-from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, OutsideError, Simulated
+from dbo_cli.hysteresis.model_file import Node
+from dbo_cli.hysteresis.model_state import (
+    START_NAMES,
+    DriveLimits,
+    ModelState,
+    OutsideError,
+    Simulated,
+    StartName,
+)
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Outside
-from dbo_cli.relatives.plays import NOTHING, Bounds, PlayOperator, PlayState
+from dbo_cli.relatives.plays import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
 
 Floats = NDArray[np.float64]
 
@@ -228,3 +236,35 @@ class RelativeModel(ActuatorModel):
 
 def _held(plays: Floats) -> PlayState:
     return PlayState(0, None, tuple(plays.tolist()))
+
+
+def _plays(node: Node) -> Stage:
+    kind: Kind = node.text("type")  # type: ignore[assignment]
+    more: tuple[str, ...] = ()
+    if kind == "rate-plays":
+        more = ("by_rate", "fastest")
+    elif kind == "one-sided-plays":
+        more = ("cubic", "linear")
+    node.only(("type", "radii", "weights", *more))
+    lists = {key: node.numbers(key) for key in ("radii", "weights", "by_rate") if key in node.values}
+    numbers = {key: node.number(key) for key in ("fastest", "cubic", "linear") if key in node.values}
+    stage: Stage = node.build(lambda: PlayOperator(kind, **lists, **numbers))  # type: ignore[arg-type]
+    return stage
+
+
+READERS = dict.fromkeys(KINDS, _plays)
+
+
+def read_places(node: Node, model: RelativeModel) -> BacklashState:
+    """Return what the plays of a model remember."""
+    node.only(("places", "inverse_places", "wanted"))
+    found = []
+    for key in ("places", "inverse_places"):
+        values = None if node.values[key] is None and key != "places" else node.numbers(key)
+        if values is not None and len(values) != model.plays.n:
+            raise node.refuse(key, f"has {len(values)} entries where the model has {model.plays.n} plays")
+        found.append(values)
+    wanted = None if node.values["wanted"] is None else node.number("wanted")
+    places, inverse = found
+    assert places is not None
+    return PlayState(0, None, tuple(places), None if inverse is None else tuple(inverse), wanted)

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set, read_set
 from dbo_cli.logs.addresses import Address, parse_address
-from dbo_cli.logs.channels import ChannelReader, column_of, is_pattern
+from dbo_cli.logs.channels import ChannelReader, channels_of, column_of, is_pattern
+from dbo_cli.logs.column_names import TIME_NAMES
+from dbo_cli.logs.columns import column_info
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import make_folder
 from dbo_cli.remarks import Remarks
-from dbo_cli.runs.jobs import named, summed_up
+from dbo_cli.runs.jobs import named, sum_up
 
 CHANNEL = "{channel}"
 
@@ -80,23 +83,45 @@ def address_of(address: Address, channel: str) -> Address:
     return parse_address(in_name(address.text, channel), address.format)
 
 
+class TableReader:
+    """A table whose columns are read by channel, as ``ChannelReader`` reads those of a log."""
+
+    def __init__(self, table: Any, columns: Columns) -> None:
+        self._table = table
+        infos = [column_info(str(name), number) for number, name in enumerate(table.columns, 1)]
+        taken = {one.number for one in infos if one.quantity.lower() in TIME_NAMES}
+        self.channels = channels_of(TABLE, infos, columns.patterns, taken)
+
+    def log(self, channel: str) -> Any:
+        """Return the table without the columns of other channels."""
+        own = self.channels[channel].values()
+        others = {one.number for found in self.channels.values() for one in found.values()}
+        others -= {one.number for one in own}
+        return self._table.iloc[:, [k - 1 for k in range(1, self._table.shape[1] + 1) if k not in others]]
+
+
 @contextlib.contextmanager
 def opened_readers(
-    logs: Sequence[Address], reading: ReadingOptions, columns: Columns, digest: bool = False
-) -> Iterator[list[ChannelReader]]:
-    """Open logs that all have the same channels (InputError where one lacks some)."""
+    logs: Sequence[Any], reading: ReadingOptions, columns: Columns, digest: bool = False
+) -> Iterator[list[Any]]:
+    """Open logs or tables that all have the same channels (InputError where one lacks some)."""
     with contextlib.ExitStack() as stack:
-        readers = []
-        for address in logs:
-            reader = ChannelReader(address, reading, columns.patterns, digest)
-            stack.callback(reader.close)
-            readers.append(reader)
-            missing = [one for one in readers[0].channels if one not in reader.channels]
-            missing += [one for one in reader.channels if one not in readers[0].channels]
+        readers: list[ChannelReader | TableReader] = []
+        for one in logs:
+            if is_table(one):
+                readers.append(TableReader(one, columns))
+            elif is_file(one) or isinstance(one, Address):
+                reader = ChannelReader(parse_address(one), reading, columns.patterns, digest)
+                stack.callback(reader.close)
+                readers.append(reader)
+            else:
+                raise InputError("a log with many channels is a table or a file's name")
+            first, channels = readers[0].channels, readers[-1].channels
+            missing = [name for name in first if name not in channels]
+            missing += [name for name in channels if name not in first]
             if missing:
-                raise InputError(
-                    f"{address.text}: has other channels than {logs[0].text}: {named(missing)} in one alone"
-                )
+                here, there = (TABLE if is_table(log) else parse_address(log).text for log in (one, logs[0]))
+                raise InputError(f"{here}: has other channels than {there}: {named(missing)} in one alone")
         yield readers
 
 
@@ -158,5 +183,4 @@ def sum_up_remarks(found: Mapping[str, Remarks], pattern: str, remarks: Remarks)
         return
     first = next(iter(found.values()))
     remarks.read += [f"{line}; {len(found):,} channels: '{pattern}'" for line in first.read]
-    remarks.notes += summed_up({channel: one.notes for channel, one in found.items()}, "channel")
-    remarks.warnings += summed_up({channel: one.warnings for channel, one in found.items()}, "channel")
+    sum_up(remarks, found, "channel")

@@ -12,9 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.coupling import Coupling
 from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
-from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
+from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.channels import ChannelReader, column_of
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_set import read_model as read_model_file
-from dbo_cli.hysteresis.model_state import ModelState, Quantity
+from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows, parse_rows

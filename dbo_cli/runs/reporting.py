@@ -53,21 +53,27 @@ class Written:
         check_limits(self.report, **dataclasses.asdict(limits))
 
 
+@dataclass(frozen=True)
+class ReportRun:
+    """What is asked of ``report``: logs, the report's file and form, and a folder for ``figures``."""
+
+    logs: Sequence[Address]
+    output: Address
+    reading: ReadingOptions
+    options: TrackingOptions
+    form: str | None = None
+    figures: str | None = None
+
+
 @all_or_none()
-def report_logs(
-    logs: Sequence[Address],
-    output: Address,
-    reading: ReadingOptions,
-    options: TrackingOptions,
-    *,
-    form: str | None = None,
-    figures: str | None = None,
-    listener: Listener = SILENT,
-) -> Written:
+def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
+    logs, output, reading, options, figures = (
+        asked.logs, asked.output, asked.reading, asked.options, asked.figures
+    )  # fmt: skip
     if options.model is not None and options.trajectory is not None:
         refuse_both()
-    chosen = report_form(output, form)
+    chosen = report_form(output, asked.form)
     check_document(output, "a report", chosen)
     inputs: list[Given] = [*logs, *(name for name in (options.model, options.trajectory) if name is not None)]
     inputs += selected_files(options.desired, options.measured, options.voltage, reading.time)

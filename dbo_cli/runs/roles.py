@@ -9,10 +9,9 @@ from typing import Any
 
 from dbo_cli.drives.learning import Tracked
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.initial_states import START_NAMES, StartName
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_state
-from dbo_cli.hysteresis.model_state import ModelState, Quantity
+from dbo_cli.hysteresis.model_state import START_NAMES, ModelState, Quantity, StartName
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import ColumnWish

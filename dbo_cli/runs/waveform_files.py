@@ -24,16 +24,17 @@ from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import Remarks
 from dbo_cli.runs.files import read_record, summary_of_values, write_summary
-from dbo_cli.waveforms.generator_files import (
+from dbo_cli.waveforms import (
     FORMATS,
     Coding,
+    Points,
     Signals,
     Values,
+    at_points,
     check_name,
     whole_rate,
     written,
 )
-from dbo_cli.waveforms.points import Points, at_points
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
 _REMEDIES = {

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.coupling import Coupling
+from dbo_cli.hysteresis.model_set import Coupling
 
 Floats = NDArray[np.float64]
 

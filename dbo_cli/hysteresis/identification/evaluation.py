@@ -20,8 +20,8 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
-from dbo_cli.hysteresis.initial_states import StartName
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
+from dbo_cli.hysteresis.model_state import StartName
 
 BLOCK_ROWS = 65536
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0

@@ -31,8 +31,17 @@ from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.search import Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 from dbo_cli.hysteresis.model import ActuatorModel, ScaleStage
-from dbo_cli.hysteresis.move_error import Alternative, changed_gain, played, rms, spread, stated
-from dbo_cli.hysteresis.swings import swings_between_turns, thinned, unlike
+from dbo_cli.hysteresis.move_error import (
+    Alternative,
+    changed_gain,
+    played,
+    rms,
+    spread,
+    stated,
+    swings_between_turns,
+    thinned,
+    unlike,
+)
 
 LIKELIHOOD_WIDTH = 0.1  # a model whose RMSE is this share above the chosen one's counts exp(-1)
 FEWEST_SWINGS = 4  # twice up and down: of fewer the error that came was up to ten times the one expected

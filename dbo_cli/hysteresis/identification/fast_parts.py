@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Recording
-from dbo_cli.hysteresis.swings import turning_points
+from dbo_cli.hysteresis.move_error import turning_points
 
 SMALLEST_SWING = 5e-4  # of the log's range: smaller reversals of the drive are converter steps and noise
 LARGEST_SWING = 0.35  # of the range, in a sweep: larger swings are loops

@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift_columns
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
-from dbo_cli.hysteresis.initial_states import StartName
+from dbo_cli.hysteresis.model_state import StartName
 
 Booleans = NDArray[np.bool_]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.swings import SMALLEST_TURN, turning_points
+from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -19,13 +19,13 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from dbo_cli.hysteresis.initial_states import StartName, start_state
+from dbo_cli.hysteresis.model_state import StartName, start_state
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     DiscreteBacklashOperator,
     DiscretePointOperator,
+    Relaxation,
 )
-from dbo_cli.hysteresis.relaxation import Relaxation
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -21,7 +21,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 )
 from dbo_cli.hysteresis.identification.recordings import drive_shape
 from dbo_cli.hysteresis.identification.regressors import BLOCK_ROWS, Basis, DriveRows, hat_functions
-from dbo_cli.hysteresis.initial_states import StartName
+from dbo_cli.hysteresis.model_state import StartName
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

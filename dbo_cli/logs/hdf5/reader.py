@@ -38,13 +38,13 @@ from dbo_cli.logs.hdf5.columns import (
     field_sources,
     is_dataset,
     is_group,
+    laboratory_columns,
     matlab_class,
     scalar_statements,
     slicer,
     statements_of,
     stored_text,
 )
-from dbo_cli.logs.hdf5.laboratories import laboratory_columns
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import column_info, column_label
-from dbo_cli.logs.libraries import keep_interrupts
+from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, FILL_GAPS, Rows, remedy_for
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
@@ -381,9 +381,7 @@ def _parse_fast(
     block: bytes, lines: int, picks: list[ColumnInfo], dialect: Dialect
 ) -> list[FloatArray] | None:
     """Parse a large rectangular block with polars; None where a cell needs a careful look."""
-    import polars
-
-    keep_interrupts()
+    polars = import_polars()
     columns = sorted({pick.number - 1 for pick in picks})
     schema: dict[str, Any] = {f"column_{n + 1}": polars.String for n in range(dialect.width)}
     schema |= {f"column_{n + 1}": polars.Float64 for n in columns}

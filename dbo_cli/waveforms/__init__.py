@@ -1,1 +1,0 @@
-"""The files that generators, wave tables and converters take: volts to bytes, and back."""
