@@ -9,7 +9,7 @@ import os
 import stat
 import sys
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import IO, Any, cast
 
@@ -150,12 +150,6 @@ class Request:
         except errors as problem:
             self.watch.check()
             raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
-
-    def no_columns(self, held: Iterable[str], remedy: str = "") -> InputError:
-        """Return the error for a file without columns of numbers; ``held`` is what it has instead."""
-        return InputError(
-            f"{self.place}: no columns of numbers: it holds {', '.join(held) or 'nothing'}{remedy}"
-        )
 
 
 def brief(problem: BaseException) -> str:

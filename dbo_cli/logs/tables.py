@@ -13,7 +13,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from dbo_cli.logs.addresses import Address, other_file, parse_address
 from dbo_cli.logs.byte_source import BINARY, ZIP, Request
 from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
+from dbo_cli.logs.time_column import TimeColumn, find_time_column, time_column
 
 _HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab"
 _EXCEL = "binary.library_files.open_excel"
@@ -42,8 +42,9 @@ def open_table(request: Request) -> Table:
         The file cannot be read, or a library that reads it is not installed.
     """
     address = request.address
-    if isinstance(address, ReadLog) and address.table is not None:
-        return address.table.opened(request.options)
+    if address.table is not None:
+        held: Table = address.table.opened(request.options)
+        return held
     reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
     if not reader:
         table = TextTable(request)
@@ -382,77 +383,3 @@ def _merged(parts: list[SampleBlock]) -> SampleBlock:
         return replace(first, values=values)
     lines = None if first.lines is None else np.asarray(first.lines)[np.isin(np.asarray(first.rows), common)]
     return SampleBlock(common, lines, None, values)
-
-
-# --- a log that was read already ---------------------------------------------------------------------
-
-
-@dataclass
-class HeldTable(Table):
-    """Some columns of a table in memory.
-
-    Attributes
-    ----------
-    place, columns, described
-        As the table that was read has them; only the columns that are held.
-    block
-        All rows; the values by column number, as text.
-    found_time
-        The time column, found among all columns of the log.
-    clock
-        The rate (Hz) and the first row's time (s) that the file states, or the refusal.
-    digest
-        Of the file.
-    """
-
-    place: str
-    columns: list[ColumnInfo]
-    described: str
-    block: SampleBlock
-    found_time: FoundTime
-    clock: tuple[float | None, float] | InputError
-    digest: str | None
-    remarks: tuple[str, ...] = ()
-    rows: Rows = ALL_ROWS
-    notes: list[str] = field(default_factory=list)
-
-    def opened(self, options: ReadingOptions) -> HeldTable:
-        """Return a table to read from, whose notes and clock are its own."""
-        found = self.found_time
-        if found.clock is not None:
-            found = found._replace(clock=replace(found.clock, notes=list(found.clock.notes)))
-        return replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
-
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
-        if isinstance(self.clock, InputError):
-            raise self.clock
-        return self.clock
-
-    def describe(self) -> str:
-        """Describe in one line how the log is written."""
-        return self.described
-
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
-        """Return the rows asked for as one block; none of them is bad."""
-        values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
-        block = replace(self.block, values=values).within(self.rows)
-        if len(block):
-            yield block
-
-    @property
-    def sha256(self) -> str | None:
-        """The digest of what was read."""
-        return self.digest
-
-
-@dataclass(frozen=True)
-class ReadLog(Address):
-    """The address of a log whose columns are in memory already."""
-
-    table: HeldTable | None = field(default=None, compare=False, repr=False)
-
-    @classmethod
-    def of(cls, address: Address, table: HeldTable) -> ReadLog:
-        """Put a table behind an address."""
-        return cls(address.text, address.path, address.group, address.kind, address.format, table)

@@ -19,7 +19,6 @@ from dbo_cli.logs.channels import ChannelReader, column_of
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.tables import ReadLog
 from dbo_cli.logs.whole_output import KeptOutputs
 from dbo_cli.runs.identifying import RecordedLog
 from dbo_cli.runs.jobs import Work
@@ -116,8 +115,8 @@ def logs_apart(
             columns.append(joined(list(opened.blocks())).values["wanted"])
     own = coupling.apart(_matrix(coupling.channels, columns, reader.address.text))
     for place, (channel, log) in enumerate(logs.items()):
-        assert isinstance(log, ReadLog) and log.table is not None  # a bad row was refused above
         table, number = log.table, reader.channels[channel]["displacement"].number
+        assert table is not None  # a bad row was refused above
         unit = read_model(models(channel)).output.unit
         infos = [
             dataclasses.replace(one, unit=unit) if one.number == number else one for one in table.columns
@@ -125,7 +124,7 @@ def logs_apart(
         block = dataclasses.replace(
             table.block, values={**table.block.values, str(number): own[:, place].copy()}
         )
-        logs[channel] = ReadLog.of(log, dataclasses.replace(table, columns=infos, block=block))
+        logs[channel] = dataclasses.replace(log, table=dataclasses.replace(table, columns=infos, block=block))
     return logs
 
 

@@ -27,23 +27,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs import output_files
+from dbo_cli.logs import whole_output
 from dbo_cli.logs.addresses import Address, Given
 from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
-from dbo_cli.logs.output_files import (
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import (
     check_output,
     descriptor_of,
     is_replaceable,
     is_running,
     partial_path,
+    replacing,
     try_lock,
     writers_in,
 )
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import replacing
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
@@ -206,7 +206,7 @@ def _in_use(path: str) -> str:
 @contextlib.contextmanager
 def _locked(path: str) -> Iterator[None]:
     """Hold HDF5's lock on a file; OutputError where somebody else has it open for writing."""
-    if output_files.WINDOWS:  # no locks of this kind there, and a file that is open cannot be replaced
+    if whole_output.WINDOWS:  # no locks of this kind there, and a file that is open cannot be replaced
         yield
         return
     start = time.monotonic()

@@ -57,9 +57,9 @@ def open_json(request: Request) -> ColumnTable:
         columns, single = _columns(document)
         found = [listed_source(name, values) for name, values in columns.items()]
     sources = without_scalars([source for source in found if source is not None])
-    if not sources:
-        raise request.no_columns(columns or single, ' (write a line a row: {"time": 0, "voltage": 1.5})')
-    return ColumnTable(request, "JSON", sources, clock=statements_in(single))
+    remedy = ' (write a line a row: {"time": 0, "voltage": 1.5})'
+    clock, held = statements_in(single), columns or single
+    return ColumnTable(request, "JSON", sources, clock=clock, held=held, remedy=remedy)
 
 
 def _parsed(place: str, text: str) -> Any:
@@ -154,8 +154,6 @@ def open_igor(request: Request) -> ColumnTable:
         names = _names(found["names"])
         for label in (label for label in sources if label.partition("[")[0] in names):
             sources[label] = _scaled(sources[label], found)
-    if not sources:
-        raise request.no_columns(())
     return ColumnTable(request, "Igor text", list(sources.values()))
 
 
