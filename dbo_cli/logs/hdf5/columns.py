@@ -1,8 +1,8 @@
 """One HDF5 dataset as columns: names, units, scales, missing values and rates from its attributes.
 
 Then, as programs for experiments arrange them: PyMoDAQ's tree of data and axes, Labber's channels and
-traces, the tables of pandas; written after the files that ``pymodaq_data`` writes, and after public readers of
-Labber's log files.
+traces (written after the files that ``pymodaq_data`` writes, and after public readers of Labber's log files),
+the tables of pandas.
 """
 
 from __future__ import annotations
