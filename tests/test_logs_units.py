@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.column_names import wish
-from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.columns import column_info, wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source

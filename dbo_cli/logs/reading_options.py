@@ -119,9 +119,8 @@ class ReadingOptions:
         self.delimiter_character  # noqa: B018
         self.decimal_sign  # noqa: B018
         try:
-            "".encode(
-                "utf-8" if self.encoding is None else self.encoding
-            )  # refuses codecs that are no text encodings, too
+            # refuses codecs that are no text encodings, too
+            "".encode("utf-8" if self.encoding is None else self.encoding)
         except (LookupError, ValueError):
             raise UsageError(f"`encoding` {self.encoding}: there is no such text encoding") from None
 

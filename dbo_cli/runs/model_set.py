@@ -20,8 +20,7 @@ from dbo_cli.hysteresis.model_set import ModelSet as SetFile
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.addresses import check_document, parse_address
 from dbo_cli.logs.channels import ChannelReader, channels_of
-from dbo_cli.logs.column_names import TIME_NAMES
-from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.columns import TIME_NAMES, column_info
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import write_whole

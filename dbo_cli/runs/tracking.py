@@ -12,8 +12,7 @@ from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_names import wish
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.sources import Source, remarks_of

@@ -13,7 +13,6 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
-from dbo_cli.logs.column_names import TIME_NAMES
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -27,6 +26,7 @@ from dbo_cli.logs.column_table import (
     with_unit,
     without_scalars,
 )
+from dbo_cli.logs.columns import TIME_NAMES
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 

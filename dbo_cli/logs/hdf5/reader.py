@@ -18,7 +18,6 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.byte_source import Request, brief
-from dbo_cli.logs.column_names import DISPLACEMENT, TIME_NAMES, VOLTAGE
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -27,7 +26,7 @@ from dbo_cli.logs.column_table import (
     with_unit,
     without_scalars,
 )
-from dbo_cli.logs.columns import fits_pattern, split_header
+from dbo_cli.logs.columns import DISPLACEMENT, TIME_NAMES, VOLTAGE, fits_pattern, split_header
 from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,

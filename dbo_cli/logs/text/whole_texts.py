@@ -17,7 +17,6 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource, Request
-from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.column_table import (
     ColumnSource,
     ColumnTable,
@@ -26,6 +25,7 @@ from dbo_cli.logs.column_table import (
     statements_in,
     without_scalars,
 )
+from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.reading_options import FILL_GAPS
 from dbo_cli.logs.stated_clock import FACTORS, Statement, time_unit
