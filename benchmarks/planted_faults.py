@@ -89,7 +89,8 @@ FAULTS: list[Fault] = [
          "a tie of the settled state is decided by a tolerance"),
         ("first_outside=self.first_outside + samples if self.outside else 0,", "first_outside=self.first_outside,",
          "the first sample outside is named by its place in the block"),
-        ("rest = np.zeros((1, terms))", "rest = np.ones((1, terms))", "relaxation is at rest at the first sample"),
+        ("factors = np.zeros((1, self._gain.size))", "factors = np.ones((1, self._gain.size))",
+         "relaxation is at rest at the first sample"),
     ),
     *_faults(
         "hysteresis/delay.py",
@@ -131,7 +132,7 @@ FAULTS: list[Fault] = [
          "the slew limit holds from the first sample on"),
         ("clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)",
          "clipped = False", "a first sample beyond the limits counts as clipped"),
-        ("miss * self._input_per_stage_input()", "miss", "what the start misses is told in the user's unit"),
+        ("miss * (self.input.span / (high - low))", "miss", "what the start misses is told in the user's unit"),
         ("            steps[0] = 0.0\n", "            pass\n", "the step before the very first sample does not matter"),
     ),
     *_faults(
@@ -421,7 +422,7 @@ FAULTS: list[Fault] = [
          "a memory is off by what it is away from the loop's own"),
     ),
     *_faults(
-        "drives/loop_starts.py",
+        "drives/loops.py",
         ("runs_repeated",),
         ("return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)",
          "return np.full(1, first)",

@@ -29,8 +29,7 @@ from dbo_cli.export.single_code import row_shift
 from dbo_cli.export.single_tables import fold
 from dbo_cli.export.source_text import RESERVED, check_name, hex_double, integer
 from dbo_cli.hysteresis.cascade import through
-from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.linear_sections import Lag, Resonance
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, DriveLimits, ModelState, Quantity, Relaxation
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
 

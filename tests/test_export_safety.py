@@ -20,8 +20,7 @@ from dbo_cli.export import export_model
 from dbo_cli.export.cascade_plan import plan_cascade
 from dbo_cli.export.single_tables import axes_of, counts_of_range, single_tables
 from dbo_cli.export.source_text import fill, plain
-from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.linear_sections import Lag, Resonance
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, DriveLimits
 
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler")

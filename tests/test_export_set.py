@@ -17,8 +17,7 @@ from test_export import delayed
 
 from dbo_cli.errors import DboError
 from dbo_cli.export import export_model, export_set
-from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.linear_sections import Lag
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import set_to_bytes
 

@@ -317,8 +317,8 @@ def test_the_fit_is_that_of_an_independent_bounded_solver(name: Kind) -> None:
     design = Design(name, 12, ready.low, ready.high, delay=1.3 * STEP)
     products = gather([log], design)
     gram, count = products.total()
-    solution = solve(products, design, gram)
-    table = np.full((len(log.output), products.slopes), np.nan)
+    solution = solve(products, gram)
+    table = np.full((len(log.output), design.slopes), np.nan)
     for rows, columns in rows_of(log, design):
         table[rows] = columns
     n, one = design.plays, design.operator()

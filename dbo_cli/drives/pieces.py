@@ -15,8 +15,8 @@ import numpy as np
 
 from dbo_cli.drives.options import Seconds
 from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.excitation import MOST_SAMPLES, Floats, swing_samples, swings
-from dbo_cli.hysteresis.linear_sections import Lag
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 

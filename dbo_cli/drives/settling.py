@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.linear_sections import Lag, Section
+from dbo_cli.hysteresis.dynamics import Lag, Section
 from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.sample_block import FloatArray

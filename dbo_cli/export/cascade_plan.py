@@ -58,19 +58,9 @@ class CascadePlan:
         return self.model.backlash
 
     @property
-    def head(self) -> MemoryFree:
-        """The memory-free stages before the backlash stage."""
-        return self.model.head
-
-    @property
-    def tail(self) -> MemoryFree:
-        """The memory-free stages behind it."""
-        return self.model.tail
-
-    @property
     def drive_stages(self) -> MemoryFree:
         """The memory-free stages from a drive to the backlash stage."""
-        return self.head if self.direction == "forward" else self.model.tail_inverse
+        return self.model.head if self.direction == "forward" else self.model.tail_inverse
 
     @cached_property
     def inner_limits(self) -> DriveLimits | None:
@@ -78,35 +68,15 @@ class CascadePlan:
         return None if self.limits is None else self.model.inner_limits(self.limits)
 
     @property
-    def covered(self) -> int:
-        """How many gears take part in a settled start: the first ones, within the model's voltages."""
-        return self.model.covered_gears.operator.n
-
-    @property
-    def spare_bits(self) -> int:
-        """The bits of the other gears: they stay engaged while the drive is within the model's voltages."""
-        return self.model.covered_gears.spare_bits
-
-    @property
-    def lowest_drive(self) -> float:
-        """The drive at which none of the covered gears is engaged, as the backlash stage meets it."""
-        return self.model.covered_gears.operator.x0
-
-    @property
-    def delay(self) -> float:
-        """Seconds of the output's delay. A forward export delays its output; an inverse reads ahead."""
-        return self.model.delay_seconds
-
-    @property
     def delay_samples(self) -> tuple[int, float] | None:
         """A forward model's delay in whole samples and the part beyond, as the delay stage counts; or None.
 
         What is within a billionth of a sample of a whole number is that number, as in ``hysteresis.delay``.
         """
-        if self.direction == "inverse" or self.delay == 0.0:
+        if self.direction == "inverse" or self.model.delay_seconds == 0.0:
             return None
         assert self.time_step is not None
-        samples = self.delay / self.time_step
+        samples = self.model.delay_seconds / self.time_step
         whole = math.floor(samples + 1e-9)
         part = max(samples - whole, 0.0)
         return whole, part if part > 1e-9 else 0.0
@@ -114,7 +84,7 @@ class CascadePlan:
     @property
     def terms(self) -> int:
         """How many relaxation terms there are."""
-        return len(self.backlash.relaxation.tau) if self.backlash.relaxation else 0
+        return self.gain.size
 
     @property
     def gain(self) -> Floats:
@@ -159,14 +129,15 @@ class CascadePlan:
         """How many seconds earlier an inverse needs its input: for its delay, and its dynamics."""
         if self.direction == "forward":
             return 0.0
-        return self.delay + (0.0 if self.inverter is None else self.inverter.ahead * self.inverter.time_step)
+        undoing = 0.0 if self.inverter is None else self.inverter.ahead * self.inverter.time_step
+        return self.model.delay_seconds + undoing
 
     @property
     def first_output(self) -> float:
         """The output after a rest at the lower end, no covered gear engaged."""
         covered = self.model.covered_gears.operator
         at = covered.x0 if self.direction == "inverse" else covered.y0
-        y = float(through(self.tail, np.array([at]))[0])
+        y = float(through(self.model.tail, np.array([at]))[0])
         return y if self.limits is None else min(max(y, self.limits.v_min), self.limits.v_max)
 
     @property
@@ -177,7 +148,8 @@ class CascadePlan:
     def empty_state(self) -> ModelState:
         """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""
         memory = (0.0,) * self.terms if self.terms else None
-        return ModelState(BacklashState(self.spare_bits, memory), drive=self.lowest_drive)
+        covered = self.model.covered_gears
+        return ModelState(BacklashState(covered.spare_bits, memory), drive=covered.operator.x0)
 
     def settled_state(self, drive: float) -> ModelState:
         """Return the state of ``NAME_reset``: settled and at rest at a drive (V)."""
@@ -192,11 +164,10 @@ class CascadePlan:
 
     def spare_words(self, width: int) -> list[str]:
         """Return the spare gears' bits as C constants of ``width`` bits; empty where there are none."""
-        if not self.spare_bits:
-            return []
+        bits = self.model.covered_gears.spare_bits
         count, mask = -(-self.backlash.n // width), (1 << width) - 1
         form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
-        return [form.format(self.spare_bits >> width * k & mask) for k in range(count)]
+        return [form.format(bits >> width * k & mask) for k in range(count)] if bits else []
 
 
 _KINDS = DiscreteBacklashOperator | DiscretePointOperator | ScaleStage | DynamicsStage | DelayStage
@@ -278,8 +249,7 @@ def with_fewer_gears(model: ActuatorModel, gears: int) -> tuple[ActuatorModel, d
     forward = model if model.direction == "forward" else model.inverse()
     if gears == full.n:
         return forward, {}
-    across = np.concatenate([[0.0], np.cumsum(full.dx)])
-    up = np.concatenate([[0.0], np.cumsum(full.dy)])
+    across, up = (np.concatenate([[0.0], np.cumsum(widths)]) for widths in (full.dx, full.dy))
     ends = across[-1] * np.arange(gears + 1) / gears
     heights = np.diff(np.interp(ends, across, up))
     reduced = DiscreteBacklashOperator(
@@ -300,9 +270,5 @@ def _loss(full: ActuatorModel, fewer: ActuatorModel) -> dict[str, float]:
         outputs = [m.simulate(moves, m.start(float(moves[0])), time_step=step).y for m in (full, fewer)]
         differences.append(outputs[1] - outputs[0])
     every = np.concatenate(differences)
-    worst = float(np.max(np.abs(every)))
-    return {
-        "max": worst,
-        "rms": float(np.sqrt(np.mean(every**2))),
-        "max_percent": 100.0 * worst / full.output.span,
-    }
+    worst, rms = float(np.max(np.abs(every))), float(np.sqrt(np.mean(every**2)))
+    return {"max": worst, "rms": rms, "max_percent": 100.0 * worst / full.output.span}

@@ -76,16 +76,16 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         between = f"later + {c.hex_double(part)} * (earlier - later)" if part else "later"
         more, delay = c.delay_line(whole, "double", between)
         members += more
-    dynamics, spare = plan.model.dynamics is not None, plan.spare_words(64)
+    dynamics, spare, covered = plan.model.dynamics is not None, plan.spare_words(64), plan.model.covered_gears
     values: dict[str, str | bool] = {
         "inverse": plan.direction == "inverse", "counts": False, "lookup": lookup, "lag": lag,
         "moving": dynamics, "terms": plan.terms > 0, "points": parts.segments > 0, "spare": bool(spare),
         "delay": bool(delay),
-        "TERMS": str(plan.terms), "SEGMENTS": str(parts.segments), "COVERED": str(plan.covered),
+        "TERMS": str(plan.terms), "SEGMENTS": str(parts.segments), "COVERED": str(covered.operator.n),
         "WORDS": str(buffer_words(plan.backlash.n)), "SPARE_WORDS": str(len(spare)),
         "MEMORY": "state->memory" if plan.terms else "0", "SPARE": "spare" if spare else "0",
-        "SPARE_STATE": str(plan.spare_bits),
-        "LOWEST_DRIVE": c.hex_double(plan.lowest_drive),
+        "SPARE_STATE": str(covered.spare_bits),
+        "LOWEST_DRIVE": c.hex_double(covered.operator.x0),
         "FIRST_OUTPUT": c.hex_double(plan.first_output),
         "REACH": ignored_beyond(plan.model.input), "DRIVE_REACH": ignored_beyond(plan.drive),
         "LOWEST_OUTPUT": c.hex_double(plan.limits.v_min) if plan.limits else "",
@@ -177,10 +177,10 @@ def _corners(plan: CascadePlan) -> str:
 
 def _memory_free(plan: CascadePlan, parts: _Parts) -> None:
     """Add the memory-free stages; a drive given to reset passes them as far as the gears."""
-    parts.before = _stage_steps(plan.head, "before", parts)
-    parts.behind = _stage_steps(plan.tail, "behind", parts)
+    parts.before = _stage_steps(plan.model.head, "before", parts)
+    parts.behind = _stage_steps(plan.model.tail, "behind", parts)
     parts.drive = _stage_steps(plan.drive_stages, "drive", parts)
-    if plan.limits is not None and plan.tail:  # rounding on the way through the points
+    if plan.limits is not None and plan.model.tail:  # rounding on the way through the points
         low, high = ("low", "high") if plan.model.drive_lag is not None else (
             c.hex_double(plan.limits.v_min), c.hex_double(plan.limits.v_max)
         )  # fmt: skip
@@ -270,7 +270,7 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     constants = {
         "LEAST": low, "MOST": high,
         "CHANGE": plan.limits.largest_change(plan.time_step) or 0.0, "PART": float(numbers.part[0]),
-        "RISE": float(numbers.rise[0]), "BEGUN": plan.model.outer_drive(plan.lowest_drive),
+        "RISE": float(numbers.rise[0]), "BEGUN": plan.model.outer_drive(plan.model.covered_gears.operator.x0),
         "INNER_LEAST": plan.inner_limits.v_min, "INNER_MOST": plan.inner_limits.v_max,
     }  # fmt: skip
     kept = [_kept(member) for member in gear_members]

@@ -1,28 +1,22 @@
-"""A model as a folder of C sources with tables, self-test, build files and one page to read."""
+"""A model as a folder of C sources with tables, self-test, build files and one page to read.
+
+A model set, too, is one folder: one kernel, the tables of every channel, and calls of all.
+"""
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib import resources
 from typing import Any, Literal, NamedTuple
 
-from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.errors import DboError, ModelError, UsageError
+from dbo_cli.export import project_files as project
 from dbo_cli.export import source_text as c
 from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
 from dbo_cli.export.double_code import double_code
-from dbo_cli.export.project_files import (
-    FORMAT,
-    MANIFEST,
-    ExportSummary,
-    check_folder,
-    fmu_bytes,
-    library_files,
-    project_files,
-    write_folder,
-)
+from dbo_cli.export.project_files import ExportSummary
 from dbo_cli.export.single_code import single_code
 from dbo_cli.export.single_tables import NarrowGearsError
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
@@ -31,6 +25,7 @@ from dbo_cli.logs.units import in_unit
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
 ONE_BY_ONE = 4 + 64  # in a pass: `SINGLE` of the kernels, and the last block
+_OF_THE_SET = {"folder", "files", "warnings", "direction", "arithmetic"}  # not of a channel in export.json
 _KERNEL_NAME = re.compile(r"\bdbo_\w+\b(?!\.)")  # types and functions, but not the names of files
 
 
@@ -75,27 +70,17 @@ def export_model(
     """
     c.check_name(name)
     check_choices(arithmetic, direction, {"lookup": lookup, "fmu": fmu, "shared": shared}, arduino)
-    check_folder(folder, overwrite)
+    project.check_folder(folder, overwrite)
     one = translated(
         model, folder, name=name, direction=direction, arithmetic=arithmetic, sample_rate=sample_rate,
         gears=gears, v_min=v_min, v_max=v_max, max_slew=max_slew, lookup=lookup,
     )  # fmt: skip
     files = _files(one, arduino, fmu, shared)
-    summary = replace(one.summary, files=(*sorted(files), MANIFEST))
+    summary = replace(one.summary, files=(*sorted(files), project.MANIFEST))
     figures = asdict(summary)
     del figures["folder"], figures["warnings"]
-    write_export(folder, files, figures, overwrite)
+    project.write_folder(folder, files, figures, overwrite)
     return summary
-
-
-def write_export(
-    folder: str, files: Mapping[str, str | bytes], figures: Mapping[str, Any], overwrite: bool
-) -> None:
-    """Write the files of an export, and beside them its figures for programs."""
-    manifest = {"format": FORMAT, "version": 1, **figures}
-    everything = {**files, MANIFEST: json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"}
-    content = {k: v.encode() if isinstance(v, str) else v for k, v in everything.items()}
-    write_folder(folder, content, overwrite)
 
 
 class Translated(NamedTuple):
@@ -167,9 +152,8 @@ def _limits(
     drive = model.input if model.direction == "forward" else model.output
     low = drive.minimum if v_min is None else in_unit("v_min", v_min, drive.unit)
     high = drive.maximum if v_max is None else in_unit("v_max", v_max, drive.unit)
-    return DriveLimits(
-        low, high, None if max_slew is None else in_unit("max_slew", max_slew, drive.unit, "s")
-    )
+    slew = None if max_slew is None else in_unit("max_slew", max_slew, drive.unit, "s")
+    return DriveLimits(low, high, slew)
 
 
 def _summary(
@@ -217,13 +201,8 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[s
         found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
     if plan.limits is not None:
         slew, unit = plan.limits.max_slew, c.unit_behind(drive)
-        found["LEAST"], found["MOST_SLEW"] = (
-            repr(plan.limits.v_min),
-            (
-                f"{plan.limits.v_max!r}{unit}"
-                f"{'' if slew is None else f', changing by at most {slew!r}{unit} a second'}"
-            ),
-        )
+        slowly = "" if slew is None else f", changing by at most {slew!r}{unit} a second"
+        found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), f"{plan.limits.v_max!r}{unit}{slowly}"
     if loss:
         unit = c.unit_behind(forward.output)
         most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
@@ -238,11 +217,13 @@ def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str,
     own = c.model_sources(words, code)
     test = own.pop(f"{name}_test.c")
     sources = own | kernel_files(words, summary.arithmetic, code.headers)
-    files: dict[str, str | bytes] = {**project_files(plan, code, summary, words, sources, test, arduino)}
+    files: dict[str, str | bytes] = {
+        **project.project_files(plan, code, summary, words, sources, test, arduino)
+    }
     if shared:
-        files |= library_files(words, sources)
+        files |= project.library_files(words, sources)
     if fmu:
-        files[f"{name}.fmu"] = fmu_bytes(plan, words, sources)
+        files[f"{name}.fmu"] = project.fmu_bytes(plan, words, sources)
     return files
 
 
@@ -272,3 +253,130 @@ def _kernel_texts(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
                 path = firmware / f"{file}_single.{kind}"
             found[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
     return found
+
+
+def export_set(
+    models: Mapping[str, ActuatorModel], folder: str, *, name: str = "actuator",
+    direction: Direction = "inverse", arithmetic: Arithmetic = "double", lookup: bool = False,
+    overwrite: bool = False, arduino: bool = False, fmu: bool = False, shared: bool = False, **options: Any,
+) -> dict[str, ExportSummary]:  # fmt: skip
+    """Write the models of a set as C sources with one kernel, and return what each channel amounts to.
+
+    ``name`` begins the names of the set, with the channel behind it (``NAME_CHANNEL``) those of a channel.
+    ``options`` are those of ``export_model``, the same for all channels.
+
+    Raises
+    ------
+    DboError
+        As ``export_model``, with the channel's name.
+    UsageError
+        Two channels would have the same names in C, or an option is of single models alone.
+    """
+    for option, wanted in {"arduino": arduino, "fmu": fmu, "shared": shared}.items():
+        if wanted:
+            raise UsageError(
+                f"`{option}` is of one model: export a folder a channel (-o '{folder}/{{channel}}')"
+            )
+    c.check_name(name)
+    check_choices(arithmetic, direction, {"lookup": lookup})
+    project.check_folder(folder, overwrite)
+    made = {}
+    for channel, own in _names(models, name).items():
+        try:
+            c.check_name(own)
+            made[channel] = translated(
+                models[channel], folder, name=own, direction=direction, arithmetic=arithmetic, lookup=lookup,
+                **options,
+            )  # fmt: skip
+        except DboError as problem:
+            raise type(problem)(f"channel {channel}: {problem}") from None
+    files = _set_files(made, name)
+    listed = [*sorted(files), project.MANIFEST]
+    figures = {
+        "name": name, "direction": direction, "arithmetic": arithmetic, "files": listed,
+        "channels": {
+            channel: {key: value for key, value in asdict(one.summary).items() if key not in _OF_THE_SET}
+            for channel, one in made.items()
+        },
+    }  # fmt: skip
+    project.write_folder(folder, files, figures, overwrite)
+    return {channel: replace(one.summary, files=tuple(listed)) for channel, one in made.items()}
+
+
+def _names(channels: Iterable[str], name: str) -> dict[str, str]:
+    """Return what begins each channel's names, never different in case alone: some disks do not see it."""
+    found, taken = {}, {"names", "test"}
+    for channel in channels:
+        word = re.sub(r"[^A-Za-z0-9_]", "_", channel)
+        files = {word.lower(), f"{word.lower()}_test"}
+        if files & taken or word.lower().startswith("dbo_"):
+            raise UsageError(
+                f"channel '{channel}': {name}_{word} is what files of the set or of another channel are"
+                " called: rename the channel"
+            )
+        taken |= files
+        found[channel] = f"{name}_{word}"
+    return found
+
+
+def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
+    """Return the content of every file."""
+    one = next(iter(made.values()))
+    arithmetic = one.summary.arithmetic
+    words: dict[str, str | bool] = {
+        **one.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": one.summary.name,
+        "TITLE": f"The {one.plan.direction} hysteresis models of {len(made)} actuators",
+        "ORIGIN": "Written by dbo export from a model set.", "COUNT": str(len(made)),
+        "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,
+        "moving": any(each.plan.model.dynamics is not None for each in made.values()),
+    }  # fmt: skip
+    headers = tuple(dict.fromkeys(header for each in made.values() for header in each.code.headers))
+    sources, tests = kernel_files(words, arithmetic, headers), {}
+    for each in made.values():
+        own = c.model_sources({**each.words, "alone": False}, each.code)
+        test = f"{each.summary.name}_test.c"
+        tests[test] = own.pop(test)
+        sources |= own
+    lines = _lines(made, name)
+    known = words | lines | {"NUMBER": one.code.number}
+    sources |= {f"{name}.{kind}": c.fill(f"SET.{kind}", known) for kind in "hc"}
+    values = project.build_values(words, one.code.number, sources, [f"{name}_test.c", *tests]) | lines
+    pages = {"SET_main.c": "example_main.c", "SET_README.md": "README.md", "SET_test.c": f"{name}_test.c"}
+    around = {file: c.fill(page, values) for page, file in pages.items()}
+    return {**sources, **tests, **around, **project.build_files(values)}
+
+
+def _lines(made: Mapping[str, Translated], name: str) -> dict[str, str | bool]:
+    """Return the lines that a set's files have for each channel."""
+    found: dict[str, list[str]] = {}
+    duties: dict[str, list[str]] = {}
+    for place, (channel, one) in enumerate(made.items()):
+        own, shown = one.summary.name, c.plain(channel).replace("|", "/")
+        figures = project.shown_figures(one.plan, one.summary)
+        cells = (
+            shown, f"`{own}_...`",
+            *(f"{figures[f'{way}_NAME']}, {figures[f'{way}_RANGE']}" for way in ("INPUT", "OUTPUT")),
+            *(str(figures[key]) for key in ("GEARS", "TABLE_BYTES", "STATE_BYTES")),
+            f"{figures['WORST_BLOCKS']}, {figures['WORST_GEARS']}",
+        )  # fmt: skip
+        for key, line in {
+            "headers": f'#include "{own}.h"',
+            "states": f"    {own}_state of_{place}; /* channel {shown} */",
+            "inits": f"    {own}_init(&state->of_{place});",
+            "resets": f"    {own}_reset(&state->of_{place}, drives[{place}]);",
+            "steps": f"    out[{place}] = {own}_step(&state->of_{place}, in[{place}]);",
+            "prototypes": f"unsigned {own}_self_test(void);",
+            "runs": f"    wrong += {own}_self_test();",
+            "rows": f"| {' | '.join(cells)} |",
+            "errors": f"- {shown}: {figures['SAME_GEARS']}), {figures['AFTER_CLOSE_TURN']})",
+        }.items():
+            found.setdefault(key, []).append(line)
+        for note in (*one.summary.notes, *one.summary.warnings):
+            duties.setdefault(note.replace(f"{own.upper()}_", f"{name.upper()}_CHANNEL_"), []).append(shown)
+    samples = [one.code.vectors[0].inputs[10] for one in made.values()]
+    found["duties"] = [
+        f"- {note}" + (f" (channel {', '.join(of)})" if len(of) < len(made) else "")
+        for note, of in duties.items()
+    ]
+    found["samples"] = [c.array(next(iter(made.values())).code.number, "samples", samples).rstrip()]
+    return {key: "\n".join(lines) + "\n" for key, lines in found.items()}

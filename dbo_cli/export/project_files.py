@@ -21,6 +21,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 from dbo_cli.errors import OutputError
@@ -193,17 +194,20 @@ def _not_of_an_export(target: Path) -> list[str]:
     try:
         listed = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
         known = set(listed["files"]) if listed["format"] == FORMAT else set()
-        known |= {f"{listed['name']}_test", "example"} | {
-            path.removesuffix(".c") + ".o" for path in known
-        }  # make's
+        made = {path.removesuffix(".c") + ".o" for path in known}  # by make
+        known |= made | {f"{listed['name']}_test", "example"}
     except (OSError, ValueError, KeyError, TypeError):
         known = set()
     found = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())
     return [path for path in found if path not in known]
 
 
-def write_folder(folder: str, files: Mapping[str, bytes], overwrite: bool) -> None:
+def write_folder(
+    folder: str, files: Mapping[str, str | bytes], figures: Mapping[str, Any], overwrite: bool
+) -> None:
     """Write files under a temporary name beside ``folder``, then rename; an old export makes way whole.
+
+    Beside the files lie their ``figures``, for programs.
 
     Raises
     ------
@@ -212,14 +216,15 @@ def write_folder(folder: str, files: Mapping[str, bytes], overwrite: bool) -> No
     """
     check_folder(folder, overwrite)
     target = Path(folder)
+    manifest = json.dumps({"format": FORMAT, "version": 1, **figures}, indent=2, ensure_ascii=False) + "\n"
     mark = f"{os.getpid()}-{secrets.token_hex(4)}"
     partial = target.parent / f".{target.name[:100]}.{mark}.partial"
     old = target.parent / f".{target.name[:100]}.{mark}.old"
     try:
-        for name, content in files.items():
+        for name, content in {**files, MANIFEST: manifest}.items():
             path = partial / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
         if target.exists():
             target.rename(old)
         try:

@@ -59,7 +59,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "counts": q31, "inverse": plan.direction == "inverse", "terms": bool(t.terms), "spare": bool(spare),
         "delay": bool(delay), "tables": tables, "delay_line": delay,
         "SPARE_WORDS": str(len(spare or ())),
-        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.covered),
+        "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,

@@ -176,10 +176,8 @@ class SingleKernel:
             if travelled < width - (width >> tolerance) or room < height - (height >> tolerance):
                 break
             last = gear
-            if rising:
-                self.x, self.y, self.bits = self.x + width, self.y + height, self.bits | 1 << gear
-            else:
-                self.x, self.y, self.bits = self.x - width, self.y - height, self.bits & ~(1 << gear)
+            sign = 1 if rising else -1
+            self.x, self.y, self.bits = self.x + sign * width, self.y + sign * height, self.bits ^ 1 << gear
         return last
 
     def follow_output(self, y: int, rising: bool) -> None:
@@ -275,8 +273,7 @@ class SingleKernel:
         if self.t.memory_on_output:
             self.follow_output(place, place >= self.y)
         else:
-            rising = place >= self.x
-            self.pass_gears(place, FARTHEST if rising else -FARTHEST, rising)
+            self.pass_gears(place, FARTHEST if place >= self.x else -FARTHEST, place >= self.x)
         self.last = place
 
     def step(self, x: Number) -> Number:

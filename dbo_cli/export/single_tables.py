@@ -226,8 +226,8 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
     taken, given = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
     x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
-    before = fold(plan.head, source.minimum, source.maximum)
-    behind = fold(plan.tail, gears.y0, gears.y0 + float(axes.high.sum()))
+    before = fold(plan.model.head, source.minimum, source.maximum)
+    behind = fold(plan.model.tail, gears.y0, gears.y0 + float(axes.high.sum()))
     if plan.direction == "forward":
         drive = segments_of(before, q31, taken, (gears.x0, x_step))
     else:
@@ -246,7 +246,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         drive_offset=round(offset) if q31 else F(offset),
         slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
         least=-span, most=2 * span, limits=limits.positions,
-        covered=plan.covered, spare_bits=plan.spare_bits,
+        covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
         drive=drive, clip=limits.clip, change=limits.change, first=first, delay=_delay(plan, q31),
@@ -432,7 +432,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     loop = _loop(plan, axes, q31, steepest)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
     x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
-    before = fold(plan.head, source.minimum, source.maximum)
+    before = fold(plan.model.head, source.minimum, source.maximum)
     entering = _function_error(before, q31, source.maximum, base, x_in, axes.x_unit)
     across = entering + _subset_error(axes.widths, axes.wide, run)
     off_x = np.repeat(axes.widths, run)[: gears.n] - axes.wide
@@ -454,12 +454,12 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         place = across
     tolerance = _tolerance(place, float(axes.wide.min()), rising, float(axes.high.min()), plan)
     hop = float(axes.wide.max()) * float(np.sum(np.abs(np.diff(slopes)))) * loop.amplification
-    behind = fold(plan.tail, gears.y0, gears.y0 + height)
+    behind = fold(plan.model.tail, gears.y0, gears.y0 + height)
     bend = float(np.abs(behind.slope).max())
     leaving = _function_error(
         Folded(behind.x - gears.y0, behind.y, behind.slope), q31, height, 0.0, axes.y_count, y_out
     ) + bend * 0.5 * axes.y_count + (y_out if q31 else EPS * bend * height)  # fmt: skip
-    if plan.delay and not on_output and not q31:
+    if plan.model.delay_seconds and not on_output and not q31:
         leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
     same = bend * inner + leaving
     found: dict[str, float] = {}

@@ -2,7 +2,7 @@
 
 A lag behind the gears delays the displacement; one before them also rounds every turn of what they see, which
 at a fifth of the resonance is worth 1 % of the move (0.2 ms, 160 Hz). Its inverse is causal, since its zero
-is inside the unit circle (``linear_sections``). What the limits allow the drive, the lag passes on: after
+is inside the unit circle (``dynamics``). What the limits allow the drive, the lag passes on: after
 (p, u), the lag's output and input before, the output is p + part (u - p) + rise (u' - u), so that limits on
 u' are limits on the output, of that sample alone.
 """

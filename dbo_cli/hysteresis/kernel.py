@@ -121,65 +121,27 @@ class _Walk:
     def __init__(self, gears: Floats, n: int, run: int, words: Words) -> None:
         rows: list[tuple[float, float, float, float]] = [tuple(row) for row in gears.tolist()]
         self.gears = rows if len(rows) >= n else [rows[i // run] for i in range(n)]
-        self.n = n
-        self.words = words
-        self.bits = int.from_bytes(words[: state_words(self.n)].tobytes(), "little")
-        self.x = 0.0
-        self.y = 0.0
-        for i in range(self.n):
+        self.n, self.words = n, words
+        self.bits = int.from_bytes(words[: state_words(n)].tobytes(), "little")
+        self.x = self.y = 0.0
+        for i in range(n):
             if self.bits >> i & 1:
                 self.x += self.gears[i][0]
                 self.y += self.gears[i][1]
-        self.set = find_first_one(self.bits, self.n)
-        self.zero = find_first_zero(self.bits)
+        self.set, self.zero = find_first_one(self.bits, n), find_first_zero(self.bits)
 
     def cross(self, rising: bool) -> None:
-        """Go to the neighbour on the way."""
-        if rising:
-            self.move_up()
-        else:
-            self.move_down()
-
-    def move_up(self) -> None:
-        """Go to the upper neighbour: set b_Z (6)-(7)."""
-        self.x += self.gears[self.zero][0]
-        self.y += self.gears[self.zero][1]
-        self.bits |= 1 << self.zero
-        self.set = 0
-        self.zero = find_first_zero(self.bits)
-
-    def move_down(self) -> None:
-        """Go to the lower neighbour: clear b_S (8)-(9)."""
-        self.x -= self.gears[self.set][0]
-        self.y -= self.gears[self.set][1]
-        self.bits &= ~(1 << self.set)
-        self.zero = 0
-        self.set = find_first_one(self.bits, self.n)
+        """Go to the neighbour on the way: set b_Z (6)-(7), or clear b_S (8)-(9)."""
+        gear, sign = (self.zero, 1.0) if rising else (self.set, -1.0)
+        self.x += sign * self.gears[gear][0]
+        self.y += sign * self.gears[gear][1]
+        self.bits ^= 1 << gear
+        self.set, self.zero = find_first_one(self.bits, self.n), find_first_zero(self.bits)
 
     def finish(self) -> None:
         """Write the bits back into the caller's words."""
         size = 8 * state_words(self.n)
         self.words[: size // 8] = np.frombuffer(self.bits.to_bytes(size, "little"), dtype="<u8")
-
-
-class _Counts:
-    """How many samples lay outside or were clipped, and the first of each."""
-
-    def __init__(self) -> None:
-        self.outside = self.first_outside = self.clipped = self.first_clipped = 0
-
-    def note(self, index: int, outside: bool, clipped: bool) -> None:
-        """Count sample ``index``."""
-        if outside:
-            self.first_outside = self.first_outside if self.outside else index
-            self.outside += 1
-        if clipped:
-            self.first_clipped = self.first_clipped if self.clipped else index
-            self.clipped += 1
-
-    def as_tuple(self) -> tuple[int, int, int, int]:
-        """Return (outside, first_outside, clipped, first_clipped)."""
-        return self.outside, self.first_outside, self.clipped, self.first_clipped
 
 
 def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool) -> tuple[float, bool]:
@@ -289,6 +251,11 @@ def towards(last: float, step: float) -> float:
     return total + digit if lost > 0.0 else total
 
 
+def _counted(samples: list[int]) -> tuple[int, int]:
+    """Return how many samples there are, and the first; 0 where there is none."""
+    return len(samples), samples[0] if samples else 0
+
+
 def backlash_run(
     gears: Floats,
     n: int,
@@ -319,7 +286,8 @@ def backlash_run(
     every gear from dx to dx + kappa dy, and the rest is known. Returns the counts of ``dbo_counts``.
     """
     walk = _Walk(gears, n, run, words)
-    counts = _Counts()
+    outsides: list[int] = []
+    clipped: list[int] = []
     weights: list[float] = gain.tolist()
     held: list[float] = memory.tolist()
     steps: list[float | None] = [None] if not step.size else step.tolist()
@@ -343,12 +311,15 @@ def backlash_run(
             rest, outside = _solve(walk, u, kappa, -math.inf, math.inf, extend)
             last = y0 + (rest + remembered) if after else y0 + rest
         y[k] = last
-        counts.note(k, outside, excess > slack)
+        if outside:
+            outsides.append(k)
+        if excess > slack:
+            clipped.append(k)
         if weights and not after:
             _remember(held, a, last - reference)
     walk.finish()
     memory[:] = held
-    return counts.as_tuple()
+    return (*_counted(outsides), *_counted(clipped))
 
 
 def _engage(walk: _Walk, u: float, shift: Callable[[int, float], None]) -> tuple[int, float]:

@@ -176,21 +176,16 @@ class ActuatorModel:
     def require(self, direction: Direction, place: str = "the model") -> None:
         """Raise ModelError, with the remedy, where the model is of the other direction."""
         if self.direction != direction:
-            raise ModelError(
-                f"{place}: is {'an' if self.direction == 'inverse' else 'a'} {self.direction} model where"
-                f" {'an' if direction == 'inverse' else 'a'} {direction} one is needed (dbo invert turns it)"
+            is_one, needed = (
+                f"a{'n' if way == 'inverse' else ''} {way}" for way in (self.direction, direction)
             )
+            raise ModelError(f"{place}: is {is_one} model where {needed} one is needed (dbo invert turns it)")
 
     def inverse(self) -> Self:
         """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
-        return type(self)(
-            "inverse" if self.direction == "forward" else "forward",
-            self.output,
-            self.input,
-            tuple(stage.inverse() for stage in reversed(self.stages)),
-            self.fit,
-            self.provenance,
-        )
+        direction: Direction = "inverse" if self.direction == "forward" else "forward"
+        stages = tuple(stage.inverse() for stage in reversed(self.stages))
+        return type(self)(direction, self.output, self.input, stages, self.fit, self.provenance)
 
     @cached_property
     def _place(self) -> int:
@@ -239,14 +234,17 @@ class ActuatorModel:
     @cached_property
     def dynamics(self) -> DynamicsStage | None:
         """The dynamics behind the gears (of a forward model) as they stand in this model, or None."""
-        side = slice(self._place, None) if self.direction == "forward" else slice(self._place)
-        return next((stage for stage in self.stages[side] if isinstance(stage, DynamicsStage)), None)
+        return self._dynamics_beside(behind=True)
 
     @cached_property
     def drive_lag(self) -> DynamicsStage | None:
         """The lag on the drive's side of the gears as it stands in this model, or None."""
-        side = slice(self._place) if self.direction == "forward" else slice(self._place, None)
-        return next((stage for stage in self.stages[side] if isinstance(stage, DynamicsStage)), None)
+        return self._dynamics_beside(behind=False)
+
+    def _dynamics_beside(self, behind: bool) -> DynamicsStage | None:
+        later = behind == (self.direction == "forward")
+        side = self.stages[self._place :] if later else self.stages[: self._place]
+        return next((stage for stage in side if isinstance(stage, DynamicsStage)), None)
 
     @cached_property
     def without_drive_lag(self) -> ActuatorModel:
@@ -255,7 +253,7 @@ class ActuatorModel:
         return dataclasses.replace(self, stages=tuple(s for s in self.stages if s is not lag))
 
     @cached_property
-    def without_lag(self) -> ActuatorModel:
+    def without_lag(self) -> Self:
         """The same model without dynamics, drive lag and delay: gears, memories and curves."""
         kept = tuple(s for s in self.stages if not isinstance(s, DynamicsStage | DelayStage))
         return dataclasses.replace(self, stages=kept)
@@ -291,12 +289,8 @@ class ActuatorModel:
     @cached_property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
-        return (
-            self.backlash.relaxation is not None
-            or self.dynamics is not None
-            or self.drive_lag is not None
-            or (self.direction == "forward" and self.delay_seconds > 0.0)
-        )
+        parts = self.backlash.relaxation, self.dynamics, self.drive_lag
+        return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
 
     @property
     def size(self) -> str:
@@ -344,10 +338,7 @@ class ActuatorModel:
         return OutputLimits(limits.v_min, limits.v_max, limits.largest_step(steps), limits.slack(high - low))
 
     def start(
-        self,
-        first_input: float,
-        state: StartName | ModelState = "auto",
-        limits: DriveLimits | None = None,
+        self, first_input: float, state: StartName | ModelState = "auto", limits: DriveLimits | None = None
     ) -> ModelState:
         """Return the state before the first sample.
 
@@ -422,14 +413,12 @@ class ActuatorModel:
         self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
     ) -> Simulated:
         """Return what ``simulate`` does, for a model without a lag before its gears."""
-        for stage in self.head:
-            x = stage.run(x)
+        x = through(self.head, x)
         if outside == "hold":
             x = self._held(x)
         inner = None if limits is None else self.inner_limits(limits)
         y, after, counts, missed = self._backlash_block(x, state, steps, outside, inner)
-        for stage in self.tail:
-            y = stage.run(y)
+        y = through(self.tail, y)
         if limits is not None and self.tail:
             y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the points
         if self.direction == "forward":
@@ -469,11 +458,7 @@ class ActuatorModel:
         return held
 
     def _steps(
-        self,
-        time_step: float | ArrayLike | None,
-        count: int,
-        state: ModelState,
-        limits: DriveLimits | None,
+        self, time_step: float | ArrayLike | None, count: int, state: ModelState, limits: DriveLimits | None
     ) -> Steps | None:
         """Return the time steps, checked; that of a first sample is set to 0."""
         if time_step is None:
@@ -490,38 +475,24 @@ class ActuatorModel:
         return steps
 
     def _backlash_block(
-        self,
-        x: Floats,
-        state: ModelState,
-        steps: Steps | None,
-        outside: Outside,
-        limits: DriveLimits | None,
+        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
     ) -> tuple[Floats, ModelState, Counts, float]:
         """Return the backlash stage's block, the state after, the counts, and the first value missed."""
         if x.size == 0:
             return x, state, Counts(), 0.0
         if state.first is not None:
             return self._first_block(x, state, steps, outside, limits)
-        stage = self.backlash
-        relaxation = stage.relaxation
-        y, backlash, counts = stage.run(
-            x,
-            state.backlash,
-            decay=relaxation.decay(steps) if relaxation and steps is not None else None,
-            outside=outside,
-            limits=None if limits is None else self.output_limits(limits, steps),
-            last=state.drive,
+        relaxation = self.backlash.relaxation
+        decay = relaxation.decay(steps) if relaxation and steps is not None else None
+        bound = None if limits is None else self.output_limits(limits, steps)
+        y, backlash, counts = self.backlash.run(
+            x, state.backlash, decay=decay, outside=outside, limits=bound, last=state.drive
         )
         after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
         return y, after, counts, 0.0
 
     def _first_block(
-        self,
-        x: Floats,
-        state: ModelState,
-        steps: Steps | None,
-        outside: Outside,
-        limits: DriveLimits | None,
+        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
     ) -> tuple[Floats, ModelState, Counts, float]:
         """As ``_backlash_block``, for the block that begins with a voltage found by ``start``."""
         assert state.first is not None
@@ -535,8 +506,9 @@ class ActuatorModel:
         begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
         y, after, counts, _ = self._backlash_block(x[1:], begun, rest_steps, outside, limits)
         total = Counts(unbound.outside, 0, int(clipped), 0) + counts.shifted(1)
+        low, high = self.backlash.x_range  # the mean size of this model's input per unit of the stage's input
         miss = missed if short and not clipped and not unbound.outside else 0.0
-        return np.concatenate([[first.voltage], y]), after, total, miss * self._input_per_stage_input()
+        return np.concatenate([[first.voltage], y]), after, total, miss * (self.input.span / (high - low))
 
     @cached_property
     def _covered(self) -> tuple[float, float]:
@@ -549,25 +521,19 @@ class ActuatorModel:
     def uncovered(self, x: Floats) -> NDArray[np.bool_]:
         """Return which samples lie beyond the model's input range; gears may go on a little further."""
         low, high = self._covered
-        slack = NEGLIGIBLE * (self.input.maximum - self.input.minimum)
+        slack = NEGLIGIBLE * self.input.span
         beyond: NDArray[np.bool_] = (x < low - slack) | (x > high + slack)
         return beyond
 
     def _with_uncovered(self, x: Floats, counts: Counts) -> Counts:
         """Count the samples beyond the model's input range, too."""
-        beyond = self.uncovered(x)
-        count = int(np.count_nonzero(beyond))
-        if not count:
+        beyond = np.flatnonzero(self.uncovered(x))
+        if not beyond.size:
             return counts
-        first = int(np.argmax(beyond))
+        first = int(beyond[0])
         if counts.outside:
             first = min(first, counts.first_outside)
-        return counts._replace(outside=max(count, counts.outside), first_outside=first)
-
-    def _input_per_stage_input(self) -> float:
-        """Return the mean size of this model's input per unit of the backlash stage's input."""
-        low, high = self.backlash.x_range
-        return self.input.span / (high - low)
+        return counts._replace(outside=max(beyond.size, counts.outside), first_outside=first)
 
     def compensate(
         self,

@@ -215,8 +215,7 @@ def _unlike(model: ActuatorModel, drive: Floats, begin: int) -> float:
 
 def _straight(model: ActuatorModel, drive: Floats) -> Floats:
     """Return what the best straight line through the model's slow loop over its range makes of a drive."""
-    stages = tuple(one for one in model.stages if not isinstance(one, DynamicsStage | DelayStage))
-    still = dataclasses.replace(model, stages=stages)
+    still = model.without_lag
     way = np.linspace(model.input.minimum, model.input.maximum, 101)
     loop = np.concatenate((way, way[::-1]))
     gain, offset = np.polyfit(loop, played(still, loop, 1e9 if still.needs_time else None), 1)

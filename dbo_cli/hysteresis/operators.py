@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -306,9 +306,9 @@ class DiscreteBacklashOperator:
         self.x0, self.y0 = float(x0), float(y0)
         self.relaxation, self.memory_on = relaxation, memory_on
         self.n = self.dx.size
-        self._words_of_bits, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)
         self.gears = self._gears()
         self.equal_run = equal_run(self.gears)
+        self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
         self._width, self._height = (math.fsum(self.gears[:, axis].tolist()) for axis in (0, 1))
 
     def __repr__(self) -> str:
@@ -324,10 +324,8 @@ class DiscreteBacklashOperator:
         if self.relaxation is not None:
             drive = scale_x if self.memory_on == "input" else scale_y
             remembered = math.fsum(self.relaxation.gain) * (drive + abs(self.relaxation.reference))
-            if self.memory_on == "input":
-                scale_y += remembered
-            else:
-                scale_x += remembered
+            scale_x += remembered * (self.memory_on == "output")
+            scale_y += remembered * (self.memory_on == "input")
         return gear_table(dx, dy, scale_x, scale_y)
 
     def _at_rest(self, voltage: float) -> float:
@@ -404,14 +402,13 @@ class DiscreteBacklashOperator:
         """Return the kernel's buffer with the state's bits in it."""
         if state.bits < 0 or state.bits >> self.n:
             raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
-        words = np.zeros(self._buffer, dtype=np.uint64)
-        size = self._words_of_bits
+        words, size = np.zeros(kernel.buffer_words(self.n), dtype=np.uint64), kernel.state_words(self.n)
         words[:size] = np.frombuffer(state.bits.to_bytes(8 * size, "little"), dtype="<u8")
         return words
 
     def _bits(self, words: NDArray[np.uint64]) -> int:
         """Return B out of the kernel's buffer."""
-        return int.from_bytes(words[: self._words_of_bits].astype("<u8").tobytes(), "little")
+        return int.from_bytes(words[: kernel.state_words(self.n)].astype("<u8").tobytes(), "little")
 
     def run(
         self,
@@ -447,47 +444,45 @@ class DiscreteBacklashOperator:
             The state is not of this operator, or ``decay`` is missing.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        y = np.empty_like(x)
-        words = self._words(state)
-        gain = np.array(self.relaxation.gain if self.relaxation else (), dtype=np.float64)
-        reference = self.relaxation.reference if self.relaxation else 0.0
+        y, words, terms = np.empty_like(x), self._words(state), self._gain.size
         if limits is not None and self.relaxation is not None and self.memory_on == "input":
             raise ModelError("limits on the output of an operator whose memory follows its input")
         bound = limits or OutputLimits()
-        memory = np.array(state.memory or [0.0] * gain.size, dtype=np.float64)
-        if memory.size != gain.size:
-            raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {gain.size}")
+        memory = np.array(state.memory or [0.0] * terms, dtype=np.float64)
+        if memory.size != terms:
+            raise ModelError(f"state: remembers {memory.size} relaxation terms, this model has {terms}")
         counts, before = Counts(), math.nan if last is None else last
         for begin, end, factors, steps in self._spans(x.size, state, decay, bound.step):
             found = kernel.CHOSEN.backlash_run(
-                self.gears, self.n, self.equal_run, self.x0, self.y0, outside != "hold", gain, reference,
-                self.memory_on == "output", words, memory, before, x[begin:end], y[begin:end], factors,
-                limits is not None, bound.low, bound.high, bound.slack, steps,
+                *self.constants(outside != "hold"), words, memory, before, x[begin:end], y[begin:end],
+                factors, limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts + Counts(*found).shifted(begin) if begin else Counts(*found)
+            counts = counts + Counts(*found).shifted(begin)
             before = float(y[end - 1])
         if x.size == 0:
             return y, state, counts
-        held = tuple(memory.tolist()) if gain.size else state.memory
+        held = tuple(memory.tolist()) if terms else state.memory
         return y, BacklashState(self._bits(words), held), counts
+
+    def constants(self, extend: bool) -> tuple[Any, ...]:
+        """Return the kernel's first arguments, the same for all blocks."""
+        reference = self.relaxation.reference if self.relaxation else 0.0
+        table = self.gears, self.n, self.equal_run, self.x0, self.y0
+        return *table, extend, self._gain, reference, self.memory_on == "output"
 
     def _spans(
         self, count: int, state: BacklashState, decay: Floats | None, step: float | Floats | None
     ) -> list[tuple[int, int, Floats, Floats]]:
         """Return (begin, end, decay, step) of the kernel's calls: a sample at rest is one of its own."""
-        steps = np.array([], dtype=np.float64) if step is None else np.array(step, np.float64).reshape(-1)
-        cuts = [0, count] if count else [0]
-        if self.relaxation is None:
-            return [(0, count, np.array([], dtype=np.float64), steps)][: len(cuts) - 1]
-        terms = len(self.relaxation.tau)
-        rest = np.zeros((1, terms))
-        if state.memory is None and count:
-            cuts = [0, 1, count] if count > 1 else [0, 1]
+        steps = np.array([] if step is None else step, dtype=np.float64).reshape(-1)
+        if self.relaxation is None or not count:
+            return [(0, count, np.empty(0), steps)] if count else []
+        at_rest = state.memory is None
         spans = []
-        for begin, end in pairwise(cuts):
+        for begin, end in pairwise([0, 1, count] if at_rest and count > 1 else [0, count]):
             factors = decay
-            if state.memory is None and begin == 0:
-                factors = rest
+            if at_rest and begin == 0:
+                factors = np.zeros((1, self._gain.size))
             elif factors is None:
                 raise ModelError("relaxation needs the time between samples (`sample_rate`)")
             if len(factors) not in (1, end - begin):

@@ -29,35 +29,21 @@ through points and scales. A slew limit is kept to that, a range exactly."""
 
 
 class PythonStepper:
-    """The extension's ``Stepper`` in Python; arguments are those of ``kernel.backlash_run``.
+    """The extension's ``Stepper`` in Python: the operator's ``constants``, then what each step needs.
 
-    ``decay`` is one row, and ``step`` the largest change of the output, or NaN.
+    That is ``decay`` (one row), ``limited``, ``low``, ``high`` and ``slack``, as ``kernel.backlash_run`` has
+    them, and ``step``, the largest change of the output, or NaN.
     """
 
-    def __init__(
-        self,
-        gears: Floats,
-        n: int,
-        run: int,
-        x0: float,
-        y0: float,
-        extend: bool,
-        gain: Floats,
-        reference: float,
-        memory_on_output: bool,
-        decay: Floats,
-        limited: bool,
-        low: float,
-        high: float,
-        slack: float,
-        step: float,
-    ) -> None:
+    def __init__(self, *given: Any) -> None:
+        gears, n, run, x0, y0, extend, gain, reference, memory_on_output, self._decay, *limits = given
         self._table = gears, n, run, x0, y0, extend, gain, reference, memory_on_output
+        limited, low, high, slack, step = limits
         exchanged = np.ascontiguousarray(gears[:, [1, 0, 2, 3]])
         exchanged[:, 2] = gears[:, 0] / gears[:, 1]
         self._exchanged = exchanged, n, run, y0, x0, extend, gain, reference, not memory_on_output
         steps = np.array([] if math.isnan(step) else [step])
-        self._decay, self._limits = decay, (limited, low, high, slack, steps)
+        self._limits = limited, low, high, slack, steps
         self._words = np.zeros(kernel.buffer_words(n), np.uint64)
         self._memory, self.last = np.zeros(gain.size), math.nan
         self._planned: tuple[Words, Floats, float] | None = None
@@ -137,17 +123,14 @@ class BacklashStepper:
         limits: OutputLimits | None = None,
     ) -> None:
         terms, bound = operator.relaxation, limits or OutputLimits()
-        gain = np.array(terms.gain if terms else (), dtype=np.float64)
         decay = terms.decay(time_step) if terms and time_step is not None else np.zeros((0, 0))
         step = math.nan if bound.step is None else float(np.asarray(bound.step))
         make = PythonStepper if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN.Stepper
         self._operator, self._made_with = operator, (time_step, limits)
         self.inner = make(
-            operator.gears, operator.n, operator.equal_run, operator.x0, operator.y0, True, gain,
-            terms.reference if terms else 0.0, operator.memory_on == "output", decay, limits is not None,
-            bound.low, bound.high, bound.slack, step,
-        )  # fmt: skip
-        self._words, self._memory = operator._words(state), np.zeros(gain.size)
+            *operator.constants(True), decay, limits is not None, bound.low, bound.high, bound.slack, step
+        )
+        self._words, self._memory = operator._words(state), np.zeros(len(terms.gain) if terms else 0)
         self.plan, self.commit, self.apply = self.inner.plan, self.inner.commit, self.inner.apply
         self.set(state, last)
 
@@ -192,21 +175,12 @@ class PythonBank:
         voltage that stands (or NaN).
     """
 
-    def __init__(
-        self,
-        steppers: tuple[Any, ...],
-        before: Floats,
-        before_places: Words,
-        after: Floats,
-        after_places: Words,
-        back: Floats,
-        back_places: Words,
-        limits: Floats,
-    ) -> None:
+    def __init__(self, steppers: tuple[Any, ...], *curves_and_limits: Any) -> None:
+        *curves, limits = curves_and_limits
         self._steppers = steppers
         self._curves = [
-            [(numbers[a:b].tolist()) for a, b in itertools.pairwise(places.tolist())]
-            for numbers, places in ((before, before_places), (after, after_places), (back, back_places))
+            [numbers[a:b].tolist() for a, b in itertools.pairwise(places.tolist())]
+            for numbers, places in zip(curves[::2], curves[1::2], strict=True)
         ]
         self._low, self._high, self._most, self._last = limits.reshape(4, -1).copy()
         self._volts = np.zeros(len(steppers))

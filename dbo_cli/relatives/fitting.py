@@ -9,14 +9,14 @@ the weights are rules for their increments.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import FitError
+from dbo_cli.errors import FitError, ModelError
 from dbo_cli.hysteresis.cascade import ScaleStage, Stage
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.identification.evaluation import predict
@@ -38,8 +38,8 @@ from dbo_cli.relatives.play_model import RelativeModel
 from dbo_cli.relatives.plays import Floats, Kind, PlayOperator
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
-PLAYS_CHOICES = (12, 25, 50, 100)
-SEGMENT_CHOICES = (1, 2, 4, 8)
+PLAYS = (12, 25, 50, 100)  # to choose from
+SEGMENTS = (1, 2, 4, 8)  # of the dead zones' curve, to choose from
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
 FINEST_DELAY_STEP = 0.125  # of a sample period
 LONGEST_DELAY = 0.125  # of a cycle, as for the gears
@@ -99,6 +99,11 @@ class Design:
         if self.kind == "rate-plays":
             return 2 * self.plays
         return self.plays + 1 if self.kind == "one-sided-plays" else self.plays
+
+    @property
+    def knots(self) -> int:
+        """Number of columns that are inner knots of the dead zones' curve."""
+        return self.segments - 1
 
     def columns(self, plays: Floats, drive: Floats, rate: Floats) -> Floats:
         """Return the columns of one block, shape (samples, slopes)."""
@@ -170,17 +175,22 @@ def delayed_rows(seconds: Floats | None, samples: int, delay: float) -> tuple[ND
 
 @dataclass(frozen=True, kw_only=True)
 class Products(FoldProducts):
-    """The products of one design: ``slopes``, ``knots`` and ``drift`` columns, in that order."""
+    """The products of one design: columns of its slopes, its knots, and of ``drift``, in that order."""
 
-    slopes: int
-    knots: int
+    design: Design
     drift: int
+
+    def fitted(self) -> tuple[Solution, float]:
+        """Return the unknowns fitted to all folds, and the squared error that is left."""
+        gram, _ = self.total()
+        solution = solve(self, gram)
+        return solution, squared_error(gram, solution.vector)
 
 
 def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
     """Gather the products of Γ(v) − S⁻¹(y) = 0 over all logs, S⁻¹ on the measured side as in [6]."""
     drift = sum(log.drift.shape[1] for log in logs)
-    shared = design.slopes + design.segments - 1
+    shared = design.slopes + design.knots
     size = shared + drift + 1
     folds = 1 + max(int(log.fold.max(initial=-1)) for log in logs)
     grams, counts = [np.zeros((size, size)) for _ in range(folds)], [0] * folds
@@ -200,14 +210,8 @@ def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
                 counts[k] += len(part)
                 nuisance[k] = slice(begin if alone else end - log.stretches, end)
         begin = end
-    return Products(
-        slopes=design.slopes,
-        knots=design.segments - 1,
-        drift=drift,
-        grams=tuple(grams),
-        rows=tuple(counts),
-        nuisance=tuple(nuisance),
-    )
+    sums = tuple(grams), tuple(counts), tuple(nuisance)
+    return Products(design=design, drift=drift, grams=sums[0], rows=sums[1], nuisance=sums[2])
 
 
 @dataclass(frozen=True)
@@ -217,20 +221,15 @@ class Relative:
     name: str
     words: str
     kind: Kind
-    plays: tuple[int, ...] = PLAYS_CHOICES
+    plays: tuple[int, ...] = PLAYS
     segments: tuple[int, ...] = (1,)
 
 
 RELATIVES = (
     Relative("line", "straight line", "plays", plays=(1,)),
-    Relative("pi", "Prandtl-Ishlinskii (PI), plays and dead zones [6]", "plays", segments=SEGMENT_CHOICES),
-    Relative("rate", "rate-dependent PI and dead zones [7]", "rate-plays", segments=SEGMENT_CHOICES),
-    Relative(
-        "singularity-free",
-        "singularity-free PI, dead zones [8]",
-        "singular-plays",
-        segments=SEGMENT_CHOICES,
-    ),
+    Relative("pi", "Prandtl-Ishlinskii (PI), plays and dead zones [6]", "plays", segments=SEGMENTS),
+    Relative("rate", "rate-dependent PI and dead zones [7]", "rate-plays", segments=SEGMENTS),
+    Relative("singularity-free", "singularity-free PI, dead zones [8]", "singular-plays", segments=SEGMENTS),
     Relative("asymmetric", "asymmetric PI [9], in the form of Gu et al.", "one-sided-plays"),
 )
 
@@ -245,13 +244,15 @@ class Solution:
     vector: Floats
 
 
-def solve(products: Products, design: Design, gram: Floats) -> Solution:
+def solve(products: Products, gram: Floats) -> Solution:
     """Minimise the squared equation error under the rules of the kind: a quadratic programme.
 
     All slopes W_i are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at least 0 (of
     loops that soften after a turn at most 0); of [8] W_0 is free. The dead zones' slopes are above 0.
     """
-    total = products.slopes + products.knots + products.drift
+    design = products.design
+    at, knots = design.slopes, design.knots
+    total = at + knots + products.drift
     fixed, bounded, free = np.zeros(total), [], np.zeros((total, 0))
     n, one_sided = design.plays, design.kind == "one-sided-plays"
     floor = SLOPE_FLOOR * (1.0 if one_sided else 0.5)
@@ -267,22 +268,20 @@ def solve(products: Products, design: Design, gram: Floats) -> Solution:
     if design.kind == "singular-plays" and not design.falling:
         free, bounded[0] = bounded[0][:, :1], bounded[0][:, 1:]
         fixed[:] = 0.0
-    at = products.slopes
     drift = np.zeros((total, products.drift))
-    drift[at + products.knots :] = np.eye(products.drift)
+    drift[at + knots :] = np.eye(products.drift)
     tie = None
-    if products.knots:
+    if knots:
         least, wider, spare = _widths(design.segments)
-        fixed[at : at + products.knots] = least
+        fixed[at : at + knots] = least
         tie = sum(part.shape[1] for part in bounded), spare
         rule = np.zeros((total, design.segments))
-        rule[at : at + products.knots] = wider
+        rule[at : at + knots] = wider
         bounded.append(rule)
     matrix, right = gram[:total, :total], gram[:total, total]
-    vector = fixed + bounded_minimum(
-        matrix, right - matrix @ fixed, np.hstack(bounded), np.hstack((free, drift)), tie
-    )
-    parts = np.split(vector, [at, at + products.knots])
+    right = right - matrix @ fixed
+    vector = fixed + bounded_minimum(matrix, right, np.hstack(bounded), np.hstack((free, drift)), tie)
+    parts = np.split(vector, [at, at + knots])
     return Solution(parts[0], parts[1], parts[2], vector)
 
 
@@ -304,13 +303,12 @@ def _widths(segments: int) -> tuple[Floats, Floats, float]:
     return least, wider, 1.0 - segments * narrowest
 
 
-def cross_validated(products: Products, design: Design) -> Score:
+def cross_validated(products: Products) -> Score:
     """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
     errors = []
     for fold, gram in enumerate(products.grams):
         rest, _ = products.total(leave_out=fold)
-        vector = solve(products, design, rest).vector
-        left = squared_error_free_of(gram, vector, products.nuisance[fold])
+        left = squared_error_free_of(gram, solve(products, rest).vector, products.nuisance[fold])
         errors.append(left / max(products.rows[fold], 1))
     rows = np.asarray(products.rows, dtype=float)
     return Score(np.asarray(errors), rows / rows.sum())
@@ -336,7 +334,7 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
             mine = products.rows[group]
             if mine < own.FEWEST_GROUP_ROWS or others < max(own.FEWEST_REST_ROWS, mine / 5):
                 continue
-            vector = solve(products, design, rest).vector
+            vector = solve(products, rest).vector
             left = squared_error_free_of(products.grams[group], vector, products.nuisance[group])
             squares += min(left, mine * (own.MAX_RATIO * cycles) ** 2)
             rows += mine
@@ -348,17 +346,13 @@ def best_delay(logs: Sequence[PreparedLog], design: Design, cycle: float | None)
     """Return the delay (s) with the least squared error, and that error; 0 without a clock."""
     clocks = [log.seconds for log in logs]
     if cycle is None or any(clock is None for clock in clocks):
-        products = gather(logs, design)
-        gram, _ = products.total()
-        return 0.0, squared_error(gram, solve(products, design, gram).vector)
+        return 0.0, gather(logs, design).fitted()[1]
     steps = np.concatenate([np.diff(clock) for clock in clocks if clock is not None])
     period = float(np.median(steps[steps > 0.0]))
     errors: dict[float, float] = {}
 
     def attempt(step: float) -> None:
-        products = gather(logs, replace(design, delay=step * period))
-        gram, _ = products.total()
-        errors[step] = squared_error(gram, solve(products, design, gram).vector)
+        errors[step] = gather(logs, replace(design, delay=step * period)).fitted()[1]
 
     for step in DELAY_TRIALS:
         if step * period > LONGEST_DELAY * cycle:
@@ -408,26 +402,22 @@ def fit(
     counts = [count for count in relative.plays if count * ROWS_PER_PLAY <= usable] or relative.plays[:1]
     design = _simplest(logs, [replace(design, plays=count) for count in counts])
     products = gather(logs, design)
-    score = cross_validated(products, design)
-    gram, rows = products.total()
-    error = float(np.sqrt(squared_error(gram, solve(products, design, gram).vector) / rows))
-    products = gather(prepared.logs, design)
-    solution = solve(products, design, products.total()[0])
+    error = max(float(np.sqrt(products.fitted()[1] / sum(products.rows))), NOTHING_LEFT)
+    ratio = _held_out(logs, design, max(cross_validated(products).rmse, error)) / error
+    solution, _ = gather(prepared.logs, design).fitted()
     model = _model_of(solution, design, prepared, recordings[0])
     model = _levelled(model, prepared.logs[0], recordings[0])
-    error = max(error, NOTHING_LEFT)
-    ratio = _held_out(logs, design, max(score.rmse, error)) / error
     figures = {"method": relative.name, "operator": relative.words, "plays": design.plays,
                "points": design.segments if design.segments > 1 else 0, "delay_seconds": design.delay,
                "parameters": _parameters(design), "left_out_ratio": ratio}  # fmt: skip
-    return dataclasses.replace(model, fit=figures)
+    return replace(model, fit=figures)
 
 
 def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
     """Return the first of several designs, simplest first, that predicts what was left out as well as any."""
     if len(designs) == 1:
         return designs[0]
-    scores = [cross_validated(gather(logs, one), one) for one in designs]
+    scores = [cross_validated(gather(logs, one)) for one in designs]
     return designs[simplest_of(scores, FINE_INDIFFERENCE, max_standard_error=0.0)]
 
 
@@ -445,7 +435,7 @@ def _fastest(logs: Sequence[PreparedLog], design: Design) -> float:
 def _parameters(design: Design) -> int:
     """Return how many numbers were fitted: weights, knots, an offset, and the delay where there is one."""
     slopes = 1 if design.plays == 1 and design.kind == "plays" else design.slopes
-    return slopes + design.segments - 1 + 1 + (design.delay > 0.0)
+    return slopes + design.knots + 1 + (design.delay > 0.0)
 
 
 def operator_of(slopes: Floats, design: Design) -> PlayOperator:
@@ -457,24 +447,17 @@ def operator_of(slopes: Floats, design: Design) -> PlayOperator:
         The slopes leave no operator that can be inverted.
     """
     n = design.plays
-    radii = np.arange(n) / n
+    more: dict[str, Any] = {}
     if design.kind == "one-sided-plays":
         weights = np.concatenate(([0.0], np.diff(slopes[: n - 1], prepend=0.0)))
         falling, rising = slopes[n - 1 :]
-        cubic, linear = float(rising - falling) / 3.0, float(falling)
-        return _built(lambda: PlayOperator(design.kind, radii, weights, cubic=cubic, linear=linear))
-    weights = np.diff(slopes[:n], prepend=0.0)
-    if design.kind != "rate-plays":
-        return _built(lambda: PlayOperator(design.kind, radii, weights))
-    faster = np.diff(slopes[n:], prepend=0.0)
-    return _built(lambda: PlayOperator(design.kind, radii, weights, faster - weights, design.fastest))
-
-
-def _built(make: Callable[[], PlayOperator]) -> PlayOperator:
-    from dbo_cli.errors import ModelError
-
+        more = {"cubic": float(rising - falling) / 3.0, "linear": float(falling)}
+    else:
+        weights = np.diff(slopes[:n], prepend=0.0)
+    if design.kind == "rate-plays":
+        more = {"by_rate": np.diff(slopes[n:], prepend=0.0) - weights, "fastest": design.fastest}
     try:
-        return make()
+        return PlayOperator(design.kind, np.arange(n) / n, weights, **more)
     except ModelError as problem:
         raise FitError(f"what fits best has no inverse ({problem})") from None
 
@@ -503,12 +486,10 @@ def _ranged(stages: Sequence[Stage], low: float, high: float, recording: Recordi
     """Return the model with the range that its output reaches slowly."""
     source = Quantity("voltage", recording.voltage_unit, low, high)
     anything = Quantity("displacement", recording.displacement_unit, 0.0, 1.0)
-    still = RelativeModel(
-        "forward", source, anything, tuple(one for one in stages if not isinstance(one, DelayStage))
-    )
+    model = RelativeModel("forward", source, anything, tuple(stages))
+    still = model.without_lag
     ends = still.simulate([low, high, high, low], still.start(low, "empty"), time_step=1e9).y[1:]
-    reach = dataclasses.replace(anything, minimum=float(ends.min()), maximum=float(ends.max()))
-    return RelativeModel("forward", source, reach, tuple(stages))
+    return replace(model, output=replace(anything, minimum=float(ends.min()), maximum=float(ends.max())))
 
 
 def _levelled(model: RelativeModel, log: PreparedLog, recording: Recording) -> RelativeModel:

@@ -7,13 +7,12 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from dbo_cli.errors import DboError, UsageError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.delay import DelayStage
-from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.identification.cleaning import cleaned
 from dbo_cli.hysteresis.identification.evaluation import Residual, residual_of, validation_of
@@ -24,7 +23,8 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.relatives.fitting import RELATIVES, Relative, fit
+from dbo_cli.hysteresis.move_error import played
+from dbo_cli.relatives.fitting import RELATIVES, fit
 from dbo_cli.relatives.plays import Floats
 
 NAMES = ("dbo", *(relative.name for relative in RELATIVES))
@@ -115,20 +115,11 @@ def compare(
     cycle = median_cycle_seconds(recordings) if clocked else None
     judged = skip_seconds if judged_from is None else judged_from
     judge = _Judge([one.recording for one in logs], ready, validation, judged, timed)
-    rows = []
-    for name in dict.fromkeys(names):
-        if name == "dbo":
-            rows.append(judge.row(name, OWN_WORDS, lambda: _own(recordings, skip_seconds)))
-            continue
-        relative = next(one for one in RELATIVES if one.name == name)
-        rows.append(judge.row(name, relative.words, _fitter(relative, ready, judge.recordings, cycle)))
-    return rows
-
-
-def _fitter(
-    relative: Relative, ready: Prepared, recordings: Sequence[Recording], cycle: float | None
-) -> Callable[[], ActuatorModel]:
-    return lambda: fit(relative, ready, recordings, cycle)
+    fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {
+        one.name: (one.words, partial(fit, one, ready, judge.recordings, cycle)) for one in RELATIVES
+    }
+    fits["dbo"] = OWN_WORDS, partial(_own, recordings, skip_seconds)
+    return [judge.row(name, *fits[name]) for name in dict.fromkeys(names)]
 
 
 def _own(recordings: Sequence[Recording], skip_seconds: float) -> ActuatorModel:
@@ -159,26 +150,14 @@ class _Judge:
         logs = zip(self.recordings, self.ready.logs, strict=True)
         rmse = _pooled([residual_of(model, recording, log) for recording, log in logs])
         checks = [validation_of(model, log, self.skip_seconds) for log in self.validation]
-        expected = model.fit.get("expected_rmse")
-        if expected is None:
-            expected = rmse * float(str(model.fit["left_out_ratio"]))
         if "left_out_ratio" in model.fit:
-            model = dataclasses.replace(model, fit=self._figures(model, rmse, float(str(expected)), checks))
+            expected = rmse * float(str(model.fit["left_out_ratio"]))
+            model = dataclasses.replace(model, fit=self._figures(model, rmse, expected, checks))
+        expected = float(str(model.fit["expected_rmse"]))
+        errors = rmse, expected, _pooled(checks) if checks else None
         forward, inverse = self._times(model) if self.timed else (None, None)
-        return Row(
-            name,
-            words,
-            rmse,
-            float(str(expected)),
-            _pooled(checks) if checks else None,
-            _parameters(model),
-            seconds if self.timed else None,
-            forward,
-            inverse,
-            self._round_trip(model),
-            None,
-            model,
-        )
+        cost = seconds if self.timed else None, forward, inverse
+        return Row(name, words, *errors, _parameters(model), *cost, self._round_trip(model), None, model)
 
     def _figures(
         self, model: ActuatorModel, rmse: float, expected: float, checks: Sequence[Residual]
@@ -193,24 +172,23 @@ class _Judge:
             ]
         return {key: value for key, value in model.fit.items() if key != "left_out_ratio"} | figures
 
-    def _step(self) -> float:
+    def _step(self, model: ActuatorModel) -> float | None:
+        """Return the time step (s) of the first log, where a model needs one."""
+        if not model.needs_time:
+            return None
         clock = self.recordings[0].seconds()
         steps = np.diff(clock) if clock is not None else np.array([1.0])
         return float(np.median(steps[steps > 0.0]))
 
-    def _wanted(self, still: ActuatorModel, voltage: Floats) -> Floats:
-        step = self._step() if still.needs_time else None
-        return still.simulate(voltage, still.start(float(voltage[0])), time_step=step).y
-
     def _times(self, model: ActuatorModel) -> tuple[float, float]:
         """Return nanoseconds a sample, forward and inverse, on the first log's own drive."""
-        still = without_lateness(model)
+        still = model.without_lag
         voltage = np.resize(self.recordings[0].voltage, TIMED_SAMPLES[kernel.KIND])
         forward = self._time(still, voltage)
-        return forward, self._time(still.inverse(), self._wanted(still, voltage))
+        return forward, self._time(still.inverse(), played(still, voltage, self._step(still)))
 
     def _time(self, model: ActuatorModel, signal: Floats) -> float:
-        step = self._step() if model.needs_time else None
+        step = self._step(model)
         start, fastest = model.start(float(signal[0])), math.inf
         for _ in range(TIMED_RUNS):
             begun = processor_ns()
@@ -220,20 +198,11 @@ class _Judge:
 
     def _round_trip(self, model: ActuatorModel) -> float:
         """Return the largest difference after inverse and model, on what the first log's drive leads to."""
-        still = without_lateness(model)
-        wanted = self._wanted(still, self.recordings[0].voltage[:ROUND_TRIP_SAMPLES])
-        inverse = still.inverse()
-        step = self._step() if still.needs_time else None
-        begun = inverse.start(float(wanted[0]))
-        drive = inverse.simulate(wanted, begun, time_step=step).y
-        done = still.simulate(drive, still.start(float(drive[0])), time_step=step).y
-        return float(np.abs(done - wanted).max())
-
-
-def without_lateness(model: ActuatorModel) -> ActuatorModel:
-    """Return a forward model without delay and dynamics, which are the same whatever the hysteresis is."""
-    stages = tuple(one for one in model.stages if not isinstance(one, DelayStage | DynamicsStage))
-    return dataclasses.replace(model, stages=stages)
+        still = model.without_lag
+        step = self._step(still)
+        wanted = played(still, self.recordings[0].voltage[:ROUND_TRIP_SAMPLES], step)
+        drive = played(still.inverse(), wanted, step)
+        return float(np.abs(played(still, drive, step) - wanted).max())
 
 
 def _pooled(residuals: Sequence[Residual]) -> float:

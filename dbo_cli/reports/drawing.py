@@ -37,27 +37,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
-INK = "#1b1d22"
-MUTED = "#5d646f"
-RULE = "#d5d9df"
-FIRST = "#00508f"
-SECOND = "#e0751a"
-FILL = "#7fa8cc"
-THIRD = "#1b7f5c"
-FOURTH = "#9c4697"
-FIFTH = "#8a6d00"
-
 SCHEME = {
-    INK: "ink",
-    MUTED: "muted",
-    RULE: "rule",
-    FIRST: "first",
-    SECOND: "second",
-    THIRD: "third",
-    FOURTH: "fourth",
-    FIFTH: "fifth",
-    FILL: "fill",
+    "#1b1d22": "ink",
+    "#5d646f": "muted",
+    "#d5d9df": "rule",
+    "#00508f": "first",
+    "#e0751a": "second",
+    "#1b7f5c": "third",
+    "#9c4697": "fourth",
+    "#8a6d00": "fifth",
+    "#7fa8cc": "fill",
 }
+INK, MUTED, RULE, FIRST, SECOND, THIRD, FOURTH, FIFTH, FILL = SCHEME
 
 DOTS = 220  # an inch of a PNG: 1,100 across, sharp in print and on a dense screen
 
@@ -123,14 +114,14 @@ def draw(plot: Plot, kind: Kind, note: str = "", scope: str = "") -> bytes:
 
 def save(plots: Sequence[Plot], folder: Path, stem: str, note: str = "") -> list[Path]:
     """Write every figure as ``STEM-KEY.png`` and ``.svg``; each appears whole or not at all."""
-    written = []
+    written: list[Path] = []
     for plot in plots:
         with _style():
             figure = _painted(plot, note, as_outlines=True)
-            contents = {kind: _saved(figure, kind) for kind in FILES}
-        for kind, content in contents.items():
-            written.append(folder / f"{stem}-{plot.key}.{kind}")
-            write_whole(str(written[-1]), content)
+            contents = {folder / f"{stem}-{plot.key}.{kind}": _saved(figure, kind) for kind in FILES}
+        for path, content in contents.items():
+            write_whole(str(path), content)
+        written += contents
     return written
 
 
@@ -262,8 +253,8 @@ def _for_page(svg: str, plot: Plot, prefix: str) -> str:
     for color, name in SCHEME.items():
         svg = svg.replace(color, f"var(--{name})")
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
-    svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
+    for side in ("width", "height"):
+        svg = re.sub(rf'<svg ([^>]*?){side}="[^"]*"', r"<svg \1", svg, count=1)
     return svg.replace("<svg ", f'<svg role="img" aria-label="{escape(cleaned(plot.words))}" ', 1).strip()
 
 

@@ -291,13 +291,8 @@ def _paint_raster(axes: Axes, raster: Raster, color: str, shift: float) -> None:
     axes.use_sticky_edges = False
     # numbers of colours, scaled before they become colours, take a tenth of the memory of colours in floats
     look: dict[str, Any] = {"cmap": ListedColormap(["none", color]), "norm": NoNorm()}
-    look |= {
-        "interpolation_stage": "data",
-        "origin": "lower",
-        "aspect": "auto",
-        "interpolation": "nearest",
-        "zorder": 2,
-    }
+    look |= {"interpolation_stage": "data", "interpolation": "nearest"}
+    look |= {"origin": "lower", "aspect": "auto", "zorder": 2}
     axes.imshow(passed.astype(np.uint8), extent=extent, **look)
     axes.autoscale(enable=True)
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.delay import DelayStage
-from dbo_cli.hysteresis.dynamics import Lag, Resonance
-from dbo_cli.hysteresis.linear_sections import Complexes
+from dbo_cli.hysteresis.dynamics import Complexes, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, Quantity
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.reports import drawing as style
@@ -288,25 +287,15 @@ class ModelTable:
         bent = [row for row in fitted if row.name != "line"]
         plots = []
         if any(row.inverse_ns is not None for row in fitted):
+            title = "Error against cost"
             words = "RMSE of each model against the nanoseconds a sample of its inverse takes."
-            paint = partial(_paint_cost, self, fitted)
-            plots.append(
-                Plot(
-                    "cost",
-                    "Error against cost",
-                    words,
-                    style.WIDE,
-                    paint,
-                    legend_head(len(fitted), LEGEND_COLUMNS),
-                )
-            )
+            paint, head = partial(_paint_cost, self, fitted), legend_head(len(fitted), LEGEND_COLUMNS)
+            plots.append(Plot("cost", title, words, style.WIDE, paint, head))
         if bent:
-            words = "Slow loop of each model, a straight line taken off, against the drive."
-            paint = partial(_paint_loops, self, bent)
             title = "The loops, a straight line taken off"
-            plots.append(
-                Plot("loops", title, words, style.TALL, paint, legend_head(len(bent), LEGEND_COLUMNS))
-            )
+            words = "Slow loop of each model, a straight line taken off, against the drive."
+            paint, head = partial(_paint_loops, self, bent), legend_head(len(bent), LEGEND_COLUMNS)
+            plots.append(Plot("loops", title, words, style.TALL, paint, head))
         return plots
 
 
@@ -317,11 +306,9 @@ def record(row: Row) -> dict[str, Any]:
 
 def inexact(row: Row) -> str:
     """Say why an inverse is not exact."""
-    return (
-        "its inverse takes the drive's rate from that of what is wanted, so it is not exact"
-        if row.name == "rate"
-        else "its inverse is not exact to rounding"
-    )
+    if row.name == "rate":
+        return "its inverse takes the drive's rate from that of what is wanted, so it is not exact"
+    return "its inverse is not exact to rounding"
 
 
 def _cells(row: Row, name: str, trip: str) -> list[str]:
@@ -346,12 +333,10 @@ def _paint_cost(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
 
 
 def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
-    from dbo_cli.relatives.judging import without_lateness
-
     line = None
     for number, row in enumerate(rows):
         assert row.model is not None
-        drive, rising, falling = slow_loop(without_lateness(row.model), LOOP_POINTS)
+        drive, rising, falling = slow_loop(row.model.without_lag, LOOP_POINTS)
         if line is None:
             line = np.polyfit(np.tile(drive, 2), np.concatenate((rising, falling)), 1)
         taken = np.polyval(line, drive)

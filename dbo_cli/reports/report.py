@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -41,6 +41,16 @@ if TYPE_CHECKING:
     from dbo_cli.reports.thinned_curves import FigureData
 
 MOST_SEGMENTS = 10_000  # more are no report, and take seconds
+RECORD = (
+    *("samples", "rmse", "nrmse_percent", "max_abs", "max_abs_row", "max_abs_time", "mean", "p95_abs"),
+    *("loop_width", "loop_width_percent", "lag_left", "lag_left_seconds", "phase_left"),
+    *("desired_min", "desired_max"),
+)
+"""Figures that the JSON form has of logs and segments, in its order, and those that it calls otherwise."""
+OTHER_KEYS = {
+    **{"max_abs_time": "max_abs_time_s", "lag_left": "lag_left_samples", "lag_left_seconds": "lag_left_s"},
+    "phase_left": "phase_left_degrees",
+}
 PATIENCE = 1 << 18  # samples that a rest at the lowest place may last within a cycle
 
 
@@ -81,15 +91,9 @@ class Segment:
     def record(self) -> dict[str, Any]:
         """Return the segment as plain values under the keys of the JSON form."""
         figures = self.figures
-        return {
-            "number": self.number,
-            "first_row": self.first_row,
-            "last_row": self.last_row,
-            **_record(figures),
-            "offset_removed": figures.offset,
-            "loop_noise": figures.loop_noise,
-            "frequency_hz": figures.frequency,
-        }
+        place = {"number": self.number, "first_row": self.first_row, "last_row": self.last_row}
+        own = {"offset_removed": figures.offset, "loop_noise": figures.loop_noise}
+        return place | _record(figures) | own | {"frequency_hz": figures.frequency}
 
 
 @dataclass(frozen=True)
@@ -107,17 +111,10 @@ class LogReport:
         """Return the log's figures as plain values under the keys of the JSON form, segments aside."""
         figures = self.figures
         period = figures.sample_period
-        return {
-            "name": self.name,
-            **_record(figures),
-            "lag_samples": self.lag,
-            "lag_s": None if period is None else _finite(self.lag * period),
-            "offset_removed": figures.offset,
-            "sample_period_s": period,
-            "not_finite": figures.not_finite,
-            "ratio_to_first": self.ratio_to_first,
-            "loop_noise": figures.loop_noise,
-        }
+        lag = {"lag_samples": self.lag, "lag_s": None if period is None else _finite(self.lag * period)}
+        own = {"offset_removed": figures.offset, "sample_period_s": period, "not_finite": figures.not_finite}
+        rest = {"ratio_to_first": self.ratio_to_first, "loop_noise": figures.loop_noise}
+        return {"name": self.name} | _record(figures) | lag | own | rest
 
 
 @dataclass(frozen=True)
@@ -238,25 +235,22 @@ def check_limits(
     A log whose NRMSE is undefined misses ``max_nrmse_percent``: a gate that cannot be judged is not passed.
     """
     unit = f" {report.unit}" if report.unit else ""
-    limits = {
-        "rmse": ("RMSE", unit, max_rmse),
-        "abs": ("largest error", unit, max_abs),
-        "nrmse_percent": ("NRMSE", " % of the range", max_nrmse_percent),
-    }
+    limits = (
+        ("RMSE", unit, "rmse", "max_rmse", max_rmse),
+        ("largest error", unit, "max_abs", "max_abs", max_abs),
+        ("NRMSE", " % of the range", "nrmse_percent", "max_nrmse_percent", max_nrmse_percent),
+    )
     missed = []
-    for log in report.logs:
-        figures = log.figures
-        values = {"rmse": figures.rmse, "abs": figures.max_abs, "nrmse_percent": figures.nrmse_percent}
-        for key, (title, suffix, limit) in limits.items():
-            value = values[key]
-            if limit is None or (value is not None and value <= limit):
-                continue
-            if value is None:
-                missed.append(f"{log.name}: {title} is undefined, so `max_{key}` {limit:g} is not met")
-                continue
+    for log, (title, suffix, figure, option, limit) in product(report.logs, limits):
+        value: float | None = getattr(log.figures, figure)
+        if limit is None or (value is not None and value <= limit):
+            continue
+        if value is None:
+            missed.append(f"{log.name}: {title} is undefined, so `{option}` {limit:g} is not met")
+        else:
             missed.append(
                 f"{log.name}: {title} {value:.6g}{suffix} is above the limit of {limit:g}{suffix}"
-                f" by {value - limit:.3g} (`max_{key}`)"
+                f" by {value - limit:.3g} (`{option}`)"
             )
     if missed:
         more = f"; {len(missed) - 1} more missed" if len(missed) > 1 else ""
@@ -398,9 +392,7 @@ def spans(
     """
     if not seconds > 0.0:
         raise UsageError(f"`segment` {seconds:g}: a segment must last longer than 0 seconds")
-    origin = math.nan
-    current = 0.0
-    position = 0
+    origin, current, position = math.nan, 0.0, 0
     for block in blocks:
         if block.time is not None:
             time = block.time
@@ -427,12 +419,9 @@ class _Turns:
     """Find the minima of a stream that stand deeper than a part of the range seen so far."""
 
     def __init__(self, part: float) -> None:
-        self._part = part
-        self._seen = 0
-        self._low = math.inf
-        self._high = -math.inf
-        self._falling = True
-        self._extreme = math.inf
+        self._part, self._seen = part, 0
+        self._low, self._high = math.inf, -math.inf
+        self._falling, self._extreme = True, math.inf
         self.candidate = 0  # stream position before which no minimum can be found any more
 
     def minima(self, desired: Floats) -> list[int]:
@@ -462,23 +451,7 @@ class _Turns:
 
 
 def _record(figures: TrackingFigures) -> dict[str, Any]:
-    return {
-        "samples": figures.samples,
-        "rmse": figures.rmse,
-        "nrmse_percent": figures.nrmse_percent,
-        "max_abs": figures.max_abs,
-        "max_abs_row": figures.max_abs_row,
-        "max_abs_time_s": figures.max_abs_time,
-        "mean": figures.mean,
-        "p95_abs": figures.p95_abs,
-        "loop_width": figures.loop_width,
-        "loop_width_percent": figures.loop_width_percent,
-        "lag_left_samples": figures.lag_left,
-        "lag_left_s": figures.lag_left_seconds,
-        "phase_left_degrees": figures.phase_left,
-        "desired_min": figures.desired_min,
-        "desired_max": figures.desired_max,
-    }
+    return {OTHER_KEYS.get(name, name): getattr(figures, name) for name in RECORD}
 
 
 def _finite(value: float) -> float | None:

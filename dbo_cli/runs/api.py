@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import os
 import warnings
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from dbo_cli.hysteresis.model import ActuatorModel
     from dbo_cli.runs.identifying import RecordedLog
-    from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
+    from dbo_cli.runs.reporting import TrackingOptions, TrackingReport, TrackingRun
 
 __all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
 
@@ -169,25 +170,26 @@ def identify(
         The options contradict each other or the logs.
     """
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import arguments_of, chosen_of, identify_recordings
+    from dbo_cli.runs.identifying import IdentifyRun, arguments_of, chosen_of, identify_recordings
 
     asked = record_of(IdentificationOptions, options, "is no parameter of identify")
     by_name = voltage is not None or isinstance(displacement, str)
     columns = (voltage, displacement) if by_name else (None, None)
+    reading = ReadingOptions(time=time if isinstance(time, str) else None, sample_rate=sample_rate)
+    run = IdentifyRun(
+        _listed(log), _listed(validate), reading, asked, columns[0], columns[1], prior, shared_shape, coupling
+    )
     if any(map(is_pattern, columns)):
         from dbo_cli.runs.model_set import identify_set
 
-        words = (_listed(log), _listed(validate), columns, time, sample_rate, asked, prior, jobs)
-        return identify_set(*words, record=_recorded, common_shape=shared_shape, coupled=coupling)
-    for name, asked_for in (("shared_shape", shared_shape), ("coupling", coupling)):
-        if asked_for:
-            raise UsageError(f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'")
+        return identify_set(run, functools.partial(_read_channel, time), jobs)
+    run.refuse_channels_options()
     kept = None if prior is None else _model(prior).actuator
     units = {"voltage": voltage_unit, "displacement": displacement_unit}
     arrays = displacement is not None and not by_name
-    given = [(log, displacement)] if arrays else [(one,) for one in _listed(log)]
+    given = [(log, displacement)] if arrays else [(one,) for one in run.logs]
     logs = [_recorded(one, time, sample_rate, kept, units, columns) for one in given]
-    checks = [_recorded((one,), time, sample_rate, kept, columns=columns) for one in _listed(validate)]
+    checks = [_recorded((one,), time, sample_rate, kept, columns=columns) for one in run.validation]
     chosen = chosen_of(asked) | ({"prior": os.path.basename(str(prior))} if is_file(prior) else {})
     arguments = arguments_of(_names(logs), _names(checks), chosen)
     found = identify_recordings(logs, asked, checks, arguments, kept)
@@ -296,7 +298,7 @@ def report(
     logs = [] if measured is not None else _logs(wanted)
     asked = _tracking_options(options, logs, voltage, time)
     predicting = None if model is None else _model(model).actuator
-    from dbo_cli.runs.tracking import TrackingRun
+    from dbo_cli.runs.reporting import TrackingRun
 
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
     options["sample_rate"] = sample_rate
@@ -349,7 +351,7 @@ def _tracking_options(
     options: dict[str, Any], logs: Sequence[Any], voltage: Any, time: Any
 ) -> TrackingOptions:
     """Take what belongs to ``TrackingOptions`` out of the options of ``report``; the others remain."""
-    from dbo_cli.runs.tracking import TrackingOptions
+    from dbo_cli.runs.reporting import TrackingOptions
 
     known = {field.name for field in dataclasses.fields(TrackingOptions)}
     asked = {key: options.pop(key) for key in known & options.keys()}
@@ -385,6 +387,24 @@ def _listed(logs: Any) -> Sequence[Any]:
 
 def _names(logs: Sequence[RecordedLog]) -> list[str]:
     return [str(one.record["name"]) for one in logs]
+
+
+def _read_channel(
+    time: Any,
+    logs: Sequence[Any],
+    validation: Sequence[Any],
+    reading: ReadingOptions,
+    columns: Mapping[str, str],
+    prior: str | ActuatorModel | None,
+) -> tuple[list[RecordedLog], list[RecordedLog]]:
+    """Read one channel of tables and files, in whichever process."""
+    kept = _model(prior).actuator if isinstance(prior, str) else prior
+    own = columns["voltage"], columns["displacement"]
+
+    def read(log: Any) -> RecordedLog:
+        return _recorded((log,), time, reading.sample_rate, kept, columns=own)
+
+    return list(map(read, logs)), list(map(read, validation))
 
 
 def _recorded(

@@ -13,31 +13,30 @@ from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs.addresses import Address, Given, check_document
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.remarks import SILENT, Listener, Remarks
+from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.reports.drawing import Plot, save
 from dbo_cli.reports.report import LogReport, Report, common_unit
 from dbo_cli.runs.channels import Columns, models_by_channel, opened_readers, sum_up_remarks
 from dbo_cli.runs.jobs import Outcome, Work, good_ones, run_jobs, spread_line
-from dbo_cli.runs.reporting import Written, add_file, prepare_folder, report_form
+from dbo_cli.runs.reporting import (
+    ReportRun,
+    TrackingOptions,
+    TrackingReport,
+    TrackingRun,
+    Written,
+    add_file,
+    prepare_folder,
+    report_form,
+)
 from dbo_cli.runs.roles import short_names
-from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
 from dbo_cli.version import program_version_string
 
 
 @all_or_none()
-def report_channels(
-    logs: Sequence[Address],
-    output: Address,
-    reading: ReadingOptions,
-    options: TrackingOptions,
-    *,
-    form: str | None = None,
-    figures: str | None = None,
-    work: Work = Work(),  # noqa: B008 - frozen
-    listener: Listener = SILENT,
-) -> Written:
+def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written:
     """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
-    chosen = report_form(output, form)
+    logs, output, options, figures = asked.logs, asked.output, asked.options, asked.figures
+    chosen = report_form(output, asked.form)
     check_document(output, "a report", chosen)
     if options.trajectory is not None:
         raise UsageError(
@@ -55,7 +54,7 @@ def report_channels(
     units: list[tuple[str, str | None]] = []
     texts: dict[str, Remarks] = {}
     short = short_names(logs)
-    with opened_readers(logs, reading, columns) as readers:
+    with opened_readers(logs, asked.reading, columns) as readers:
         channels = list(readers[0].channels)
         models = None if options.model is None else models_by_channel(options.model, channels)
         if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
@@ -70,8 +69,8 @@ def report_channels(
                     name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
                     own: dict[str, Any] = columns.of_channel(channel)
                     own |= {"model": models(channel) if models else None}
-                    asked = dataclasses.replace(options, **own)
-                    yield name, functools.partial(_reported, reader.log(channel), name, reading, asked)
+                    one = dataclasses.replace(options, **own)
+                    yield name, functools.partial(_reported, reader.log(channel), name, asked.reading, one)
 
         count = len(channels) * len(logs)
         for one in good_ones(run_jobs(jobs(), work.processes), work, "channel", outcome, count, listener):

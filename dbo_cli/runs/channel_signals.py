@@ -6,23 +6,23 @@ import contextlib
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.model_set import Coupling
+from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs.addresses import Address, Given, parse_output
-from dbo_cli.logs.channels import PLACE, column_of, is_matrix
+from dbo_cli.logs.channels import PLACE, ChannelReader, column_of, is_matrix
 from dbo_cli.logs.out_column import OutColumn
-from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.sample_block import FloatArray, joined
+from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, check_outputs, write_whole
-from dbo_cli.remarks import SILENT, Listener, Remarks
+from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.channels import (
     CHANNEL,
     Columns,
@@ -30,44 +30,35 @@ from dbo_cli.runs.channels import (
     common_rows,
     in_name,
     make_folder_of,
+    matrix_of,
     models_by_channel,
     opened_readers,
     sum_up_remarks,
 )
-from dbo_cli.runs.coupled import coupling_of, logs_apart, put_together
-from dbo_cli.runs.files import Destination, check_order
+from dbo_cli.runs.files import Destination, SignalRun, check_order
 from dbo_cli.runs.jobs import Done, Outcome, Work, good_ones, run_jobs
+from dbo_cli.runs.roles import bring_to, quantity_wish
 
 _ROWS = 1 << 12  # of a table of channels, written at a time
 
 
-def signals_of_channels(
-    use_case: Callable[..., Remarks],
-    model_file: str,
-    log_file: Address,
-    destination: Destination,
-    reading: ReadingOptions,
-    columns: Columns,
-    *,
-    state: str = "auto",
-    work: Work = Work(),  # noqa: B008 - frozen
-    listener: Listener = SILENT,
-    **more: Any,
-) -> Outcome:
-    """Run ``simulate_log`` or ``compensate_trajectory`` for each channel; write a table or a file of each.
+def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Outcome:
+    """Run ``simulate`` or ``compensate`` for each channel; write a table or a file of each.
 
-    The first parameter of ``columns`` is the signal's. What is said of each channel is summed up.
+    What is said of each channel is summed up.
     """
+    destination, reading = asked.destination, asked.reading
+    columns = Columns.of(**{asked.option: asked.column or ""})
     each_own = CHANNEL in destination.output.text
-    _check_asked(model_file, log_file, destination)
+    _check_asked(asked)
     outcome = Outcome()
     remarks: dict[str, Remarks] = {}
     summaries: list[dict[str, Any]] = []
-    with opened_readers([log_file], reading, columns) as (reader,):
+    with opened_readers([asked.log], reading, columns) as (reader,):
         channels = list(reader.channels)
         (pattern,) = columns.patterns.values()
-        models = models_by_channel(model_file, channels, is_matrix(pattern))
-        coupling, wanted = coupling_of(model_file, channels, work), "displacement" in columns.patterns
+        models = models_by_channel(asked.model, channels, is_matrix(pattern))
+        coupling, wanted = coupling_of(asked.model, channels, work), asked.drive is not None
         work = dataclasses.replace(work, all_needed=coupling is not None)
         log_of: Callable[[str], Address] = reader.log
         if coupling is not None and wanted:
@@ -76,9 +67,12 @@ def signals_of_channels(
 
         def jobs() -> Iterator[tuple[str, Callable[[], Remarks]]]:
             for channel in channels:
-                words = (models(channel), log_of(channel), _of_channel(destination, channel), reading)
-                own = {"column": column_of(pattern, channel), "state": in_name(state, channel)}
-                yield channel, functools.partial(use_case, *words, **own, **more)
+                own = dataclasses.replace(
+                    asked, model=models(channel), log=log_of(channel), reading=reading,
+                    destination=destination.placed(functools.partial(address_of, channel=channel)),
+                    column=column_of(pattern, channel), state=in_name(asked.state, channel),
+                )  # fmt: skip
+                yield channel, own.run
 
         with all_or_none():
             table = ChannelTable(destination, channels, pattern)
@@ -86,7 +80,7 @@ def signals_of_channels(
                 make_folder_of(destination.output)
             done = run_jobs(jobs(), work.processes)
             good = good_ones(done, work, "channel", outcome, len(channels), listener)
-            pads = not each_own and _may_pad(more.get("options"), state, reading)
+            pads = not each_own and _may_pad(asked)
             for one in _together(good, coupling, pads, -2 if wanted else -1):
                 assert one.value is not None
                 remarks[one.name] = one.value
@@ -101,13 +95,19 @@ def signals_of_channels(
     return outcome
 
 
-def _check_asked(model_file: str, log_file: Address, destination: Destination) -> None:
-    """Refuse what cannot be had of channels (UsageError)."""
+def _check_asked(asked: SignalRun) -> None:
+    """Refuse what cannot be had of channels, or written for all of them at once (UsageError)."""
+    destination = asked.destination
     if destination.live:
         raise UsageError("`flush` follows a log row by row, and channels are read whole (leave one out)")
-    check_order(model_file, log_file.text)
-    if CHANNEL not in destination.output.text:
-        _check_table(destination)
+    check_order(asked.model, asked.log.text)
+    if CHANNEL in destination.output.text:
+        return
+    if destination.save_state is not None and CHANNEL not in destination.save_state.text:
+        raise UsageError(
+            f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL} into it)"
+        )
+    check_outputs([destination.output], destination.protect)
 
 
 def _together(
@@ -124,10 +124,10 @@ def _together(
     return held
 
 
-def _may_pad(options: DriveOptions | None, state: str, reading: ReadingOptions) -> bool:
+def _may_pad(asked: SignalRun) -> bool:
     """Tell whether drives may have rows before and after the move, between which the actuator is at rest."""
-    around = options is not None and options.has_pieces
-    return around and state in START_NAMES and not reading.skip_bad
+    around = asked.drive is not None and asked.drive.has_pieces
+    return around and asked.state in START_NAMES and not asked.reading.skip_bad
 
 
 def _pad(outputs: Sequence[KeptOutputs]) -> None:
@@ -144,28 +144,22 @@ def _pad(outputs: Sequence[KeptOutputs]) -> None:
         one.signals[0] = dataclasses.replace(signal, arrays=arrays)
 
 
-def _of_channel(destination: Destination, channel: str) -> Destination:
-    """Return where a channel's outputs go."""
-    names = (destination.output, destination.save_state, destination.summary)
-    output, save_state, summary = (None if one is None else address_of(one, channel) for one in names)
-    assert output is not None
-    return destination._replace(output=output, save_state=save_state, summary=summary)
-
-
 def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
     """Write outputs that were kept, as they would have been written."""
     for one in outputs.signals:
-        with signal_writer(
-            one.address,
-            one.columns,
-            format=one.format,
-            attributes=one.attributes,
-            protect=protect,
-            commented=one.commented,
-        ) as writer:
-            writer.write(*one.arrays)
+        _write_signal(one, protect, len(one.arrays[0]))
     for name, data in outputs.documents:
         write_whole(name, data, protect=protect)
+
+
+def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> None:
+    """Write a signal, so many rows at a time."""
+    with signal_writer(
+        signal.address, signal.columns, format=signal.format, attributes=signal.attributes,
+        protect=protect, commented=signal.commented,
+    ) as writer:  # fmt: skip
+        for row in range(0, len(signal.arrays[0]), max(rows, 1)):
+            writer.write(*(array[row : row + rows] for array in signal.arrays))
 
 
 def _write_summaries(summaries: list[dict[str, Any]], destination: Destination) -> None:
@@ -213,6 +207,8 @@ class ChannelTable:
         (signal,) = outputs.signals
         timed = signal.columns[0].header == "time_s"
         time, arrays = (signal.arrays[0], signal.arrays[1:]) if timed else (None, signal.arrays)
+        attributes = {key: value for key, value in signal.attributes.items() if key != "model_sha256"}
+        signal = dataclasses.replace(signal, attributes=attributes)  # the models of all are not one
         if self._first is None:
             self._first, self._time = signal, time
         elif len(arrays[0]) != len(self._first.arrays[0]) or not _same(time, self._time):
@@ -237,17 +233,8 @@ class ChannelTable:
         for channel, one in self._kept.items():
             columns += [self._column(column, channel) for column in one.columns[timed:]]
             arrays += one.arrays
-        attributes = {key: value for key, value in first.attributes.items() if key != "model_sha256"}
-        with signal_writer(
-            first.address,
-            columns,
-            format=first.format,
-            attributes=attributes,
-            protect=self.destination.protect,
-            commented=first.commented,
-        ) as writer:
-            for row in range(0, len(arrays[0]), _ROWS):
-                writer.write(*(array[row : row + _ROWS] for array in arrays))
+        whole = dataclasses.replace(first, columns=columns, arrays=tuple(arrays))
+        _write_signal(whole, self.destination.protect, _ROWS)
 
     def _column(self, column: OutColumn, channel: str) -> OutColumn:
         """Return a channel's column: an input keeps its own name, which holds the channel's."""
@@ -270,17 +257,68 @@ class ChannelTable:
             self._matrices = self._stack.enter_context(
                 matrix_writer(
                     signal.address, columns, self.channels, self._time, len(arrays[0]),
-                    attributes={key: x for key, x in signal.attributes.items() if key != "model_sha256"},
+                    attributes=signal.attributes,
                     protect=self.destination.protect,
                 )
             )  # fmt: skip
         self._matrices(self.channels.index(channel), arrays)
 
 
-def _check_table(destination: Destination) -> None:
-    """Refuse what cannot be written for all channels at once (UsageError)."""
-    if destination.save_state is not None and CHANNEL not in destination.save_state.text:
+# --- coupled channels: what is wanted is taken apart, what comes out put together ---
+
+
+def coupling_of(model_file: str, channels: Sequence[str], work: Work) -> Coupling | None:
+    """Return the coupling that a set holds, in the order of channels, of which none may be missing."""
+    found = read_set(model_file).coupling if is_set(model_file) else None
+    if found is not None and work.keep_going:
         raise UsageError(
-            f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL} into it)"
+            f"`keep_going`: the models of {model_file} are coupled: each is needed for the others"
         )
-    check_outputs([destination.output], destination.protect)
+    return None if found is None else found.of(channels)
+
+
+def logs_apart(
+    reader: ChannelReader,
+    models: Callable[[str], str],
+    pattern: str,
+    reading: ReadingOptions,
+    coupling: Coupling,
+) -> dict[str, Address]:
+    """Return logs of what each channel has to do alone, so that the sensors show what is wanted of all."""
+    whole = dataclasses.replace(reading, rows=ALL_ROWS, resample=None, skip_bad=False)
+    logs, columns = {}, []
+    for channel in coupling.channels:
+        model = read_model(models(channel))
+        logs[channel] = reader.log(channel)
+        want = {
+            "wanted": quantity_wish(
+                model.output, column_of(pattern, channel), option="displacement", trajectory=True
+            )
+        }
+        with open_log(logs[channel], want, whole) as opened:
+            bring_to(opened, "wanted", model.output, models(channel))
+            columns.append(joined(list(opened.blocks())).values["wanted"])
+    own = coupling.apart(matrix_of(coupling.channels, columns, reader.address.text))
+    for place, (channel, log) in enumerate(logs.items()):
+        assert log.table is not None  # a bad row was refused above
+        table, number = log.table, reader.channels[channel]["displacement"].number
+        unit = read_model(models(channel)).output.unit
+        infos = [
+            dataclasses.replace(one, unit=unit) if one.number == number else one for one in table.columns
+        ]
+        block = dataclasses.replace(
+            table.block, values={**table.block.values, str(number): own[:, place].copy()}
+        )
+        logs[channel] = dataclasses.replace(log, table=dataclasses.replace(table, columns=infos, block=block))
+    return logs
+
+
+def put_together(outputs: Mapping[str, KeptOutputs], coupling: Coupling, result: int) -> None:
+    """Let one column of all channels' kept signals (``result``: its place) be what the sensors show."""
+    signals = [one.signals[0] for one in outputs.values()]
+    name = signals[0].address.text
+    shown = coupling.together(matrix_of(list(outputs), [one.arrays[result] for one in signals], name))
+    for place, (one, signal) in enumerate(zip(outputs.values(), signals, strict=True)):
+        arrays = list(signal.arrays)
+        arrays[result] = np.ascontiguousarray(shown[:, place])
+        one.signals[0] = dataclasses.replace(signal, arrays=tuple(arrays))

@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.model_set import is_set, read_set
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs.addresses import Address, parse_address
-from dbo_cli.logs.channels import ChannelReader, column_of, is_pattern
+from dbo_cli.logs.channels import ChannelReader, channels_of, column_of, is_pattern
+from dbo_cli.logs.columns import TIME_NAMES, column_info
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import make_folder
+from dbo_cli.logs.sources import TABLE, is_file, is_table
+from dbo_cli.logs.whole_output import all_or_none, make_folder
 from dbo_cli.remarks import Remarks
-from dbo_cli.runs.jobs import named, summed_up
+from dbo_cli.runs.jobs import named, sum_up
+
+if TYPE_CHECKING:
+    from dbo_cli.export import ExportSummary
 
 CHANNEL = "{channel}"
 
@@ -80,23 +85,45 @@ def address_of(address: Address, channel: str) -> Address:
     return parse_address(in_name(address.text, channel), address.format)
 
 
+class TableReader:
+    """A table whose columns are read by channel, as ``ChannelReader`` reads those of a log."""
+
+    def __init__(self, table: Any, columns: Columns) -> None:
+        self._table = table
+        infos = [column_info(str(name), number) for number, name in enumerate(table.columns, 1)]
+        taken = {one.number for one in infos if one.quantity.lower() in TIME_NAMES}
+        self.channels = channels_of(TABLE, infos, columns.patterns, taken)
+
+    def log(self, channel: str) -> Any:
+        """Return the table without the columns of other channels."""
+        own = self.channels[channel].values()
+        others = {one.number for found in self.channels.values() for one in found.values()}
+        others -= {one.number for one in own}
+        return self._table.iloc[:, [k - 1 for k in range(1, self._table.shape[1] + 1) if k not in others]]
+
+
 @contextlib.contextmanager
 def opened_readers(
-    logs: Sequence[Address], reading: ReadingOptions, columns: Columns, digest: bool = False
-) -> Iterator[list[ChannelReader]]:
-    """Open logs that all have the same channels (InputError where one lacks some)."""
+    logs: Sequence[Any], reading: ReadingOptions, columns: Columns, digest: bool = False
+) -> Iterator[list[Any]]:
+    """Open logs or tables that all have the same channels (InputError where one lacks some)."""
     with contextlib.ExitStack() as stack:
-        readers = []
-        for address in logs:
-            reader = ChannelReader(address, reading, columns.patterns, digest)
-            stack.callback(reader.close)
-            readers.append(reader)
-            missing = [one for one in readers[0].channels if one not in reader.channels]
-            missing += [one for one in reader.channels if one not in readers[0].channels]
+        readers: list[ChannelReader | TableReader] = []
+        for one in logs:
+            if is_table(one):
+                readers.append(TableReader(one, columns))
+            elif is_file(one) or isinstance(one, Address):
+                reader = ChannelReader(parse_address(one), reading, columns.patterns, digest)
+                stack.callback(reader.close)
+                readers.append(reader)
+            else:
+                raise InputError("a log with many channels is a table or a file's name")
+            first, channels = readers[0].channels, readers[-1].channels
+            missing = [name for name in first if name not in channels]
+            missing += [name for name in channels if name not in first]
             if missing:
-                raise InputError(
-                    f"{address.text}: has other channels than {logs[0].text}: {named(missing)} in one alone"
-                )
+                here, there = (TABLE if is_table(log) else parse_address(log).text for log in (one, logs[0]))
+                raise InputError(f"{here}: has other channels than {there}: {named(missing)} in one alone")
         yield readers
 
 
@@ -158,5 +185,45 @@ def sum_up_remarks(found: Mapping[str, Remarks], pattern: str, remarks: Remarks)
         return
     first = next(iter(found.values()))
     remarks.read += [f"{line}; {len(found):,} channels: '{pattern}'" for line in first.read]
-    remarks.notes += summed_up({channel: one.notes for channel, one in found.items()}, "channel")
-    remarks.warnings += summed_up({channel: one.warnings for channel, one in found.items()}, "channel")
+    sum_up(remarks, found, "channel")
+
+
+def matrix_of(channels: Sequence[str], columns: Sequence[FloatArray], name: str) -> FloatArray:
+    """Return a column a channel (InputError where their rows are not the same)."""
+    for channel, column in zip(channels, columns, strict=True):
+        if len(column) != len(columns[0]):
+            raise InputError(
+                f"channel {channel}: {name} has {len(column):,} good rows of it and {len(columns[0]):,} of "
+                f"channel {channels[0]}: coupled channels are needed in every row (take good `rows` A:B)"
+            )
+    return np.column_stack(columns)
+
+
+def export_models(
+    model_file: str, folder: str, remarks: Remarks, *, name: str, **options: Any
+) -> dict[str, ExportSummary]:
+    """Export a model, or a set: to one folder with one kernel, or (``{channel}``) to a folder of each model.
+
+    Raises
+    ------
+    UsageError
+        A channel's name makes no names of its own in C, or an option is not for sets.
+    """
+    from dbo_cli.export import export_model, export_set
+
+    if not is_set(model_file):
+        return {"": export_model(read_model(model_file), folder, name=name, **options)}
+    models = read_set(model_file)
+    if models.coupling is not None:
+        remarks.warn(
+            f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
+            "of all has to be multiplied by the inverse of the gains first (docs/model-file.md)"
+        )
+    if CHANNEL not in folder:
+        return export_set(models, folder, name=name, **options)
+    with all_or_none():
+        make_folder_of(parse_address(folder))
+        return {
+            channel: export_model(model, in_name(folder, channel), name=f"{name}_{channel}", **options)
+            for channel, model in models.items()
+        }

@@ -6,10 +6,12 @@ handed on as it arrives.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,7 +34,7 @@ from dbo_cli.logs.addresses import (
     parse_output,
     selected_files,
 )
-from dbo_cli.logs.columns import ColumnWish, split_header
+from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
@@ -67,6 +69,11 @@ class Destination(NamedTuple):
         """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
         return self._replace(protect=[*self.protect, *selected_files(*selectors)])
 
+    def placed(self, put: Callable[[Address], Address]) -> Destination:
+        """Put the name of a channel or a file into every output's."""
+        state, summary = (None if one is None else put(one) for one in (self.save_state, self.summary))
+        return self._replace(output=put(self.output), save_state=state, summary=summary)
+
     def check(self) -> None:
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
         if sum(one == "-" or (isinstance(one, Address) and one.is_stream) for one in self.protect) > 1:
@@ -80,89 +87,148 @@ class Destination(NamedTuple):
             check_document(self.save_state, "a state", "json")
 
 
-def simulate_log(
-    model_file: str,
-    log_file: Address,
-    destination: Destination,
-    reading: ReadingOptions,
-    *,
-    column: str | None = None,
-    outside: Outside = "extend",
-    state: str = "auto",
-    listener: Listener = SILENT,
-) -> Remarks:
-    """Run a model over its input signal; write time (when known), the input column and the result."""
-    destination = destination.beside(column, reading.time)
-    destination.check()
-    check_order(model_file, log_file.text)
-    check_format(reading.format, [log_file, destination.output])
-    model = read_model(model_file)
-    taken = model.input
-    want = {taken.quantity: quantity_wish(taken, column, option="input")}
-    ahead = model.direction == "inverse" and reads_ahead(model)
-    with opened(log_file, want, reading, destination.live, listener, ahead) as log:
-        bring_to(log, taken.quantity, taken, shown_name(model_file))
-        last = reading.rows[1] if ahead else None
-        run = ModelRun(model, log, start_of(state, model), outside, last)
-        given = _column_of(log, taken)
-        return write_response(run, log, given, destination, reading, listener)
+@dataclass(frozen=True)
+class SignalRun:
+    """What is asked of ``simulate``, or with ``drive`` of ``compensate``.
 
+    Attributes
+    ----------
+    model, log
+        The model's file, and the log of its input or the trajectory.
+    destination, reading
+        Where the result goes, and how logs are read.
+    column
+        The signal's column; guessed where not given.
+    state, outside
+        Where it starts, and what happens outside the model's range.
+    drive
+        What is asked of the drive, but for the state.
+    tracked, voltage, measured
+        Recordings of the last pass, and their columns.
+    """
 
-def compensate_trajectory(
-    model_file: str,
-    trajectory: Address,
-    destination: Destination,
-    reading: ReadingOptions,
-    options: DriveOptions,
-    *,
-    column: str | None = None,
-    state: str = "auto",
-    tracked: Sequence[Address] = (),
-    voltage: str | None = None,
-    measured: str | None = None,
-    listener: Listener = SILENT,
-) -> Remarks:
-    """Write the drive that makes an actuator follow a trajectory: time (when known), desired, drive."""
-    from dbo_cli.drives.loops import compensation
+    model: str
+    log: Address
+    destination: Destination
+    reading: ReadingOptions
+    column: str | None = None
+    state: str = "auto"
+    outside: Outside = "extend"
+    drive: DriveOptions | None = None
+    tracked: Sequence[Address] = ()
+    voltage: str | None = None
+    measured: str | None = None
 
-    destination = destination.beside(column, voltage, measured, reading.time)
-    destination.check()
-    if options.history is not None:
-        check_document(options.history, "a history", "json")
-        check_outputs([destination.output, options.history], destination.protect)
-    check_order(model_file, trajectory.text)
-    check_format(reading.format, [trajectory, destination.output])
-    model = read_model(model_file)
-    model.require("forward", shown_name(model_file))
-    wanted = model.output
-    want = {wanted.quantity: quantity_wish(wanted, column, option="displacement", trajectory=True)}
-    ahead = (reads_ahead(model) or options.bandwidth is not None) and not (tracked or options.periodic)
-    recordings = [_recorded(one, model, reading, voltage, measured, listener) for one in tracked]
-    with opened(trajectory, want, reading, destination.live, listener, ahead) as log:
-        bring_to(log, wanted.quantity, wanted, shown_name(model_file))
-        options = dataclasses.replace(options, state=start_of(state, model))
-        run = compensation(model, log, options, recordings, reading.rows[1] if ahead else None)
-        # Not under the name of what will be measured: a drive must not be taken for a recording.
-        unit = log.columns[wanted.quantity].unit or wanted.unit
-        given = OutColumn("desired", unit, "desired", may_be_blank=True)
+    @property
+    def option(self) -> str:
+        """The parameter that names the column."""
+        return "input" if self.drive is None else "displacement"
+
+    def run(self, listener: Listener = SILENT) -> Remarks:
+        """Write time (when known), the input column and the result: the model's output, or the drive."""
+        destination, model_file = self.destination, self.model
+        destination = destination.beside(self.column, self.voltage, self.measured, self.reading.time)
+        destination.check()
+        if self.drive is not None and self.drive.history is not None:
+            check_document(self.drive.history, "a history", "json")
+            check_outputs([destination.output, self.drive.history], destination.protect)
+        check_order(model_file, self.log.text)
+        check_format(self.reading.format, [self.log, destination.output])
+        asked, model = dataclasses.replace(self, destination=destination), read_model(model_file)
+        if self.drive is None:
+            return asked._simulated(model, listener)
+        model.require("forward", shown_name(model_file))
+        return asked._compensated(model, self.drive, listener)
+
+    def _simulated(self, model: ActuatorModel, listener: Listener) -> Remarks:
+        ahead = model.direction == "inverse" and reads_ahead(model)
+        with self._opened(model.input, ahead, listener) as log:
+            last = self.reading.rows[1] if ahead else None
+            run = ModelRun(model, log, start_of(self.state, model), self.outside, last)
+            return self._written(run, log, _column_of(log, model.input), listener)
+
+    def _compensated(self, model: ActuatorModel, drive: DriveOptions, listener: Listener) -> Remarks:
+        from dbo_cli.drives.loops import compensation
+
+        wanted = model.output
+        ahead = reads_ahead(model) or drive.bandwidth is not None
+        ahead = ahead and not (self.tracked or drive.periodic)
+        recordings = [self._recorded(one, model, listener) for one in self.tracked]
+        with self._opened(wanted, ahead, listener) as log:
+            options = dataclasses.replace(drive, state=start_of(self.state, model))
+            run = compensation(model, log, options, recordings, self.reading.rows[1] if ahead else None)
+            # Not under the name of what will be measured: a drive must not be taken for a recording.
+            unit = log.columns[wanted.quantity].unit or wanted.unit
+            given = OutColumn("desired", unit, "desired", may_be_blank=True)
+            with all_or_none():
+                remarks = self._written(run, log, given, listener)
+                run.keep_history()
+            return remarks
+
+    @contextlib.contextmanager
+    def _opened(self, taken: Quantity, ahead: bool, listener: Listener) -> Iterator[SignalLog]:
+        """Open the log; where it is to be read ahead, those after the last row asked for are there, too."""
+        trajectory = self.drive is not None
+        want = {taken.quantity: quantity_wish(taken, self.column, option=self.option, trajectory=trajectory)}
+        reading, live = self.reading, self.destination.live
+        if ahead and reading.resample is None:
+            reading = dataclasses.replace(reading, rows=(reading.rows[0], None))
+        with open_log(self.log, want, reading, live=live) as log:
+            listener.opened(log.describe())
+            if live:
+                listener.reading(log.opening_line())
+            bring_to(log, taken.quantity, taken, shown_name(self.model))
+            yield log
+
+    def _recorded(self, address: Address, model: ActuatorModel, listener: Listener) -> Tracked:
+        """Read the recording of a pass; ``rows`` are the trajectory's."""
+        want = tracked_wishes(model, self.voltage, self.measured)
+        with open_log(address, want, dataclasses.replace(self.reading, rows=ALL_ROWS)) as log:
+            listener.opened(log.describe())
+            return tracked_of(log, model)
+
+    def _written(self, run: ModelRun, log: SignalLog, given: OutColumn, listener: Listener) -> Remarks:
+        """Run to the end of the log and write what comes out, then the state."""
+        output, destination = run.output, self.destination
+        out = OutColumn(output.quantity, output.unit)
+        if out.header == given.header:
+            out = OutColumn(f"model_{output.quantity}", output.unit)
+        columns = [*([OutColumn("time", "s")] if log.has_time else []), given, out]
+        responses = run.responses()
+        # Computed before anything is opened: a log that is bad from the start leaves not even a header.
+        first = next(responses)
+        figures = DriveFigures()
         with all_or_none():
-            remarks = write_response(run, log, given, destination, reading, listener)
-            run.keep_history()
+            try:
+                with signal_writer(
+                    destination.output.or_format(self.reading.format),
+                    columns,
+                    attributes=_attributes(run, log, destination.command),
+                    flush=destination.live,
+                    protect=destination.protect,
+                    commented=destination.commented,
+                ) as writer:
+                    for response in chain([first], responses):
+                        writer.write(*(response if response.time is not None else response[1:]))
+                        if destination.summary is not None:
+                            figures.see(response.y, None)
+                        listener.progressed(len(response.y))
+                    listener.finished()
+            except BrokenPipeError:
+                if destination.save_state is None:
+                    raise
+                raise OutputError(
+                    "standard output: its reader left before the end, so there is no last state to save"
+                ) from None
+            if destination.save_state is not None and run.state is not None:
+                write_whole(destination.save_state, state_to_bytes(run.state, run.model))
+            if destination.summary is not None:
+                done = summary_of(run, log.reading_record(), figures, destination.command)
+                write_summary(destination.summary, [done])
+        remarks = run.remarks()
+        if destination.live:
+            remarks.read.clear()  # printed when the stream began
         return remarks
-
-
-def _recorded(
-    address: Address,
-    model: ActuatorModel,
-    reading: ReadingOptions,
-    voltage: str | None,
-    measured: str | None,
-    listener: Listener,
-) -> Tracked:
-    """Read the recording of a pass; ``rows`` are the trajectory's."""
-    want = tracked_wishes(model, voltage, measured)
-    with opened(address, want, dataclasses.replace(reading, rows=ALL_ROWS), False, listener) as log:
-        return tracked_of(log, model)
 
 
 def invert_model(model_file: str, output: Address) -> ActuatorModel:
@@ -195,75 +261,6 @@ def write_excitation(
         for row in range(0, len(time), _ROWS):
             writer.write(*(one[row : row + _ROWS] for one in (time, *drives.values())))
     return len(time)
-
-
-def opened(
-    address: Address,
-    want: Mapping[str, ColumnWish],
-    reading: ReadingOptions,
-    live: bool,
-    listener: Listener,
-    ahead: bool = False,
-) -> SignalLog:
-    """Open a log; where it is to be read ahead, the rows after the last one asked for are there, too."""
-    if ahead and reading.resample is None:
-        reading = dataclasses.replace(reading, rows=(reading.rows[0], None))
-    log = open_log(address, want, reading, live=live)
-    listener.opened(log.describe())
-    if live:
-        listener.reading(log.opening_line())
-    return log
-
-
-def write_response(
-    run: ModelRun,
-    log: SignalLog,
-    given: OutColumn,
-    destination: Destination,
-    reading: ReadingOptions,
-    listener: Listener,
-) -> Remarks:
-    """Run to the end of the log and write what comes out, then the state."""
-    output = run.output
-    out = OutColumn(output.quantity, output.unit)
-    if out.header == given.header:
-        out = OutColumn(f"model_{output.quantity}", output.unit)
-    columns = [*([OutColumn("time", "s")] if log.has_time else []), given, out]
-    responses = run.responses()
-    # Computed before anything is opened: a log that is bad from the start leaves not even a header.
-    first = next(responses)
-    figures = DriveFigures()
-    with all_or_none():
-        try:
-            with signal_writer(
-                destination.output.or_format(reading.format),
-                columns,
-                attributes=_attributes(run, log, destination.command),
-                flush=destination.live,
-                protect=destination.protect,
-                commented=destination.commented,
-            ) as writer:
-                for response in chain([first], responses):
-                    writer.write(*(response if response.time is not None else response[1:]))
-                    if destination.summary is not None:
-                        figures.see(response.y, None)
-                    listener.progressed(len(response.y))
-                listener.finished()
-        except BrokenPipeError:
-            if destination.save_state is None:
-                raise
-            raise OutputError(
-                "standard output: its reader left before the end, so there is no last state to save"
-            ) from None
-        if destination.save_state is not None and run.state is not None:
-            write_whole(destination.save_state, state_to_bytes(run.state, run.model))
-        if destination.summary is not None:
-            done = summary_of(run, log.reading_record(), figures, destination.command)
-            write_summary(destination.summary, [done])
-    remarks = run.remarks()
-    if destination.live:
-        remarks.read.clear()  # printed when the stream began
-    return remarks
 
 
 def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | float]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -17,6 +18,7 @@ from dbo_cli.logs.addresses import (
     Address,
     check_document,
     check_format,
+    parse_address,
     selected_files,
     without_folder,
 )
@@ -25,7 +27,7 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.logs.sources import Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
@@ -40,6 +42,10 @@ class RecordedLog:
     recording: Recording
     record: Mapping[str, Any]
     remarks: Remarks = field(default_factory=Remarks)
+
+
+Recordings = tuple[Sequence[RecordedLog], Sequence[RecordedLog]]
+"""Of one actuator: what is fitted, and what its model is judged on."""
 
 
 @dataclass(frozen=True)
@@ -202,39 +208,77 @@ def _word(value: object) -> str:
     return str(value)
 
 
-def identify_logs(
-    logs: Sequence[Address],
-    validation: Sequence[Address],
-    output: Address,
-    reading: ReadingOptions,
-    options: IdentificationOptions,
-    *,
-    voltage: str | None = None,
-    displacement: str | None = None,
-    prior: str | None = None,
-    listener: Listener = SILENT,
-) -> Identified:
-    """Identify a model from logs and write it; ``reading.rows`` are not those of the validation's logs.
+@dataclass(frozen=True)
+class IdentifyRun:
+    """What is asked of ``identify``, from the shell or from Python.
 
-    ``prior`` is the file of a model whose shape is kept.
+    Attributes
+    ----------
+    logs, validation
+        Addresses (from Python tables, too) of what is fitted, and of what the model is judged on.
+    reading
+        How logs are read; its rows are not those of the validation's.
+    options
+        What is fixed beforehand.
+    voltage, displacement
+        The columns, guessed where not given; patterns (``V{}``) name those of many channels.
+    prior
+        The file of a model whose shape is kept; from Python a mapping of models by channel, too.
+    shared_shape, coupling
+        Of channels: one loop shape for all; how much each shows in the others.
     """
-    check_document(output, "a model", "json")
-    beside = selected_files(voltage, displacement, reading.time)
-    known = [] if prior is None else [prior]
-    check_output(output, [*logs, *validation, *beside, *known])
-    check_format(reading.format, [*logs, *validation])
-    kept = None if prior is None else read_model(prior)
-    fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener, kept)
-    named = None if prior is None else os.path.basename(prior)
-    columns = {"voltage": voltage, "displacement": displacement, "prior": named}
-    chosen = {name: column for name, column in columns.items() if column is not None}
-    given, more = ([one.text for one in some] for some in (logs, validation))
-    arguments = arguments_of(given, more, chosen_of(options) | reading.chosen() | chosen)
-    rows = sum(len(log.recording.voltage) for log in fitted)
-    listener.working(f"fitting {rows:,} rows")
-    try:
-        found = identify_recordings(fitted, options, checks, arguments, kept)
-    finally:
-        listener.finished()
-    write_whole(output, model_to_bytes(found.model))
-    return found
+
+    logs: Sequence[Any]
+    validation: Sequence[Any]
+    reading: ReadingOptions
+    options: IdentificationOptions
+    voltage: str | None = None
+    displacement: str | None = None
+    prior: Any = None
+    shared_shape: bool = False
+    coupling: bool = False
+
+    def refuse_channels_options(self) -> None:
+        """Refuse what is for channels where no pattern names them (UsageError)."""
+        for name in ("shared_shape", "coupling"):
+            if getattr(self, name):
+                raise UsageError(
+                    f"`{name}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'"
+                )
+
+    def arguments(self, columns: Mapping[str, str], prior: object = None, checked: bool = True) -> list[str]:
+        """Return how the identification of ``columns`` was called."""
+        chosen = chosen_of(self.options) | self.reading.chosen()
+        chosen |= {name: True for name in ("shared_shape", "coupling") if getattr(self, name)}
+        chosen |= dict(columns) | ({"prior": os.path.basename(prior)} if isinstance(prior, str) else {})
+        given, more = (list(map(_name_of, some)) for some in (self.logs, self.validation if checked else ()))
+        return arguments_of(given, more, chosen)
+
+    def run(self, output: Address, listener: Listener = SILENT) -> Identified:
+        """Identify a model of one actuator from logs and write it."""
+        check_document(output, "a model", "json")
+        beside = selected_files(self.voltage, self.displacement, self.reading.time)
+        known = [] if self.prior is None else [self.prior]
+        inputs = [*self.logs, *self.validation]
+        check_output(output, [*inputs, *beside, *known])
+        check_format(self.reading.format, inputs)
+        kept = None if self.prior is None else read_model(self.prior)
+        words = (self.logs, self.validation, self.reading, self.voltage, self.displacement)
+        fitted, checks = read_recordings(*words, listener, kept)
+        columns = {"voltage": self.voltage, "displacement": self.displacement}
+        arguments = self.arguments({key: one for key, one in columns.items() if one is not None}, self.prior)
+        rows = sum(len(log.recording.voltage) for log in fitted)
+        listener.working(f"fitting {rows:,} rows")
+        try:
+            found = identify_recordings(fitted, self.options, checks, arguments, kept)
+        finally:
+            listener.finished()
+        write_whole(output, model_to_bytes(found.model))
+        return found
+
+
+def _name_of(log: Any) -> str:
+    """Return what a log is called where its model says how it was identified."""
+    if is_table(log):
+        return str((log.attrs.get("provenance") or {}).get("name", "arrays"))
+    return parse_address(log).text

@@ -7,6 +7,7 @@ jobs writes them: in the order of the jobs, all or none, or those that went well
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,8 +15,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dbo_cli import errors
-from dbo_cli.errors import DboError
-from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs
+from dbo_cli.errors import DboError, UsageError
+from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs, make_folder
 from dbo_cli.remarks import SILENT, Listener, Remarks
 
 if TYPE_CHECKING:
@@ -25,9 +27,10 @@ Value = TypeVar("Value")
 Jobs = Iterable[tuple[str, Callable[[], Value]]]
 
 _AHEAD = 2  # jobs a process that are in memory at once: one is worked on while the next is read
+FILE = "{file}"  # in the name of an output: the log's name without folder and ending
 _NAMED = 8  # channels or files that a message names at most
 _NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
-_BASES = (errors.UsageError, errors.InputError, errors.ModelError, errors.FitError, errors.OutputError,
+_BASES = (UsageError, errors.InputError, errors.ModelError, errors.FitError, errors.OutputError,
           errors.LimitError, DboError)  # fmt: skip
 
 
@@ -203,6 +206,12 @@ def summed_up(texts: Mapping[str, Sequence[str]], noun: str) -> list[str]:
     return lines
 
 
+def sum_up(remarks: Remarks, found: Mapping[str, Remarks], noun: str) -> None:
+    """Add the notes and warnings of many channels or files, put together."""
+    remarks.notes += summed_up({name: one.notes for name, one in found.items()}, noun)
+    remarks.warnings += summed_up({name: one.warnings for name, one in found.items()}, noun)
+
+
 def named(names: Sequence[str]) -> str:
     """Name channels or files: all of a few, the first and the number of many."""
     if len(names) <= _NAMED:
@@ -233,3 +242,53 @@ def spread_line(percents: Mapping[str, float], noun: str, what: str, why: Mappin
         f"{what}: {below:,} of {len(ordered):,} {noun}s below {bound:g} %; worst: {worst}, "
         f"{percents[worst]:.2g} %{reason}"
     )
+
+
+# --- files: each is one run, its outputs whole by themselves, whatever becomes of the others ---
+
+
+def name_of(log: Address) -> str:
+    """Return a log's name without folder and ending, and with the group in it."""
+    if log.is_stream:
+        return "stdin"
+    name = os.path.basename(log.path)
+    if name.lower().endswith(".gz"):
+        name = name[:-3]
+    group = (log.group or "").strip("/").replace("/", "_")
+    return os.path.splitext(name)[0] + (f"_{group}" if group else "")
+
+
+def of_file(address: Address, log: Address) -> Address:
+    """Return an output of one log."""
+    return parse_address(address.text.replace(FILE, name_of(log)), address.format)
+
+
+def check_names(output: Address, logs: Sequence[Address]) -> None:
+    """Refuse two logs of one name (UsageError), and make the folder that the outputs go to."""
+    seen: dict[str, Address] = {}
+    for log in logs:
+        name = name_of(log)
+        if name in seen:
+            raise UsageError(
+                f"{seen[name].text} and {log.text} would both be written to"
+                f" {output.text.replace(FILE, name)}: rename one, or run them apart"
+            )
+        seen[name] = log
+    folder = os.path.dirname(output.path)
+    if folder and "{" not in folder:
+        make_folder(folder)
+
+
+def each_file(
+    calls: Sequence[tuple[Address, Callable[[], Value]]], work: Work, listener: Listener
+) -> tuple[dict[str, Value], Outcome]:
+    """Run a call for each log; returns what came of those that went well, and the outcome of all."""
+    outcome = Outcome()
+    jobs = ((log.text, call) for log, call in calls)
+    done = run_jobs(jobs, work.processes, keep=False)
+    going = Work(work.processes, keep_going=True)
+    found = {}
+    for one in good_ones(done, going, "file", outcome, len(calls), listener):
+        assert one.value is not None
+        found[one.name] = one.value
+    return found, outcome

@@ -2,136 +2,125 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.whole_output import check_outputs
 from dbo_cli.remarks import Listener, Remarks
-from dbo_cli.runs.files import Destination
-from dbo_cli.runs.jobs import Outcome, Work
+from dbo_cli.runs.files import Destination, SignalRun
+from dbo_cli.runs.jobs import FILE, Outcome, Work, check_names, each_file, of_file, sum_up, summed_up
 
 if TYPE_CHECKING:
-    from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.reporting import Written
-    from dbo_cli.runs.tracking import TrackingOptions
+    from dbo_cli.runs.identifying import IdentifyRun
+    from dbo_cli.runs.reporting import ReportRun, Written
 
-_PLACES = ("{}", "{channel}", "{file}")
+_PLACES = ("{}", "{channel}", FILE)
+_WORTH_POLARS = 32  # files of 1,000 rows: importing polars (0.1 s) costs less than formatting them in Python
 
 
-def signals(
-    use_case: Callable[..., Remarks],
-    model_file: str,
-    logs: Sequence[Address],
-    destination: Destination,
-    reading: ReadingOptions,
-    column: Mapping[str, str | None],
-    *,
-    work: Work,
-    listener: Listener,
-    tracked: Sequence[Address] = (),
-    **more: Any,
-) -> Outcome:
-    """Run ``simulate_log`` or ``compensate_trajectory`` over one log, channels or files.
-
-    Parameters
-    ----------
-    use_case, more
-        What is run for each, and its own parameters.
-    column
-        The signal's column, by the parameter that names it.
-    tracked
-        Recordings of the last pass, of one trajectory alone.
+def signals(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
+    """Run ``simulate`` or ``compensate`` over one log, the channels that a pattern names, or many files.
 
     Raises
     ------
     UsageError
         Patterns, names of files and logs contradict each other.
     """
-    ((option, selector),) = column.items()
-    if not _are_many(logs, destination.output, selector):
-        one = more | ({"tracked": tracked} if tracked else {})
-        done = use_case(model_file, logs[0], destination, reading, column=selector, listener=listener, **one)
-        return Outcome(done)
-    if tracked:
+    output = asked.destination.output
+    if not _are_many(logs, output, asked.column):
+        return Outcome(asked.run(listener))
+    if asked.tracked:
         raise UsageError("`tracked` learns one trajectory at a time: one log, one column and one output")
-    from dbo_cli.runs.channels import Columns, wants_channels
+    from dbo_cli.runs.channels import wants_channels
 
-    if wants_channels(destination.output, selector):
+    if wants_channels(output, asked.column):
         from dbo_cli.runs.channel_signals import signals_of_channels
 
-        columns = Columns.of(**{option: selector or ""})
-        words = (model_file, _only(logs), destination, reading, columns)
-        return signals_of_channels(use_case, *words, work=work, listener=listener, **more)
-    from dbo_cli.runs.many_files import require_files, signals_of_files
-
-    require_files(logs, destination.output)
-    words_of_files = (model_file, logs, destination, reading)
-    return signals_of_files(use_case, *words_of_files, column=selector, work=work, listener=listener, **more)
+        if len(logs) > 1:
+            raise UsageError(f"{len(logs)} logs, and a pattern of columns of one: give one log")
+        return signals_of_channels(asked, work, listener)
+    return _signals_of_files(asked, logs, work, listener)
 
 
-def identified(
-    logs: Sequence[Address],
-    validation: Sequence[Address],
-    output: Address,
-    reading: ReadingOptions,
-    options: IdentificationOptions,
-    *,
-    work: Work,
-    listener: Listener,
-    shared_shape: bool = False,
-    coupling: bool = False,
-    **columns: Any,
-) -> Outcome:
+def _signals_of_files(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Listener) -> Outcome:
+    """Run ``simulate`` or ``compensate`` over each log."""
+    if FILE not in asked.destination.output.text and len(logs) > 1:
+        raise UsageError(
+            f"{len(logs)} logs and one output, {asked.destination.output.text}: put {FILE} into its name "
+            f"(-o 'out/{FILE}.csv')"
+        )
+    places = _of_files(asked.destination, logs)
+    if len(logs) >= _WORTH_POLARS and work.processes == 1:
+        import polars  # noqa: F401 - text of small files, too, is then written by it, the same bytes
+    calls = [
+        (log, dataclasses.replace(asked, log=log, destination=place).run)
+        for log, place in zip(logs, places, strict=True)
+    ]
+    found, outcome = each_file(calls, work, listener)
+    outcome.remarks.read += summed_up({name: one.read for name, one in found.items()}, "file")
+    sum_up(outcome.remarks, found, "file")
+    return outcome
+
+
+def _of_files(destination: Destination, logs: Sequence[Address]) -> list[Destination]:
+    """Return where the outputs of each log go; their folders are made.
+
+    Raises
+    ------
+    UsageError
+        Two logs have one name, or an output that every log would write lacks ``{file}``.
+    OutputError
+        An output cannot be written.
+    """
+    if destination.live:
+        raise UsageError("`flush` follows one log row by row: give one")
+    for option in ("save_state", "summary"):
+        address = getattr(destination, option)
+        if address is not None and FILE not in address.text:
+            raise UsageError(f"`{option}` {address.text}: each log has its own (put {FILE} into its name)")
+    check_names(destination.output, logs)
+    others = [one for one in destination.protect if one not in set(logs)]
+    found = [
+        destination._replace(protect=[*others, log]).placed(functools.partial(of_file, log=log))
+        for log in logs
+    ]
+    check_outputs([one.output for one in found], destination.protect)
+    return found
+
+
+def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
-    words = (logs, validation, output, reading, options)
-    if _are_many(logs[:1], output, columns["voltage"], columns["displacement"]):
+    if _are_many(asked.logs[:1], output, asked.voltage, asked.displacement):
         from dbo_cli.runs.channel_models import identify_channels, identify_files
         from dbo_cli.runs.channels import wants_channels
 
-        channels = wants_channels(output, columns["voltage"], columns["displacement"])
-        if channels:
-            more = columns | {"shared_shape": shared_shape, "coupling": coupling}
-            return identify_channels(*words, work=work, listener=listener, **more)
-        if not (shared_shape or coupling):
-            return identify_files(*words, work=work, listener=listener, **columns)
-    if shared_shape or coupling:
-        asked = "shared_shape" if shared_shape else "coupling"
-        raise UsageError(f"`{asked}` is for channels: name their columns by patterns, 'V{{}}' and 'D{{}}'")
-    from dbo_cli.runs.identifying import identify_logs
-
-    found = identify_logs(*words, **columns, listener=listener)
+        if wants_channels(output, asked.voltage, asked.displacement):
+            return identify_channels(asked, output, work, listener)
+        if not (asked.shared_shape or asked.coupling):
+            return identify_files(asked, output, work, listener)
+    asked.refuse_channels_options()
+    found = asked.run(output, listener)
     read, remarks = found.remarks.read, found.remarks
     return Outcome(Remarks([*remarks.notes, *found.summary], remarks.warnings, read))
 
 
-def reported(
-    logs: Sequence[Address],
-    output: Address,
-    reading: ReadingOptions,
-    options: TrackingOptions,
-    *,
-    work: Work,
-    **more: Any,
-) -> Written:
+def reported(asked: ReportRun, work: Work, listener: Listener) -> Written:
     """Report on logs side by side, or on the channels that a pattern names."""
-    if _are_many([], output, options.desired, options.measured, options.voltage):
+    options = asked.options
+    if _are_many([], asked.output, options.desired, options.measured, options.voltage):
         from dbo_cli.runs.channel_reports import report_channels
 
-        return report_channels(logs, output, reading, options, work=work, **more)
+        return report_channels(asked, work, listener)
     from dbo_cli.runs.reporting import report_logs
 
-    return report_logs(logs, output, reading, options, **more)
+    return report_logs(asked, listener)
 
 
 def _are_many(logs: Sequence[Address], output: Address, *selectors: str | None) -> bool:
     """Tell whether there is more than one run, or a name that asks for more."""
     texts = [one for one in (output.text, *selectors) if one is not None]
     return len(logs) > 1 or any(place in one for one in texts for place in _PLACES)
-
-
-def _only(logs: Sequence[Address]) -> Address:
-    if len(logs) > 1:
-        raise UsageError(f"{len(logs)} logs, and a pattern of columns of one: give one log")
-    return logs[0]

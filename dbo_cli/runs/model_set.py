@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drives.bank import Bank
-from dbo_cli.errors import DboError, InputError, UsageError
-from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.errors import DboError, InputError
 from dbo_cli.hysteresis.model_set import Coupling, read_set, set_to_bytes
 from dbo_cli.hysteresis.model_set import ModelSet as SetFile
 from dbo_cli.hysteresis.model_state import ModelState
-from dbo_cli.logs.addresses import check_document, parse_address
-from dbo_cli.logs.channels import ChannelReader, channels_of
-from dbo_cli.logs.columns import TIME_NAMES, column_info
-from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.sources import TABLE, is_file, is_table
+from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning
-from dbo_cli.runs.channels import Columns, common_rows
-from dbo_cli.runs.coupled import Recordings, recordings_apart
-from dbo_cli.runs.identifying import Identified, RecordedLog, arguments_of, chosen_of, identify_recordings
-from dbo_cli.runs.jobs import Outcome, Work, good_ones, run_jobs, summed_up
+from dbo_cli.runs.channel_models import ChannelFits, patterns_of, refuse_two_shapes
+from dbo_cli.runs.channels import common_rows
+from dbo_cli.runs.identifying import IdentifyRun, Recordings
+from dbo_cli.runs.jobs import Outcome, Work, summed_up
 from dbo_cli.runs.model import Model
-from dbo_cli.runs.shared_shape import options_of_channel, shared_shape
 
 Floats = NDArray[np.float64]
 
@@ -185,108 +177,21 @@ class ModelSet(Mapping[str, Model]):
         return matrix
 
 
-def identify_set(
-    logs: Sequence[Any],
-    validation: Sequence[Any],
-    columns: tuple[str | None, str | None],
-    time: Any,
-    sample_rate: float | None,
-    options: IdentificationOptions,
-    prior: Any,
-    jobs: int,
-    *,
-    record: Callable[..., RecordedLog],
-    common_shape: bool = False,
-    coupled: bool = False,
-) -> ModelSet:
-    """Identify a model of each channel that patterns of columns name; ``record`` reads one of a log.
+def identify_set(asked: IdentifyRun, read: Callable[..., Recordings], jobs: int) -> ModelSet:
+    """Identify a model of each channel that patterns of columns name; ``read`` is that of ``ChannelFits``.
 
     Raises
     ------
     DboError
         As ``identify``, with the channel's name.
     """
-    patterns = Columns.of(voltage=columns[0] or "", displacement=columns[1] or "")
-    if common_shape and prior is not None:
-        raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
-    reading = ReadingOptions(time=time if isinstance(time, str) else None, sample_rate=sample_rate)
-    known = read_model_set(prior) if prior is not None and not isinstance(prior, Mapping) else prior
-    more = {"shared_shape": common_shape, "coupling": coupled}
-    chosen = chosen_of(options) | {key: True for key, on in more.items() if on}
-    with contextlib.ExitStack() as stack:
-        opened = _opened([*logs, *validation], reading, patterns, stack)
-        channels = opened[0].channels
-
-        def read(channel: str) -> Recordings:
-            own, kept = tuple(patterns.of_channel(channel).values()), kept_of(channel)
-            made = [record((one.of(channel),), time, sample_rate, kept, columns=own) for one in opened]
-            return made[: len(logs)], made[len(logs) :]
-
-        def kept_of(channel: str) -> Any:
-            return shape if known is None else known[channel].actuator
-
-        def calls() -> Iterator[tuple[str, Callable[[], Identified]]]:
-            for channel in channels:
-                fit, checks = recordings(channel)
-                arguments = arguments_of(_names(fit), _names(checks), chosen | patterns.of_channel(channel))
-                words = (fit, options, checks, arguments, kept_of(channel))
-                yield channel, functools.partial(identify_recordings, *words)
-
-        shape: Any = None
-        recordings: Callable[[str], Recordings] = read
-        coupling = None
-        if coupled:
-            coupling, apart = recordings_apart({channel: read(channel) for channel in channels})
-            recordings = apart.__getitem__
-        if common_shape:
-            arguments = arguments_of(_names(recordings(channels[0])[0]), [], chosen | dict(patterns.patterns))
-            shape = shared_shape(channels, lambda one: recordings(one)[0], options, arguments, jobs).model
-            options = options_of_channel(options)
-        done = good_ones(run_jobs(calls(), jobs), Work(jobs), "channel", Outcome(), len(channels))
-        found = {one.name: one.value for one in done if one.value is not None}
+    channels = ChannelFits(asked, patterns_of(asked), read)
+    refuse_two_shapes(asked)
+    found = dict(channels.models(Work(jobs, all_needed=True), Outcome()))
     models = {name: Model(one.model, one.summary, one.remarks) for name, one in found.items()}
-    said = {name: model.warnings for name, model in models.items()}
-    for text in summed_up(said, "channel"):
+    for text in summed_up({name: model.warnings for name, model in models.items()}, "channel"):
         warnings.warn(text, DboWarning, stacklevel=3)
-    return ModelSet(models, coupling)
-
-
-def _opened(
-    logs: Sequence[Any], reading: ReadingOptions, patterns: Columns, stack: contextlib.ExitStack
-) -> list[_Log]:
-    """Open logs that all have the same channels (InputError where one has not)."""
-    opened = [_Log(one, reading, patterns, stack) for one in logs]
-    if any(set(one.channels) != set(opened[0].channels) for one in opened):
-        raise InputError("the logs have other channels than the first one")
-    return opened
-
-
-def _names(logs: Sequence[RecordedLog]) -> list[str]:
-    return [str(one.record["name"]) for one in logs]
-
-
-class _Log:
-    """A table or a file as the channels that patterns name."""
-
-    def __init__(
-        self, log: Any, reading: ReadingOptions, patterns: Columns, stack: contextlib.ExitStack
-    ) -> None:
-        self._log = log
-        self._reader: ChannelReader | None = None
-        if is_table(log):
-            infos = [column_info(str(name), number) for number, name in enumerate(log.columns, 1)]
-            taken = {one.number for one in infos if one.quantity.lower() in TIME_NAMES}
-            self.channels = list(channels_of(TABLE, infos, patterns.patterns, taken))
-        elif is_file(log):
-            self._reader = ChannelReader(parse_address(log), reading, patterns.patterns, True)
-            stack.callback(self._reader.close)
-            self.channels = list(self._reader.channels)
-        else:
-            raise InputError("a log with many channels is a table or a file's name")
-
-    def of(self, channel: str) -> Any:
-        """Return what one channel is read from."""
-        return self._log if self._reader is None else self._reader.log(channel)
+    return ModelSet(models, channels.coupling)
 
 
 def read_model_set(path: str | os.PathLike[str]) -> ModelSet:
