@@ -14,14 +14,13 @@ from dataclasses import dataclass, field, replace
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.byte_source import Request
-from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.columns import column_label, list_columns
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, column_label, list_columns
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.signal_log import file_sha256
-from dbo_cli.logs.tables import HeldTable, ReadLog, open_table
+from dbo_cli.logs.tables import open_table
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.time_column import find_time_column
+from dbo_cli.logs.time_column import FoundTime, find_time_column
 
 PLACE = re.compile(r"\{(?:channel)?\}")
 _LISTED = 5  # channels that a message names at most
@@ -120,6 +119,65 @@ def _and_more(channels: Sequence[str]) -> str:
     return f" nor for {', '.join(channels[1:_LISTED])}{more} ({len(channels):,} channels)"
 
 
+@dataclass(kw_only=True)
+class HeldTable(Table):
+    """Some columns of a table in memory.
+
+    Attributes
+    ----------
+    place, columns, described
+        As the table that was read has them; only the columns that are held.
+    block
+        All rows; the values by column number, as text.
+    found_time
+        The time column, found among all columns of the log.
+    clock
+        The rate (Hz) and the first row's time (s) that the file states, or the refusal.
+    digest
+        Of the file.
+    """
+
+    place: str
+    columns: list[ColumnInfo]
+    described: str
+    block: SampleBlock
+    found_time: FoundTime
+    clock: tuple[float | None, float] | InputError
+    digest: str | None
+    remarks: tuple[str, ...] = ()
+    rows: Rows = ALL_ROWS
+    notes: list[str] = field(default_factory=list)
+
+    def opened(self, options: ReadingOptions) -> HeldTable:
+        """Return a table to read from, whose notes and clock are its own."""
+        found = self.found_time
+        if found.clock is not None:
+            found = found._replace(clock=replace(found.clock, notes=list(found.clock.notes)))
+        return replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
+        if isinstance(self.clock, InputError):
+            raise self.clock
+        return self.clock
+
+    def describe(self) -> str:
+        """Describe in one line how the log is written."""
+        return self.described
+
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+        """Return the rows asked for as one block; none of them is bad."""
+        values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
+        block = replace(self.block, values=values).within(self.rows)
+        if len(block):
+            yield block
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read."""
+        return self.digest
+
+
 @dataclass
 class ChannelReader:
     """A log whose channels are read together, and handed on one by one.
@@ -186,7 +244,7 @@ class ChannelReader:
         else:
             self._table.notes[:] = self._first_notes
             table = self._read([channel])[channel]
-        return self.address if table is None else ReadLog.of(self.address, table)
+        return self.address if table is None else replace(self.address, table=table)
 
     def _open(self) -> Table:
         address = self.address.or_format(self.options.format)
@@ -234,14 +292,14 @@ class ChannelReader:
         own = [*time.values(), *self.channels[channel].values()]
         values = {str(one.number): block.values[str(one.number)] for one in own}
         return HeldTable(
-            self._table.place,
-            own,
-            self._table.describe(),
-            replace(block, values=values),
-            self._time,
-            self._clock(channel),
-            self._hashed(),
-            tuple(self._table.notes),
+            place=self._table.place,
+            columns=own,
+            described=self._table.describe(),
+            block=replace(block, values=values),
+            found_time=self._time,
+            clock=self._clock(channel),
+            digest=self._hashed(),
+            remarks=tuple(self._table.notes),
         )
 
     def _clock(self, channel: str) -> tuple[float | None, float] | InputError:

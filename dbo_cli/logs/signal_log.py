@@ -23,8 +23,8 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.sources import Source
-from dbo_cli.logs.tables import HeldTable, join_files, open_table
-from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column
+from dbo_cli.logs.tables import join_files, open_table
+from dbo_cli.logs.time_column import FoundTime, find_time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
 
 
@@ -48,33 +48,35 @@ class SignalLog(Source):
         self,
         address: Address,
         table: Table,
-        columns: dict[str, ColumnInfo],
-        clock: TimeColumn | None,
-        sample_rate: float | None,
+        want: Mapping[str, ColumnWish],
         options: ReadingOptions,
-        scales: Mapping[str, Scale],
-        start_time: float,
-        others: Sequence[str],
+        others: Sequence[str] = (),
     ) -> None:
-        gaps = options.skip_bad or any(column.may_be_blank for column in columns.values())
-        super().__init__(
-            table.place,
-            columns,
-            clock is not None or sample_rate is not None,
-            options.resample or (None if gaps else sample_rate),
-            options.resample or sample_rate,
-        )
-        self._address, self._others = address, others
-        self._table, self._options = table, options
-        self._picks, self._scales = columns, scales
-        scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in scales.items()}
-        self._factors = {role: factor for role, (factor, _) in scaled.items()}
-        self.columns |= {role: column for role, (_, column) in scaled.items()}
-        self._clock, self._start_time = clock, start_time
-        self.time = None if clock is None else clock.column
-        self.sample_rate = sample_rate
+        """Choose columns and clock of an opened table; ``others`` are the addresses of files joined to it."""
+        place, there = table.place, table.columns
+        chosen = [one for one in want.values() if one.selector is not None]
+        named = [find_column(place, there, one.selector or "", one.option) for one in chosen]
+        found: FoundTime = table.found_time or find_time_column(place, there, options, named)
+        clock, rate, start = found.clock, options.sample_rate, 0.0
+        if clock is None and options.time_unit is not None:
+            raise InputError(f"{place}: no column is recognised as the time (`time` COLUMN names it)")
+        timed = clock is not None or rate is not None
+        picks = choose_columns(place, there, want, found.taken, timed, table.notes)
+        if rate is None and clock is None:
+            rate, start = table.even_clock(picks.values())
+        gaps = options.skip_bad or any(column.may_be_blank for column in picks.values())
+        even, timed = None if gaps else rate, clock is not None or rate is not None
+        super().__init__(place, picks, timed, options.resample or even, options.resample or rate)
+        self._scales = _scales_by_role(options, want, picks)
+        for role, scale in self._scales.items():
+            self._factors[role], self.columns[role] = scale.applied_to(self.name, picks[role])
+        table.notes.extend(found.notes)
         self.notes = table.notes
-        self.warnings = [text for one in columns.values() if (text := _doubtful_unit(self.name, one))]
+        self.warnings = [text for one in picks.values() if (text := _doubtful_unit(self.name, one))]
+        self._address, self._others, self._options = address, others, options
+        self._table, self._picks, self._clock, self._start_time = table, picks, clock, start
+        self.time = None if clock is None else clock.column
+        self.sample_rate = rate
         self.rows_read = 0
         self._check: TimeCheck | None = None
         self._times: tuple[float, float] | None = None  # s, of the first and the last sample
@@ -279,34 +281,14 @@ def open_log(
     else:
         target = parse_address(address, options.format)
     table = open_table(Request(target, options, named, live, digest))
-    others: list[str] = []
     try:
+        others: list[str] = []
         if any("::" in one for one in selectors):
             table, want, options, others = join_files(table, want, options)
-        found = table.found_time if isinstance(table, HeldTable) else _find_time(table, want, options)
-        if found.clock is None and options.time_unit is not None:
-            raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")
-        timed = found.clock is not None or options.sample_rate is not None
-        columns = choose_columns(table.place, table.columns, want, found.taken, timed, table.notes)
-        rate, start = options.sample_rate, 0.0
-        if rate is None and found.clock is None:
-            rate, start = table.even_clock(columns.values())
-        scales = _scales_by_role(options, want, columns)
-        table.notes.extend(found.notes)
-        return SignalLog(target, table, columns, found.clock, rate, options, scales, start, others)
+        return SignalLog(target, table, want, options, others)
     except BaseException:
         table.close()
         raise
-
-
-def _find_time(table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions) -> FoundTime:
-    """Find the time column among those that the user did not name for other roles."""
-    named = [
-        find_column(table.place, table.columns, wish.selector, wish.option)
-        for wish in want.values()
-        if wish.selector is not None
-    ]
-    return find_time_column(table.place, table.columns, options, named)
 
 
 def _scales_by_role(

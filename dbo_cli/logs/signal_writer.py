@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
-from dbo_cli.logs.output_files import is_replaceable
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened
+from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from dbo_cli.logs.addresses import Address, other_file, parse_address
 from dbo_cli.logs.byte_source import BINARY, ZIP, Request
 from dbo_cli.logs.clock import JITTER, median_step
 from dbo_cli.logs.columns import ColumnWish, find_column
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
+from dbo_cli.logs.time_column import TimeColumn, find_time_column, time_column
 
 _HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab"
 _EXCEL = "binary.library_files.open_excel"
@@ -42,13 +42,13 @@ def open_table(request: Request) -> Table:
         The file cannot be read, or a library that reads it is not installed.
     """
     address = request.address
-    if isinstance(address, ReadLog) and address.table is not None:
-        return address.table.opened(request.options)
+    if address.table is not None:
+        held: Table = address.table.opened(request.options)
+        return held
     reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
     if not reader:
         table = TextTable(request)
-        long = _side_by_side(request, table)
-        return long or table
+        return _side_by_side(request, table) or table
     module, _, function = reader.rpartition(".")
     read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
     opened: Table = read(request)
@@ -68,30 +68,37 @@ def _side_by_side(request: Request, table: TextTable) -> Table | None:
         return None
     from dbo_cli.logs.text.whole_texts import SIGNALS, side_by_side
 
+    found, close = None, True
     try:
-        if not table.source.is_regular:
-            if names & set(SIGNALS) and not request.named:
-                raise InputError(
-                    f"{table.place}: a row for each value: give it as a file, not through a pipe"
-                )
-            return None
-        found = side_by_side(request, table.dialect)
-    except BaseException:
-        table.close()
-        raise
-    if found is not None:
-        table.close()
+        if table.source.is_regular:
+            found = side_by_side(request, table.dialect)
+        elif names & set(SIGNALS) and not request.named:
+            raise InputError(f"{table.place}: a row for each value: give it as a file, not through a pipe")
+        close = found is not None
+    finally:
+        if close:
+            table.close()
     return found
 
 
 def _reader_by_content(address: Address) -> str:
-    """Return the module and function that read a file of such content; nothing for text and streams."""
+    """Return the module and function that read a file of such content; nothing for text and streams.
+
+    Raises
+    ------
+    InputError
+        It is what this program wrote and no log.
+    """
     if address.is_stream or not (os.path.isfile(address.path) and os.access(address.path, os.R_OK)):
         return ""
     lower = address.path.lower()
     with open(address.path, "rb") as file:
         head = file.read(2056)
-    _refuse_own(address.text, head)
+    own = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
+    if own is not None:
+        remedy = "; a report takes a model as `model`" if own[1] == b"model" else ""
+        kind = own[1].decode()
+        raise InputError(f"{address.text}: this is a {kind}, not a log (give a recording{remedy})")
     if head.startswith(ZIP):
         return _ZIP_ENDINGS.get(os.path.splitext(lower)[1], "")
     if any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in _USER_BLOCKS):
@@ -100,24 +107,13 @@ def _reader_by_content(address: Address) -> str:
     return next(known, _MATLAB if lower.endswith(".mat") and _is_matlab_4(head) else "")
 
 
-def _refuse_own(place: str, head: bytes) -> None:
-    """Refuse what this program wrote and is no log (InputError)."""
-    kind = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
-    if kind is not None:
-        remedy = "; a report takes a model as `model`" if kind[1] == b"model" else ""
-        raise InputError(f"{place}: this is a {kind[1].decode()}, not a log (give a recording{remedy})")
-
-
 def _is_matlab_4(head: bytes) -> bool:
     """Check the five whole numbers that begin every matrix of a MATLAB v4 file."""
-    if len(head) < 20:
-        return False
     for order in ("little", "big"):
-        kind, rows, columns, imaginary, name = (
-            int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)
-        )
-        if 0 <= kind < 5000 and rows >= 0 and columns >= 0 and imaginary in (0, 1) and 0 < name < 512:
-            return True
+        numbers = [int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)]
+        kind, rows, columns, imaginary, name = numbers
+        if 0 <= kind < 5000 and min(rows, columns) >= 0 and imaginary in (0, 1) and 0 < name < 512:
+            return len(head) >= 20
     return False
 
 
@@ -169,10 +165,9 @@ def join_files(
             return wish.selector
         address, selector = named
         if address not in others:
-            opened = open_table(Request(parse_address(address), there, [selector]))
-            others[address] = _File(opened, {})
-        found = find_column(others[address].table.place, others[address].table.columns, selector, wish.option)
-        _append(columns, others[address], found)
+            others[address] = _File(open_table(Request(parse_address(address), there, [selector])), {})
+        file = others[address]
+        _append(columns, file, find_column(file.table.place, file.table.columns, selector, wish.option))
         return f"number={len(columns)}"
 
     try:
@@ -185,9 +180,8 @@ def join_files(
         for other in others.values():
             other.table.close()
         raise
-    if others:
-        table = _JoinedTable(table, list(others.values()), columns, options)
-    return table, wishes, options, list(others)
+    joined = _JoinedTable(table, list(others.values()), columns, options) if others else table
+    return joined, wishes, options, list(others)
 
 
 def _append(columns: list[ColumnInfo], other: _File, found: ColumnInfo) -> None:
@@ -215,20 +209,17 @@ def _find_clocks(
 
 def _refuse_missing(table: Table, wish: ColumnWish) -> None:
     """State that a file is missing where ``FILE::COLUMN`` was meant."""
-    if wish.selector is None or "::" not in wish.selector:
-        return
-    if all(wish.selector not in (column.name, column.quantity) for column in table.columns):
-        path = wish.selector.partition("::")[0]
-        raise InputError(
-            f"{path}: no such file (`{wish.option}` FILE::COLUMN takes a column of another file)"
-        )
+    path, mark, _ = (wish.selector or "").partition("::")
+    if mark and all(wish.selector not in (column.name, column.quantity) for column in table.columns):
+        takes = f"`{wish.option}` FILE::COLUMN takes a column of another file"
+        raise InputError(f"{path}: no such file ({takes})")
 
 
 class _JoinedTable(Table):
     """Several files as one."""
 
     def __init__(
-        self, first: Table, others: list[_File], columns: list[ColumnInfo], options: ReadingOptions
+        self, first: Table, others: Sequence[_File], columns: list[ColumnInfo], options: ReadingOptions
     ) -> None:
         self.place = first.place
         self.columns = columns
@@ -382,77 +373,3 @@ def _merged(parts: list[SampleBlock]) -> SampleBlock:
         return replace(first, values=values)
     lines = None if first.lines is None else np.asarray(first.lines)[np.isin(np.asarray(first.rows), common)]
     return SampleBlock(common, lines, None, values)
-
-
-# --- a log that was read already ---------------------------------------------------------------------
-
-
-@dataclass
-class HeldTable(Table):
-    """Some columns of a table in memory.
-
-    Attributes
-    ----------
-    place, columns, described
-        As the table that was read has them; only the columns that are held.
-    block
-        All rows; the values by column number, as text.
-    found_time
-        The time column, found among all columns of the log.
-    clock
-        The rate (Hz) and the first row's time (s) that the file states, or the refusal.
-    digest
-        Of the file.
-    """
-
-    place: str
-    columns: list[ColumnInfo]
-    described: str
-    block: SampleBlock
-    found_time: FoundTime
-    clock: tuple[float | None, float] | InputError
-    digest: str | None
-    remarks: tuple[str, ...] = ()
-    rows: Rows = ALL_ROWS
-    notes: list[str] = field(default_factory=list)
-
-    def opened(self, options: ReadingOptions) -> HeldTable:
-        """Return a table to read from, whose notes and clock are its own."""
-        found = self.found_time
-        if found.clock is not None:
-            found = found._replace(clock=replace(found.clock, notes=list(found.clock.notes)))
-        return replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
-
-    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
-        """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
-        if isinstance(self.clock, InputError):
-            raise self.clock
-        return self.clock
-
-    def describe(self) -> str:
-        """Describe in one line how the log is written."""
-        return self.described
-
-    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
-        """Return the rows asked for as one block; none of them is bad."""
-        values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
-        block = replace(self.block, values=values).within(self.rows)
-        if len(block):
-            yield block
-
-    @property
-    def sha256(self) -> str | None:
-        """The digest of what was read."""
-        return self.digest
-
-
-@dataclass(frozen=True)
-class ReadLog(Address):
-    """The address of a log whose columns are in memory already."""
-
-    table: HeldTable | None = field(default=None, compare=False, repr=False)
-
-    @classmethod
-    def of(cls, address: Address, table: HeldTable) -> ReadLog:
-        """Put a table behind an address."""
-        return cls(address.text, address.path, address.group, address.kind, address.format, table)

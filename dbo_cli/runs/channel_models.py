@@ -20,7 +20,6 @@ from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
 from dbo_cli.logs.addresses import Address, Given, check_document
 from dbo_cli.logs.reading_options import ALL_ROWS
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.tables import ReadLog
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.channels import (
@@ -205,7 +204,7 @@ class ChannelFits:
             return functools.partial(_as_it_is, self.apart[channel])
         fit, judged = ([one.log(channel) for one in some] for some in (readers, checks))
         number = readers[0].channels[channel]["displacement"].number
-        if isinstance(fit[0], ReadLog) and fit[0].table is not None:
+        if fit[0].table is not None:
             digest = hashlib.sha256(fit[0].table.block.values[str(number)].tobytes()).digest()
             self._seen.setdefault(digest, {})[channel] = None
         columns = self.columns.of_channel(channel)

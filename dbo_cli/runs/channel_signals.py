@@ -21,7 +21,6 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
-from dbo_cli.logs.tables import ReadLog
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.channels import (
@@ -301,7 +300,7 @@ def logs_apart(
             columns.append(joined(list(opened.blocks())).values["wanted"])
     own = coupling.apart(matrix_of(coupling.channels, columns, reader.address.text))
     for place, (channel, log) in enumerate(logs.items()):
-        assert isinstance(log, ReadLog) and log.table is not None  # a bad row was refused above
+        assert log.table is not None  # a bad row was refused above
         table, number = log.table, reader.channels[channel]["displacement"].number
         unit = read_model(models(channel)).output.unit
         infos = [
@@ -310,7 +309,7 @@ def logs_apart(
         block = dataclasses.replace(
             table.block, values={**table.block.values, str(number): own[:, place].copy()}
         )
-        logs[channel] = ReadLog.of(log, dataclasses.replace(table, columns=infos, block=block))
+        logs[channel] = dataclasses.replace(log, table=dataclasses.replace(table, columns=infos, block=block))
     return logs
 
 

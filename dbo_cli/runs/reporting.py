@@ -17,8 +17,7 @@ from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
-from dbo_cli.logs.column_names import wish
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log

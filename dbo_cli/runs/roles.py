@@ -13,8 +13,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_state
 from dbo_cli.hysteresis.model_state import START_NAMES, ModelState, Quantity, StartName
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_names import wish
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import joined

@@ -37,34 +37,13 @@ NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"}
 
 def split_cells(line: str, delimiter: str) -> list[str]:
     """Split a line into stripped cells; quotes are honoured, and blanks count as one delimiter."""
+    if '"' not in line:
+        return line.split() if delimiter == BLANKS else [cell.strip() for cell in line.split(delimiter)]
     if delimiter == BLANKS:
-        return _split_blanks(line)
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(delimiter)]
-    return [
-        quoted.replace('""', '"').strip() if quoted is not None else plain.strip()
-        for quoted, plain in _quoted_cells(line, delimiter)
-    ]
-
-
-def _quoted_cells(line: str, delimiter: str) -> Iterator[tuple[str | None, str]]:
-    """Take a line with quotes apart: what is quoted, or else the plain text, of each cell."""
+        return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)]
     mark = re.escape(delimiter)
-    cell = re.compile(rf'\s*"((?:[^"]|"")*)"\s*(?={mark}|$)|([^{mark}]*)')
-    place = 0
-    while True:
-        found = cell.match(line, place)
-        assert found is not None  # the second way matches anything, also nothing
-        yield found[1], found[2] or ""
-        place = found.end() + 1
-        if place > len(line):
-            return
-
-
-def _split_blanks(line: str) -> list[str]:
-    if '"' not in line:
-        return line.split()
-    return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)]
+    cells = re.findall(rf'(?:\s*"((?:[^"]|"")*)"\s*|([^{mark}]*)){mark}', line + delimiter)
+    return [(quoted.replace('""', '"') or plain).strip() for quoted, plain in cells]
 
 
 def to_number(cell: str, decimal: str) -> float | None:
@@ -154,10 +133,8 @@ def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
 
     rows = [split_cells(line, delimiter) for line in lines]
     stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
-    date, clock = (
-        date_seconds(stated.get("Date", "")),
-        clock_seconds(stated.get("Time", "").replace(",", ".")),
-    )
+    date = date_seconds(stated.get("Date", ""))
+    clock = clock_seconds(stated.get("Time", "").replace(",", "."))
     return None if date is None or clock is None else (date, clock)
 
 
