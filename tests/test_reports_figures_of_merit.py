@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.loop_and_lag import LoopWidth, PhaseLag
+from dbo_cli.reports.figures_of_merit import LoopWidth, PhaseLag, TrackingFigures, TrackingMetrics
 from dbo_cli.reports.running_statistics import (
     BATCH,
     Batches,

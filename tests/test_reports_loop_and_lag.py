@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, hold_length
-from dbo_cli.reports.loop_and_lag import DirectionTracker, LoopWidth, NoiseLevel, PhaseLag, monotone_ends
+from dbo_cli.reports.figures_of_merit import (
+    DirectionTracker,
+    LoopWidth,
+    NoiseLevel,
+    PhaseLag,
+    TrackingFigures,
+    TrackingMetrics,
+    hold_length,
+    monotone_ends,
+)
 from dbo_cli.reports.running_statistics import BATCH
 
 TRUE_LOOP = 0.5

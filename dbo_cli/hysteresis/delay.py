@@ -53,6 +53,13 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     return np.where(part > 1.0 - _WHOLE, values[second], between), int(first[-1])
 
 
+def whole_and_part(samples: float) -> tuple[int, float]:
+    """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
+    whole = math.floor(samples + _WHOLE)
+    part = max(samples - whole, 0.0)
+    return whole, part if part > _WHOLE else 0.0
+
+
 @dataclass(frozen=True)
 class DelayHistory:
     """What a delay remembers: the samples still to come out, each with its time; the last is the newest."""
@@ -125,9 +132,7 @@ class DelayStage:
     ) -> tuple[Floats, DelayHistory]:
         if not step > 0.0:
             raise InputError(f"time step: {step!r} s is not greater than 0")
-        samples = self.seconds / step
-        whole = math.floor(samples + _WHOLE)
-        part = max(samples - whole, 0.0)
+        whole, part = whole_and_part(self.seconds / step)
         if whole > MOST_DELAYED:
             raise InputError(
                 f"time step: {step:g} s is {whole:,} times in the delay of {self.seconds:g} s, and more than "
@@ -139,7 +144,7 @@ class DelayStage:
             times = np.concatenate([times[0] - step * np.arange(missing, 0, -1), times])
         begin = values.size - count - whole
         later, earlier = values[begin : begin + count], values[begin - 1 : begin - 1 + count]
-        y = later + part * (earlier - later) if part > _WHOLE else later.copy()
+        y = later + part * (earlier - later) if part else later.copy()
         kept = slice(-(whole + 1), None)
         return y, DelayHistory(tuple(times[kept].tolist()), tuple(values[kept].tolist()))
 

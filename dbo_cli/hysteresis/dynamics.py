@@ -404,16 +404,12 @@ class DynamicsStage:
 def _loop_of(stage: DynamicsStage, x: Floats, time_step: float) -> tuple[Floats, tuple[float, float, float]]:
     """Return what ``DynamicsStage.loop`` does, for a stage of one section."""
 
-    def after(p: float, q: float) -> tuple[Floats, SectionStates]:
+    def after(p: float, q: float) -> tuple[Floats, Floats]:
         y, state = stage.run(x, time_step, ((p, q, float(x[-1])),))
-        assert state is not None
-        return y, state
+        return y, np.array(state).reshape(-1)
 
-    def ends(p: float, q: float) -> tuple[float, float]:
-        return after(p, q)[1][0][:2]
-
-    y, state = after(*_fixed_point(ends))
-    return y, state[0]
+    y, held = _repeated(after, slice(0, 2))
+    return y, _as_states(held[np.newaxis])[0]
 
 
 def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
@@ -425,19 +421,15 @@ def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
         kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, held, wrapped, u)
         return u, held
 
-    def ends(a: float, b: float) -> tuple[float, float]:
-        held = after(a, b)[1]
-        return float(held[1]), float(held[2])
-
-    return after(*_fixed_point(ends))[0]
+    return _repeated(after, slice(1, 3))[0]
 
 
-def _fixed_point(after: Callable[[float, float], tuple[float, float]]) -> tuple[float, float]:
-    """Return the two numbers that an affine map leaves unchanged."""
-    base = np.array(after(0.0, 0.0))
-    columns = [np.array(after(1.0, 0.0)) - base, np.array(after(0.0, 1.0)) - base]
-    first, second = np.linalg.solve(np.eye(2) - np.column_stack(columns), base).tolist()
-    return first, second
+def _repeated(after: Callable[[float, float], tuple[Floats, Floats]], kept: slice) -> tuple[Floats, Floats]:
+    """Return a period, and the state after it, from the two numbers of the state that it leaves unchanged."""
+    base, *ends = (after(*pair)[1][kept] for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+    columns = np.column_stack([end - base for end in ends])
+    first, second = np.linalg.solve(np.eye(2) - columns, base).tolist()
+    return after(first, second)
 
 
 def _as_states(held: Floats) -> SectionStates:

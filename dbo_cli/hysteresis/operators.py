@@ -506,18 +506,8 @@ class DiscreteBacklashOperator:
         words = self._words(state)
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
-        kernel.CHOSEN.backlash_engagement(
-            self.gears,
-            self.n,
-            self.equal_run,
-            self.x0,
-            outside != "hold",
-            words,
-            x,
-            rows,
-            crossed,
-            group_size,
-        )
+        table = self.gears, self.n, self.equal_run, self.x0, outside != "hold"
+        kernel.CHOSEN.backlash_engagement(*table, words, x, rows, crossed, group_size)
         return rows, BacklashState(self._bits(words), state.memory)
 
 
