@@ -497,25 +497,20 @@ class DynamicsInverter:
 
 def with_future(blocks: Iterable[tuple[Payload, Floats]], ahead: int) -> Iterator[tuple[Payload, Floats]]:
     """Yield each block with ``ahead`` samples of those after it; at the end the last value holds."""
-    waiting: deque[tuple[Payload, Floats]] = deque()
-    known = 0
+    waiting: deque[tuple[Payload, int]] = deque()
+    values = np.empty(0)  # of the blocks that wait, and what is known of those after them
     for block in chain(blocks, [None]):
         if block is None:
-            if waiting:
-                held = np.full(ahead, waiting[-1][1][-1])
-                values = np.concatenate([*(part for _, part in waiting), held])
-                for payload, part in waiting:
-                    yield payload, values[: part.size + ahead]
-                    values = values[part.size :]
-            return
-        if block[1].size:
-            waiting.append(block)
-            known += block[1].size
-        while waiting and known - waiting[0][1].size >= ahead:
-            values = np.concatenate([part for _, part in waiting])
-            payload, part = waiting.popleft()
-            known -= part.size
-            yield payload, values[: part.size + ahead]
+            part = np.full(ahead, values[-1]) if values.size else values
+        else:
+            part = block[1]
+            if part.size:
+                waiting.append((block[0], part.size))
+        values = np.concatenate([values, part])
+        while waiting and values.size - waiting[0][1] >= ahead:
+            payload, count = waiting.popleft()
+            yield payload, values[: count + ahead]
+            values = values[count:]
 
 
 def undone(
