@@ -20,30 +20,13 @@ MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
 _WHOLE = 1e-9  # a delay, or a time in samples, this close to a whole number of samples is that number
 
 
-def _samples_before(times: Floats, wanted: Floats) -> NDArray[np.intp]:
-    """Return the last sample not after each time wanted, 0 where there is none.
-
-    On an even clock that is as many samples on for each, or one more or less where times are rounded: this is
-    tried and checked, and searched for only where it does not hold.
-    """
-    last = times.size - 1
-    begin = int(np.searchsorted(times, wanted[0], side="right")) - 1
-    found = np.clip(np.arange(begin, begin + wanted.size), 0, last)
-    found -= (times[found] > wanted) & (found > 0)
-    found += (times[np.minimum(found + 1, last)] <= wanted) & (found < last)
-    not_after = (times[found] <= wanted) | (found == 0)
-    if np.all(not_after & ((times[np.minimum(found + 1, last)] > wanted) | (found == last))):
-        return found
-    return np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
-
-
 def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats, int]:
     """Return a signal at other times, linearly between its samples, and the sample before the last of them.
 
     Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
     sample's (in steps) is that sample's, so that shifting there and back is exact.
     """
-    first = _samples_before(times, wanted)
+    first = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
     second = np.clip(first + 1, 0, times.size - 1)
     gap = times[second] - times[first]
     with np.errstate(invalid="ignore", divide="ignore"):

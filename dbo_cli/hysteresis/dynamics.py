@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.operators import checked_steps
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating]
@@ -353,10 +354,7 @@ class DynamicsStage:
         InputError
             A time step is negative or not a number.
         """
-        steps = np.asarray(time_step, dtype=np.float64).reshape(-1)
-        if not np.all(steps >= 0.0):
-            k = int(np.flatnonzero(~(steps >= 0.0))[0])
-            raise InputError(f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards")
+        steps = checked_steps(time_step)
         parts = [section.step(steps) for section in self.sections]
         return np.ascontiguousarray(np.concatenate(parts, axis=1))
 

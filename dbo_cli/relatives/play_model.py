@@ -228,13 +228,10 @@ READERS = dict.fromkeys(KINDS, _plays)
 def read_places(node: Node, model: RelativeModel) -> BacklashState:
     """Return what the plays of a model remember."""
     node.only(("places", "inverse_places", "wanted"))
-    found = []
-    for key in ("places", "inverse_places"):
-        values = None if node.values[key] is None and key != "places" else node.numbers(key)
+    places = tuple(node.numbers("places"))
+    inverse = None if node.values["inverse_places"] is None else tuple(node.numbers("inverse_places"))
+    for key, values in (("places", places), ("inverse_places", inverse)):
         if values is not None and len(values) != model.plays.n:
             raise node.refuse(key, f"has {len(values)} entries where the model has {model.plays.n} plays")
-        found.append(values)
     wanted = None if node.values["wanted"] is None else node.number("wanted")
-    places, inverse = found
-    assert places is not None
-    return PlayState(0, None, tuple(places), None if inverse is None else tuple(inverse), wanted)
+    return PlayState(0, None, places, inverse, wanted)

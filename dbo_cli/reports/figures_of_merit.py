@@ -427,18 +427,11 @@ class TrackingMetrics:
         self._not_finite = 0
         self.missing = [0, 0]
         self._times: tuple[float, float] | None = None
-        self._seen = 0
 
-    def add(
-        self, desired: Floats, measured: Floats, *, row: Floats | None = None, time: Floats | None = None
-    ) -> None:
+    def add(self, desired: Floats, measured: Floats, row: Floats, time: Floats | None = None) -> None:
         """Take one block of equally long arrays; ``row`` counts from 1, ``time`` is in seconds."""
-        length = len(desired)
-        if row is None:
-            row = np.arange(self._seen + 1.0, self._seen + length + 1.0)
         if time is None:
-            time = np.full(length, np.nan)
-        self._seen += length
+            time = np.full(len(desired), np.nan)
         for batch in self._batches.add(desired, measured, row, time):
             self._take(*batch)
 
@@ -462,6 +455,7 @@ class TrackingMetrics:
         low, high = self._range
         span = high - low
         loop, lag = self._loop.loop(), self._phase.lag()
+        cycles = self._phase.cycles_a_sample
         return TrackingFigures(
             samples=n,
             not_finite=self._not_finite,
@@ -481,12 +475,8 @@ class TrackingMetrics:
             offset=offset,
             sample_period=self._sample_period(),
             loop_noise=loop.noise_floor if loop else None,
-            cycles_a_sample=self._cycles_a_sample(),
+            cycles_a_sample=None if cycles is None else cycles / (self._hold or 1.0),
         )
-
-    def _cycles_a_sample(self) -> float | None:
-        cycles = self._phase.cycles_a_sample
-        return None if cycles is None else cycles / (self._hold or 1.0)
 
     def _sample_period(self) -> float | None:
         samples = self.distribution.count + self._not_finite

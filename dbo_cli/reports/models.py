@@ -21,7 +21,7 @@ from dbo_cli.hysteresis.model import ActuatorModel, Quantity
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.figures import axis_label, label_decades, legend_head, mark_curves, shown_unit
+from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head, shown_unit
 from dbo_cli.reports.page import drawn_figures, filled, page_of, table
 from dbo_cli.reports.renderers import csv_text, digits, json_text, no_formula, wrapped
 from dbo_cli.reports.renderers import table as text_table
@@ -98,8 +98,7 @@ def _paint_gears(gears: DiscreteBacklashOperator, labels: tuple[str, str], axes:
     marks = {"marker": "o", "markersize": 3.2} if gears.n <= FEW else {}
     axes.plot(up_x, up_y, label="up", **(style.SOLID | marks))
     axes.plot(down_x, down_y, label="down", **(style.DASHED | marks))
-    axes.set(xlabel=labels[0], ylabel=labels[1])
-    mark_curves(axes)
+    finish(axes, *labels)
 
 
 def _paint_slopes(gears: DiscreteBacklashOperator, travelled: str, axes: Axes) -> None:
@@ -175,8 +174,7 @@ def _paint_bode(model: ActuatorModel, what: str, axes: Axes) -> None:
     if isinstance(trusted, int | float) and trusted > 0.0:
         axes.axvline(trusted, label="trusted up to", **style.DOTTED)
     label_decades(*([axes.xaxis, axes.yaxis] if what == "Gain" else [axes.xaxis]))
-    axes.set(xlabel="Frequency (Hz)", ylabel=what if what == "Gain" else "Phase (degrees)")
-    mark_curves(axes)
+    finish(axes, "Frequency (Hz)", what if what == "Gain" else "Phase (degrees)")
 
 
 def slow_loop(model: ActuatorModel, count: int = 1001) -> tuple[Floats, Floats, Floats]:
@@ -194,8 +192,7 @@ def _paint_slow_loop(model: ActuatorModel, axes: Axes) -> None:
     drive, rising, falling = slow_loop(model)
     axes.plot(drive, rising, label="up", **style.SOLID)
     axes.plot(drive, falling, label="down", **style.DASHED)
-    axes.set(xlabel=_quantity(model.input), ylabel=_quantity(model.output))
-    mark_curves(axes)
+    finish(axes, _quantity(model.input), _quantity(model.output))
 
 
 def _paint_points(stage: DiscretePointOperator, axes: Axes) -> None:
@@ -203,8 +200,7 @@ def _paint_points(stage: DiscretePointOperator, axes: Axes) -> None:
     axes.plot([x[0], x[-1]], [y[0], y[-1]], label="straight line", **style.DOTTED)
     marks = {"marker": "o", "markersize": 4.0} if stage.m <= FEW else {}
     axes.plot(x, y, label="points", **(style.SOLID | marks))
-    axes.set(xlabel="Input of the points", ylabel="Output of the points")
-    mark_curves(axes)
+    finish(axes, "Input of the points", "Output of the points")
 
 
 @dataclass(frozen=True)
@@ -322,9 +318,9 @@ def _paint_cost(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
         assert row.inverse_ns is not None and y is not None
         axes.plot([row.inverse_ns], [y], label=row.name, color=look["color"], linestyle="none", marker="o")
     axes.margins(0.08)
-    axes.set(xscale="log", yscale="log", xlabel="Inverse (ns a sample)", ylabel=axis_label(error, shown.unit))
+    axes.set(xscale="log", yscale="log")
     label_decades(axes.xaxis, axes.yaxis)
-    mark_curves(axes, columns=LEGEND_COLUMNS)
+    finish(axes, "Inverse (ns a sample)", axis_label(error, shown.unit), LEGEND_COLUMNS)
 
 
 def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
@@ -338,9 +334,7 @@ def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
         look = style.SEVERAL[number % len(style.SEVERAL)]
         around = np.concatenate((rising - taken, (falling - taken)[::-1]))
         pattern = {"linestyle": (0, (3.2, 1.4))} if number % 2 else {}
-        axes.plot(
-            np.concatenate((drive, drive[::-1])), around - around.mean(), label=row.name, **(look | pattern)
-        )
-        axes.set(xlabel=axis_label("Drive voltage", row.model.input.unit))
-    axes.set(ylabel=axis_label("Displacement less a line", shown.unit))
-    mark_curves(axes, columns=LEGEND_COLUMNS)
+        there_and_back = np.concatenate((drive, drive[::-1]))
+        axes.plot(there_and_back, around - around.mean(), label=row.name, **(look | pattern))
+        drive_label = axis_label("Drive voltage", row.model.input.unit)
+    finish(axes, drive_label, axis_label("Displacement less a line", shown.unit), LEGEND_COLUMNS)

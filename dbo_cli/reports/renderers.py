@@ -166,19 +166,14 @@ def segment_words(report: Report) -> str:
 
 def _errors(report: Report, places: int) -> list[Column]:
     unit = _unit(report, " ({})")
-    removed = report.options.remove_offset
-    mean = "offset" if removed else "mean"
-
-    def mean_of(part: Any) -> str:
-        return digits(part.figures.offset if removed else part.figures.mean, places)
-
+    mean = "offset" if report.options.remove_offset else "mean"
     return [
         Column("RMSE", f"RMSE{unit}", lambda part: digits(part.figures.rmse, places)),
         Column("% range", "% of range", lambda part: digits(part.figures.nrmse_percent, places)),
         Column("95 %", f"95 % below{unit}", lambda part: digits(part.figures.p95_abs, places)),
         Column("largest", f"Largest{unit}", lambda part: digits(part.figures.max_abs, places)),
         Column("", "at row", lambda part: str(part.figures.max_abs_row)),
-        Column(mean, f"{mean.capitalize()}{unit}", mean_of),
+        Column(mean, f"{mean.capitalize()}{unit}", lambda part: digits(getattr(part.figures, mean), places)),
     ]
 
 
