@@ -388,12 +388,12 @@ def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
 def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
     """Find the columns of which a word is a long name but for one letter."""
     names = [name for name in wish.guesses if len(name) >= 4]
-    found = []
-    for column in columns:
+
+    def is_slip(column: ColumnInfo) -> bool:
         words = {*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())} - wish.foreign
-        if any(_one_letter_off(word, name) for word in words for name in names):
-            found.append(column)
-    return found
+        return any(_one_letter_off(word, name) for word in words for name in names)
+
+    return [column for column in columns if is_slip(column)]
 
 
 def _suspects(

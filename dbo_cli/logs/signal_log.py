@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from types import TracebackType
 from typing import Any, NotRequired, TypedDict
 
 import numpy as np
@@ -85,9 +84,7 @@ class SignalLog(Source):
         """Use the log as a context manager that closes it."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *problem: object) -> None:
         """Close the log."""
         self.close()
 

@@ -99,7 +99,8 @@ class BlockParser:
         """Read the wanted columns of a regular block; None where it is not regular after all."""
         picks = list(self.picks.values())
         plain = small or (len(text) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
-        read = _parse_plain if plain or self._stamped else _parse_fast
+        stamped = any(pick.written != "numbers" for pick in picks)
+        read = _parse_plain if plain or stamped else _parse_fast
         if self.dialect.decimal == "," and b"." in text:
             return None
         # With all columns wanted polars itself refuses long rows, and short ones leave a null.
@@ -198,9 +199,8 @@ class BlockParser:
         rows = [text for text in texts if not is_comment(text, self.dialect.comments)]
         for text in rows:
             twin._parse_row(text)
-        if not cell:
-            return remedy_for(twin.dropped, len(rows), FILL_GAPS)
-        return remedy_for(twin.dropped, len(rows), PLAIN_NUMBERS if NUMBER_WITH_UNIT.fullmatch(cell) else "")
+        cause = PLAIN_NUMBERS if NUMBER_WITH_UNIT.fullmatch(cell) else ""
+        return remedy_for(twin.dropped, len(rows), FILL_GAPS if not cell else cause)
 
     def drop(self, message: str) -> None:
         """Count a row that is left out, and keep the first one's message."""
@@ -225,11 +225,6 @@ class BlockParser:
                 written = self.dialect.writings[column] if self.dialect.writings else "numbers"
                 return f"{column_label(info)} {complain(cells[column], self.dialect.decimal, written)}"
         return ""
-
-    @cached_property
-    def _stamped(self) -> bool:
-        """Whether a wanted column holds time stamps instead of numbers."""
-        return any(pick.written != "numbers" for pick in self.picks.values())
 
     @cached_property
     def _unpicked(self) -> list[int]:

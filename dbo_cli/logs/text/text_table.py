@@ -73,9 +73,12 @@ class TextTable(Table):
             whole = self._lines.whole_in_head
             try:
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
-                header = _instrument_header(self.place, complete, options)
-                made = header.dialect if header is not None else None
-                return made or detect(self.place, complete, options), header
+                if _PLAIN.fullmatch(complete):
+                    return detect(self.place, complete, options), None
+                from dbo_cli.logs.text.instruments import read_instrument_header
+
+                header = read_instrument_header(self.place, complete, options)
+                return header.dialect or detect(self.place, complete, options), header
             except InputError as problem:
                 refusal = problem
             head = None if live else self._lines.longer_head()
@@ -167,15 +170,6 @@ class TextTable(Table):
         ]
         parts = enumerate(zip(names, units, written, strict=True), start=1)
         return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in parts]
-
-
-def _instrument_header(place: str, head: bytes, options: ReadingOptions) -> InstrumentHeader | None:
-    """Read what an instrument states above its data; None for a plain log."""
-    if _PLAIN.fullmatch(head):
-        return None
-    from dbo_cli.logs.text.instruments import read_instrument_header
-
-    return read_instrument_header(place, head, options)
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:
