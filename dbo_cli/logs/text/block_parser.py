@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, FILL_GAPS, Rows, remedy_for
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, Places, SampleBlock, are_measured
 from dbo_cli.logs.text.dialect import NUMBER_WITH_UNIT, PLAIN_NUMBERS, Dialect, is_comment, labelled
@@ -237,8 +237,7 @@ def _wrong_width(cells: list[str], width: int, remarks: bool) -> str:
     """Describe what is wrong with a row's length; an empty cell more at the end is a trailing delimiter."""
     if len(cells) == width or (len(cells) == width + 1 and (remarks or not cells[-1])):
         return ""
-    plural = "s" if len(cells) != 1 else ""
-    return f"{len(cells)} cell{plural} where the other rows have {width}"
+    return f"{counted(len(cells), 'cell')} where the other rows have {width}"
 
 
 def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:

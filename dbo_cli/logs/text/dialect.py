@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
 from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
@@ -70,10 +70,9 @@ class Dialect:
         """Describe in one line what was detected, for ``verbose``."""
         head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
         sign = "decimal comma" if self.decimal == "," else "decimal point"
-        plural = "s" if self.width != 1 else ""
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         return (
-            f"{self.width} column{plural} separated by {mark}, {sign}, "
+            f"{counted(self.width, 'column')} separated by {mark}, {sign}, "
             f"{head}, data from line {self.first_line}"
         )
 
