@@ -18,8 +18,8 @@ def shortened(text: str) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return so many of something: ``1 row``, ``2,000 rows``."""
-    return f"{count:,} {noun}{'s' if count != 1 else ''}"
+    """Return so many of something: ``1 cell``, ``3 cells``."""
+    return f"{count} {noun}{'s' if count != 1 else ''}"
 
 
 def decoded(data: bytes) -> str:

@@ -27,7 +27,7 @@ from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, wi
 from dbo_cli.logs.byte_source import BINARY, ZIP, Request
 from dbo_cli.logs.clock import JITTER, TimeCheck, median_step, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
-from dbo_cli.logs.plain_text import cleaned, counted
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table, joined
 from dbo_cli.logs.sources import Source
@@ -461,7 +461,7 @@ class SignalLog(Source):
     def reading_line(self) -> str:
         """Describe what was read, once all blocks were: rows, duration, rate, and the column of each role."""
         rate, seconds = self._rate_and_seconds()
-        known = [counted(self.rows_read, "row")]
+        known = [f"{self.rows_read:,} row{'s' if self.rows_read != 1 else ''}"]
         return self._line(known if self.has_time else [*known, "no time"], rate, seconds)
 
     def _line(self, known: list[str], rate: float | None, seconds: float | None = None) -> str:
