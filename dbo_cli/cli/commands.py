@@ -402,21 +402,16 @@ def compare(given: Given) -> None:
     Two of them, the same bytes every time:
         dbo compare recorded.csv --models dbo,pi --no-timings -o table.csv
     """
+    from dbo_cli.hysteresis.identification import IdentificationOptions
+    from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.model_table import TableOptions, compare_logs
 
-    asked = TableOptions(
+    logs = (given.log, given.validate or [], given.reading, IdentificationOptions())
+    table = TableOptions(
         given.models, given.skip, not given.no_timings, given.format, given.figures, given.save_models
     )
-    remarks = compare_logs(
-        given.log,
-        given.validate or [],
-        given.output,
-        given.reading,
-        asked,
-        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
-        listener=Progress(given.reporter, "read"),
-    )
-    given.reporter.remarks(remarks)
+    asked, listener = IdentifyRun(*logs, given.voltage, given.displacement), Progress(given.reporter, "read")
+    given.reporter.remarks(compare_logs(asked, given.output, table, listener))
 
 
 def trajectory(given: Given) -> None:

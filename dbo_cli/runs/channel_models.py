@@ -18,7 +18,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
 from dbo_cli.logs.addresses import Address, Given, check_document
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.reading_options import ALL_ROWS
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
@@ -37,7 +37,6 @@ from dbo_cli.runs.identifying import (
     RecordedLog,
     Recordings,
     identify_recordings,
-    read_recordings,
 )
 from dbo_cli.runs.jobs import (
     Outcome,
@@ -82,7 +81,7 @@ def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener:
     check_document(output, "a model", "json")
     if CHANNEL not in output.text:
         check_outputs([output], inputs)
-    outcome, found, channels = Outcome(), {}, ChannelFits(asked, columns, read_channel, listener)
+    outcome, found, channels = Outcome(), {}, ChannelFits(asked, columns, listener)
     work = dataclasses.replace(work, all_needed=asked.coupling)
     for channel, one in channels.models(work, outcome):
         found[channel] = one
@@ -136,8 +135,6 @@ class ChannelFits:
     ----------
     asked, columns
         What is asked for, and the patterns.
-    read : callable
-        Reads one channel: logs, validation, how they are read, its columns, and a prior or None.
     coupling
         How the channels show in each other, once that is found.
     apart
@@ -146,7 +143,6 @@ class ChannelFits:
 
     asked: IdentifyRun
     columns: Columns
-    read: Callable[..., Recordings]
     listener: Listener = SILENT
     coupling: Coupling | None = None
     apart: Mapping[str, Recordings] = dataclasses.field(default_factory=dict)
@@ -211,8 +207,12 @@ class ChannelFits:
         if fit[0].table is not None:
             digest = hashlib.sha256(fit[0].table.block.values[str(number)].tobytes()).digest()
             self._seen.setdefault(digest, {})[channel] = None
-        own = self.columns.of_channel(channel)
-        return functools.partial(self.read, fit, judged, self.asked.reading, own, prior)
+        columns = self.columns.of_channel(channel)
+        own = dataclasses.replace(
+            self.asked, logs=fit, validation=judged, voltage=columns["voltage"],
+            displacement=columns["displacement"], prior=None,
+        )  # fmt: skip
+        return functools.partial(own.read, prior=prior)
 
 
 def _priors(prior: Any, channels: Sequence[str]) -> Callable[[str], str | ActuatorModel | None]:
@@ -222,19 +222,6 @@ def _priors(prior: Any, channels: Sequence[str]) -> Callable[[str], str | Actuat
     if isinstance(prior, Mapping):
         return lambda channel: prior[channel].actuator
     return models_by_channel(os.fspath(prior), channels)
-
-
-def read_channel(
-    logs: Sequence[Address],
-    validation: Sequence[Address],
-    reading: ReadingOptions,
-    columns: Mapping[str, str],
-    prior: str | ActuatorModel | None,
-) -> Recordings:
-    """Read what one channel is fitted to and judged on, in the units of a prior."""
-    kept = read_model(prior) if isinstance(prior, str) else prior
-    words = (logs, validation, reading, columns["voltage"], columns["displacement"])
-    return read_recordings(*words, prior=kept)
 
 
 def _recorded(

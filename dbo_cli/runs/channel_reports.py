@@ -24,7 +24,7 @@ from dbo_cli.runs.reporting import (
     TrackingReport,
     TrackingRun,
     Written,
-    add_file,
+    add_log,
     prepare_folder,
     report_form,
 )
@@ -127,6 +127,6 @@ def _reported(
     """Compare one channel, in whichever process."""
     model = None if options.model is None else read_model(options.model)
     tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
-    add_file(tracking, log, reading, options, name)
+    add_log(tracking, log, reading, options, name)
     result = tracking.result()
     return result.report, result.remarks

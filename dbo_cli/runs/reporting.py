@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
@@ -27,7 +27,7 @@ from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import check_folder, refuse_picture
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch, rows_to_read
-from dbo_cli.runs.roles import bring_to, short_names
+from dbo_cli.runs.roles import bring_to, opened, short_names
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
@@ -410,7 +410,7 @@ def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     tracking = TrackingRun(options.scoring(model is not None), model, str(options.model), traced)
     names = short_names(logs)
     for address in logs:
-        add_file(tracking, address, reading, options, names.get(address), listener)
+        add_log(tracking, address, reading, options, names.get(address), listener)
     result = tracking.result()
     if figures is not None:
         result.figures(figures)
@@ -444,27 +444,27 @@ def prepare_folder(folder: str) -> None:
     check_folder(folder)
 
 
-def add_file(
+def add_log(
     tracking: TrackingRun,
-    address: Address,
+    log: Any,
     reading: ReadingOptions,
     options: TrackingOptions,
     name: str | None = None,
     listener: Listener = SILENT,
+    time: Any = None,
 ) -> None:
-    """Compare one log."""
+    """Compare one log; ``time`` is the column or the seconds of a table from Python."""
     with_model, trajectory = tracking.model is not None, options.trajectory
     from_first = with_model or trajectory is not None
     own, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
     with contextlib.ExitStack() as stack:
-        log = stack.enter_context(open_log(address, options.wishes(with_model), own))
-        listener.opened(log.describe())
-        wished = None
+        source, wished = opened(log, options.wishes(with_model), own, listener, time=time), None
+        stack.callback(source.close)
         if trajectory is not None:
             wished = stack.enter_context(open_trajectory(trajectory, options.desired, reading))
             listener.opened(wished.describe())
         tracking.add(
-            log,
+            source,
             name,
             listener,
             score_rows=score_rows,
