@@ -422,7 +422,7 @@ FAULTS: list[Fault] = [
          "a memory is off by what it is away from the loop's own"),
     ),
     *_faults(
-        "drives/loop_starts.py",
+        "drives/loops.py",
         ("runs_repeated",),
         ("return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)",
          "return np.full(1, first)",

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 
 class DboWarning(UserWarning):
     """Something that may spoil the result; the text says what to do about it."""
 
 
-class Listener(Protocol):
-    """Is called while a run goes on."""
+class Listener:
+    """Is called while a run goes on; this one does nothing."""
 
     def opened(self, what: str) -> None:
         """Take how a log was understood."""
@@ -30,26 +29,7 @@ class Listener(Protocol):
         """Take note that all rows are done, or the work."""
 
 
-class _Ignoring:
-    """A listener that does nothing."""
-
-    def opened(self, what: str) -> None:
-        """Do nothing."""
-
-    def reading(self, what: str) -> None:
-        """Do nothing."""
-
-    def progressed(self, rows: int) -> None:
-        """Do nothing."""
-
-    def working(self, what: str) -> None:
-        """Do nothing."""
-
-    def finished(self) -> None:
-        """Do nothing."""
-
-
-SILENT: Listener = _Ignoring()
+SILENT = Listener()
 
 
 def plain(text: str) -> str:

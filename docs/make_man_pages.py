@@ -7,13 +7,11 @@ The wheel installs them under share/man/man1. tests/test_man_pages.py holds that
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Any
 
-from dbo_cli.cli.commands import Command
-from dbo_cli.cli.manual import EXIT_CODES, PAGES, exit_codes
-from dbo_cli.cli.typer_adapter import COMMANDS, root_command
+from dbo_cli.cli.commands import COMMANDS, EXIT_CODES, Command
+from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.version import __version__
 
 FOLDER = Path(__file__).resolve().parent / "man"
@@ -39,11 +37,10 @@ def listed(rows: list[tuple[str, str]]) -> str:
     return "\n".join(f".TP\n.B {roff(term)}\n{roff(meaning)}" for term, meaning in rows)
 
 
-def examples(name: str) -> str:
+def examples(command: Command) -> str:
     """Return the examples of a command."""
     return "\n".join(
-        f".PP\n{roff(purpose)}\n.PP\n.nf\n.RS\n{roff(line)}\n.RE\n.fi"
-        for purpose, line in PAGES[name].examples
+        f".PP\n{roff(purpose)}\n.PP\n.nf\n.RS\n{roff(line)}\n.RE\n.fi" for purpose, line in command.examples
     )
 
 
@@ -63,7 +60,7 @@ def also(name: str) -> str:
 
 def command_page(name: str, command: Command) -> str:
     """Return the page of a command."""
-    heading, _, text = (command.function.__doc__ or "").partition("\n")
+    heading, _, text = command.section().partition("\n")
     context: Any = root_command().make_context("dbo", [], resilient_parsing=True)
     built: Any = root_command().get_command(context, name)
     inner = built.make_context(name, [], parent=context, resilient_parsing=True)
@@ -71,10 +68,10 @@ def command_page(name: str, command: Command) -> str:
         f"{one.metavar}{'...' if one.repeated else ''}" for one in command.options if not one.names
     )
     parts = [("SYNOPSIS", f".B dbo {name}\n[OPTIONS] {roff(arguments)}".rstrip())]
-    parts += [("DESCRIPTION", paragraphs(textwrap.dedent(text).strip() or heading))]
-    parts += [("OUTPUT", roff(PAGES[name].writes)), ("EXAMPLES", examples(name))]
+    parts += [("DESCRIPTION", paragraphs(text.strip() or heading))]
+    parts += [("OUTPUT", roff(command.writes)), ("EXAMPLES", examples(command))]
     parts += [(title.upper(), listed(rows)) for title, rows in built.sections(inner)]
-    parts += [("EXIT STATUS", listed(exit_codes(name))), ("SEE ALSO", also(f"dbo-{name}"))]
+    parts += [("EXIT STATUS", listed(command.exit_codes)), ("SEE ALSO", also(f"dbo-{name}"))]
     return page(f"dbo {name}", heading.rstrip("."), parts)
 
 
@@ -82,9 +79,7 @@ def first_page() -> str:
     """Return the page of the program."""
     root: Any = root_command()
     heading, _, text = (root.help or "").partition("\n")
-    rows = [
-        (f"dbo {name}", (one.function.__doc__ or "").partition("\n")[0]) for name, one in COMMANDS.items()
-    ]
+    rows = [(f"dbo {name}", one.summary) for name, one in COMMANDS.items()]
     codes = sorted([*EXIT_CODES, MISSED], key=lambda code: int(code[0]))
     parts = [("SYNOPSIS", ".B dbo\nCOMMAND [OPTIONS] ..."), ("DESCRIPTION", paragraphs(text.strip()))]
     parts += [("COMMANDS", listed(rows)), ("FILES", paragraphs(FILES)), ("EXIT STATUS", listed(codes))]

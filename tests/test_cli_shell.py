@@ -18,9 +18,9 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app
-from dbo_cli.cli.manual import PAGES
+from dbo_cli.cli.commands import COMMANDS
 from dbo_cli.cli.messages import Progress, Reporter
-from dbo_cli.cli.typer_adapter import COMMANDS, root_command
+from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.logs.addresses import parse_address
@@ -339,15 +339,15 @@ def test_identify_tells_a_listener_of_its_rows_and_its_fit(tmp_path: Path) -> No
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_help_says_what_is_written_and_has_two_examples_that_parse(dbo: Any, command: str) -> None:
     page = help_of(dbo, command)
-    assert len(PAGES[command].examples) == 2
+    assert len(COMMANDS[command].examples) == 2
     for part in (
         "\nWrites:\n  ",
         "\nExamples:\n  ",
         "\nExit codes:\n  0  ",
-        *(line for _, line in PAGES[command].examples),
+        *(line for _, line in COMMANDS[command].examples),
     ):
         assert part in page
-    for _, line in PAGES[command].examples:
+    for _, line in COMMANDS[command].examples:
         words = next(one for one in map(shlex.split, line.split(" | ")) if one[:2] == ["dbo", command])
         root = root_command().make_context("dbo", [], resilient_parsing=True)
         root_command().get_command(root, command).make_context(command, words[2:], parent=root)

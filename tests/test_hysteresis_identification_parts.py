@@ -17,7 +17,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     squared_error,
     squared_error_free_of,
 )
-from dbo_cli.hysteresis.identification.preparation import clipped_sensor, folds_of
+from dbo_cli.hysteresis.identification.preparation import clipped_sensor, folds_of, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     check_recordings,
@@ -34,7 +34,7 @@ from dbo_cli.hysteresis.identification.regressors import (
     hat_functions,
     relaxed_drive,
 )
-from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of
+from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of, time_constant_grid
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 from dbo_cli.hysteresis.move_error import turning_points
 
@@ -269,6 +269,29 @@ def test_fewer_rows_are_spread_over_the_whole_log() -> None:
     assert np.diff(np.flatnonzero(cut.used)).max() <= 90
     assert np.array_equal(cut.fold[cut.used], log.fold[cut.used])
     assert fewer_rows([log], limit=10_000)[0] is log
+
+
+def test_a_fold_that_loses_all_its_rows_is_no_fold() -> None:
+    log = prepared(sine(100), sine(100))
+    moved = np.where(log.fold < 2, log.fold, log.fold + 1)
+    moved[10:20] = 2  # between the stretches that are kept
+    [cut] = fewer_rows([replace(log, fold=moved)], limit=400)
+    assert np.unique(cut.fold).tolist() == [-1, 0, 1, 2, 3]
+    folds = gather([cut], Basis(4, 0.0, 10.0), 1)
+    assert min(folds.rows) > 0  # nothing is divided by the rows of none
+
+
+@pytest.mark.parametrize("rate", [200.0, 333.0, 5000.0])
+def test_memories_reach_as_far_at_any_sample_rate(rate: float) -> None:
+    clock = np.arange(round(30.0 * rate)) / rate
+    voltage = 50.0 - 50.0 * np.cos(2.0 * np.pi * clock) * np.linspace(1.0, 0.2, len(clock))
+    log = Recording("log", voltage, voltage**1.1, clock)
+    grid = time_constant_grid(prepare([log], 0.0), 1.0 / rate, 100.0)
+    assert grid[0] == 1.0 / rate
+    assert grid[-1] == pytest.approx(15.0, rel=1e-3)  # half the log
+    ratios = np.divide(grid[1:], grid[:-1])
+    assert ratios[:-1] == pytest.approx(3.0)
+    assert 3.0 <= ratios[-1] < 9.0
 
 
 def test_single_wrong_voltages_are_replaced_and_steps_are_not() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dbo_cli.cli.typer_adapter import COMMANDS
+from dbo_cli.cli.commands import COMMANDS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 spec = importlib.util.spec_from_file_location("make_man_pages", DOCS / "make_man_pages.py")

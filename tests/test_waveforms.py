@@ -17,7 +17,7 @@ import scipy.io.wavfile
 from conftest import ROOT
 from virtual_actuator import PRESETS, VirtualActuator
 
-from dbo_cli.cli.bench_commands import GENERATOR_FILES
+from dbo_cli.cli.options import GENERATOR_FILES
 from dbo_cli.drives.gate import GateError
 from dbo_cli.errors import OutputError
 from dbo_cli.runs import waveform_files

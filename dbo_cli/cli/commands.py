@@ -5,6 +5,8 @@ What a command needs is imported when it runs: a page of help loads nothing heav
 
 from __future__ import annotations
 
+import inspect
+import re
 import shlex
 from collections.abc import Callable, Iterable
 from types import SimpleNamespace
@@ -19,6 +21,14 @@ if TYPE_CHECKING:
     from dbo_cli.export import ExportSummary
     from dbo_cli.logs.reading_options import ReadingOptions
     from dbo_cli.runs.jobs import Outcome, Work
+
+
+EXIT_CODES = (
+    ("0", "Done; also when the reader of a pipe leaves early."),
+    ("1", "The input, the model or the fit failed; one line on standard error says what to do."),
+    ("2", "The command line is wrong."),
+    ("130", "Interrupted."),
+)
 
 
 class Given(SimpleNamespace):
@@ -52,47 +62,51 @@ class Command(NamedTuple):
     function: Callable[[Given], None]
     options: tuple[Option, ...]
 
+    def section(self, heading: str = "") -> str:
+        """Return what the docstring has under a heading; what it begins with under none."""
+        parts = re.split(r"(?m)^(\w.*)\n-+\n", inspect.cleandoc(self.function.__doc__ or ""))
+        return dict(zip(["", *parts[1::2]], parts[::2], strict=True)).get(heading, "").strip()
 
-COMMANDS: dict[str, Command] = {}
-"""All commands by name, in the order of a working day."""
+    @property
+    def summary(self) -> str:
+        """The first line of the help."""
+        return self.section().partition("\n")[0]
+
+    @property
+    def writes(self) -> str:
+        """What the command writes."""
+        return " ".join(self.section("Writes").split())
+
+    @property
+    def examples(self) -> list[tuple[str, str]]:
+        """What each example is for, and its command line."""
+        lines = list(map(str.strip, self.section("Examples").splitlines()))
+        return list(zip(lines[::2], lines[1::2], strict=True))
+
+    @property
+    def exit_codes(self) -> list[tuple[str, str]]:
+        """The exit codes and what they mean."""
+        missed = " ".join(self.section("Exit code 3").split())
+        return sorted([*EXIT_CODES, *([("3", missed)] if missed else [])], key=lambda code: int(code[0]))
 
 
-def _command(*has: Option) -> Callable[[Callable[[Given], None]], Callable[[Given], None]]:
-    """Enter a function into ``COMMANDS`` with its options."""
-
-    def enter(function: Callable[[Given], None]) -> Callable[[Given], None]:
-        COMMANDS[function.__name__] = Command(function, has)
-        return function
-
-    return enter
-
-
-@_command(
-    options.LOGS,
-    *options.READING,
-    *options.REPORTING,
-    *options.IDENTIFICATION,
-    options.SKIP,
-    options.ZERO,
-    options.METHOD,
-    options.VALIDATE,
-    options.PRIOR,
-    options.SHARED_SHAPE,
-    options.COUPLING,
-    options.RATED_MIN,
-    options.RATED_MAX,
-    options.FORCE,
-    *options.WORK,
-    options.VOLTAGE,
-    options.DISPLACEMENT,
-    options.OUTPUT,
-)
 def identify(given: Given) -> None:
     """Identify a model of an actuator from logs of its drive voltage and displacement.
 
     What is left at auto is chosen on cycles left out of the fit. Several logs of one actuator are fitted
     together, each with its own sensor offset and drift. What was found, and what to be careful about, is said
     on standard error and kept in the model.
+
+    Writes
+    ------
+    The model as JSON; with several logs and -o 'models/{file}.json' one model each.
+
+    Examples
+    --------
+    A log becomes a model:
+        dbo identify recorded.csv -o model.json
+    Two channels of an oscilloscope; the sensor gives 10 um a volt:
+        dbo identify run.csv --voltage CH1 --displacement CH2 --scale displacement=10um/V -o m.json
     """
     reading = given.reading
     refuse_terminal(given.output)
@@ -116,28 +130,42 @@ def identify(given: Given) -> None:
         )
 
 
-@_command(
-    options.MODEL,
-    *options.REPORTING,
-    options.SHOW_FORMAT,
-    options.MODEL_FIGURES,
-    options.SETTLE,
-    options.OUTPUT,
-)
 def show(given: Given) -> None:
-    """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings."""
+    """Show what is in a model: range and units, how good it is, lag, where it comes from, its warnings.
+
+    Writes
+    ------
+    A page of text, or JSON; with --figures the model's curves as PNG and SVG.
+
+    Examples
+    --------
+    What is in a model, and what it is worth:
+        dbo show model.json
+    The expected error as a number:
+        dbo show model.json --format json | jq .fit.expected_rmse
+    """
     from dbo_cli.runs.showing import show_model
 
     given.reporter.notes(show_model(given.model, given.output, given.format, given.figures, given.settle))
 
 
-@_command(options.MODEL, *options.REPORTING, options.OUTPUT)
 def invert(given: Given) -> None:
     """Write the exact inverse of a model.
 
     Every gear and segment exchanges its widths, the cascade runs backwards, a delay becomes a look ahead.
     The inverse of a forward model turns a desired displacement into the drive (dbo simulate runs it;
     dbo compensate does the same from the forward model and keeps the drive within its limits).
+
+    Writes
+    ------
+    The inverse model as JSON.
+
+    Examples
+    --------
+    The model that turns displacement into voltage:
+        dbo invert model.json -o inverse.json
+    Run it over a trajectory:
+        dbo invert model.json | dbo simulate - trajectory.csv -o drive.csv
     """
     refuse_terminal(given.output)
     from dbo_cli.runs.files import invert_model
@@ -146,27 +174,24 @@ def invert(given: Given) -> None:
     given.reporter.detail(f"{given.model}: the inverse is {inverse.direction}")
 
 
-@_command(
-    options.MODEL,
-    options.INPUTS,
-    *options.READING,
-    *options.REPORTING,
-    options.OUTSIDE,
-    *options.WORK,
-    options.STATE,
-    options.SAVE_STATE,
-    options.INPUT,
-    options.FLUSH,
-    options.SUMMARY,
-    options.HEADER,
-    options.OUTPUT,
-)
 def simulate(given: Given) -> None:
     """Run a model over its input signal and write the output signal.
 
     A forward model turns a drive into the displacement, an inverse model a displacement into the drive. The
     log is read block by block, so that it may be larger than memory or never end (tail -f ... | dbo simulate
     model.json - --flush).
+
+    Writes
+    ------
+    Time (when known), the input column and the result, in the form that the name of the output says;
+    several logs with -o 'out/{file}.csv'.
+
+    Examples
+    --------
+    What a drive would do:
+        dbo simulate model.json drive.csv -o predicted.csv
+    Of a stream that never ends:
+        tail -f drive.log | dbo simulate model.json - --flush
     """
     from dbo_cli.runs.files import SignalRun
     from dbo_cli.runs.many import signals
@@ -178,30 +203,29 @@ def simulate(given: Given) -> None:
     _finish(given, signals(asked, given.log, _work(given), Progress(given.reporter, "written")))
 
 
-@_command(
-    options.MODEL,
-    options.TRAJECTORIES,
-    *options.READING,
-    *options.DRIVING,
-    *options.WORK,
-    *options.REPORTING,
-    options.TRACKED,
-    options.TRACKED_VOLTAGE,
-    options.TRACKED_MEASURED,
-    options.STATE,
-    options.SAVE_STATE,
-    options.DISPLACEMENT,
-    options.FLUSH,
-    options.SUMMARY,
-    options.HEADER,
-    options.OUTPUT,
-)
 def compensate(given: Given) -> None:
     """Write the drive voltage that makes the actuator follow a desired displacement.
 
     The forward model is inverted exactly and started in the state in which dbo simulate of the drive starts;
     a delay is made up for by reading the trajectory ahead. What the drive cannot reach within its limits is
     clipped, counted and said; no row ever breaks a limit.
+
+    Writes
+    ------
+    Time (when known), the desired displacement and the drive; rows that this program puts before or after
+    the move have times of their own, before it negative ones.
+
+    Examples
+    --------
+    A trajectory becomes a drive, with a ramp to its first row:
+        dbo compensate model.json move.csv --max-slew 2000 --from 0 --approach auto -o drive.csv
+    One period of a loop becomes the settled loop's drive:
+        dbo compensate model.json period.csv --periodic -o loop.csv
+
+    Exit code 3
+    -----------
+    A limit is met and --on-limit is error, or the drive cannot begin, close or return within its limits; no
+    drive is written.
     """
     reading = given.reading
     from dbo_cli.drives.options import DriveOptions
@@ -219,21 +243,27 @@ def compensate(given: Given) -> None:
     _finish(given, signals(asked, given.trajectory, _work(given), Progress(given.reporter, "written")))
 
 
-@_command(
-    options.DRIVE,
-    *options.READING_OF_LOGS,
-    *options.REPORTING,
-    *options.CHECKING,
-    options.SHOW_FORMAT,
-    options.DRIVE_COLUMN,
-    options.OUTPUT,
-)
 def check(given: Given) -> None:
     """Check a drive of any program against the limits of an amplifier, before it is played.
 
     Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times and rows without a
     number: what breaks a limit is named with its row, and the exit code is 3. With --against, the first file
     is a recording of what was played, and the question is whether it was that drive: rows, lag, gain, offset.
+
+    Writes
+    ------
+    What was found, as text or JSON.
+
+    Examples
+    --------
+    Another program's drive, before it is played:
+        dbo check drive.csv --v-min 0 --v-max 100 --max-slew 2000 --from 0
+    Was it what was played?
+        dbo check played.csv --against drive.csv --v-min 0 --v-max 100
+
+    Exit code 3
+    -----------
+    A limit is broken, or with --against the two differ by more than --tolerance.
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 
@@ -241,18 +271,6 @@ def check(given: Given) -> None:
     given.reporter.remarks(check_file(given.drive, given.output, given.format, given.reading, asked))
 
 
-@_command(
-    options.LOGS,
-    *options.READING_OF_LOGS,
-    *options.REPORTING,
-    *options.TRACKING,
-    *options.LIMITS,
-    *options.WORK,
-    options.FIGURES,
-    options.REPORT_FORMAT,
-    *options.REPORT_COLUMNS,
-    options.OUTPUT,
-)
 def report(given: Given) -> None:
     """Report how well the measured displacement follows the desired one.
 
@@ -262,10 +280,24 @@ def report(given: Given) -> None:
     comes from a file of its own.
     Patterns (--desired 'desired_{}' --measured 'D{}') give a line a channel, and figures of all together.
     Where a limit (--max-...) is missed the report is written all the same, and the exit code is 3.
+
+    Writes
+    ------
+    The report as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
+
+    Examples
+    --------
+    Without and with compensation, side by side:
+        dbo report uncompensated.csv compensated.csv --figures figures -o report.html
+    A check that a script can rely on:
+        dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
+
+    Exit code 3
+    -----------
+    A limit (--max-rmse, --max-abs, --max-nrmse-percent) is missed; the report is written all the same.
     """
     from dbo_cli.runs.many import reported
-    from dbo_cli.runs.reporting import Limits, ReportRun
-    from dbo_cli.runs.tracking import TrackingOptions
+    from dbo_cli.runs.reporting import Limits, ReportRun, TrackingOptions
 
     tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
     asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures)
@@ -276,7 +308,6 @@ def report(given: Given) -> None:
     written.check(Limits(**given.of(options.LIMITS)))
 
 
-@_command(*options.REPORTING, *options.EXCITATION, options.DRIVEN, options.OUTPUT_FORMAT, options.OUTPUT)
 def excite(given: Given) -> None:
     """Write the drive that identifies well; play it and record the displacement.
 
@@ -286,6 +317,17 @@ def excite(given: Given) -> None:
     about half the error of 8 s, 30 s no less; at another --frequency, scale the duration with it. With
     --sweep-to, a small sweep in the middle of the range follows, in which a resonance shows itself (4 s
     more, and longer below 60 Hz). With --channels N there is a column for each of N channels.
+
+    Writes
+    ------
+    Time and drive voltage.
+
+    Examples
+    --------
+    15 s of drive from 0 to 100 V:
+        dbo excite --v-max 100 --sample-rate 5000 -o excitation.csv
+    For fast moves, with a sweep for the resonances:
+        dbo excite --v-max 100 --sample-rate 20000 --sweep-to 1000 -o excitation.csv
     """
     from dbo_cli.hysteresis.excitation import excitation_of
     from dbo_cli.logs.units import in_unit
@@ -311,16 +353,27 @@ def excite(given: Given) -> None:
         )
 
 
-@_command(options.MODEL, *options.REPORTING, options.FOLDER, *options.EXPORTING)
 def export(given: Given) -> None:
     """Write a model as C for a controller, with the tables, a self-test and a page to read.
 
     C99 without allocation, recursion or library calls. double gives the bits of dbo compensate; float and
     q31 (32-bit fixed point) come with a derived bound on their error. A set goes to one folder
     with one kernel, tables of each channel and calls that step all, or (-o 'c/{channel}') to a folder each.
+
+    Writes
+    ------
+    A folder with NAME.h, NAME.c, NAME_test.c, the kernel, build files and README.md; it appears whole or
+    not at all.
+
+    Examples
+    --------
+    For a controller of 10 kHz:
+        dbo export model.json -o firmware --sample-rate 10000
+    In 32-bit floats, with a bound on the error:
+        dbo export model.json -o firmware --arithmetic float --sample-rate 10000
     """
     from dbo_cli.remarks import Remarks
-    from dbo_cli.runs.channel_exports import export_models
+    from dbo_cli.runs.channels import export_models
     from dbo_cli.runs.jobs import summed_up
 
     remarks = Remarks()
@@ -331,43 +384,93 @@ def export(given: Given) -> None:
     given.reporter.remarks(remarks)
 
 
-@_command(
-    options.LOGS,
-    *options.READING_OF_LOGS,
-    *options.REPORTING,
-    options.MODEL_NAMES,
-    options.VALIDATE,
-    options.SKIP,
-    options.NO_TIMINGS,
-    options.SAVE_MODELS,
-    options.FIGURES,
-    options.REPORT_FORMAT,
-    options.VOLTAGE,
-    options.DISPLACEMENT,
-    options.OUTPUT,
-)
 def compare(given: Given) -> None:
     """Compare the DBO with its relatives: each fitted to the same logs, in one table.
 
     The relatives are a straight line and the Prandtl-Ishlinskii operators that the paper names. All get the
     same rows, start, drift and search for a delay; one that cannot be fitted has a row that says why. Times
     differ from run to run: with --no-timings the same logs give the same bytes.
+
+    Writes
+    ------
+    A table as text, JSON, CSV or an HTML page, by the name of the output; with --figures pictures.
+
+    Examples
+    --------
+    Fitted to one log, judged on another:
+        dbo compare recorded.csv --validate other.csv --figures figures
+    Two of them, the same bytes every time:
+        dbo compare recorded.csv --models dbo,pi --no-timings -o table.csv
     """
+    from dbo_cli.hysteresis.identification import IdentificationOptions
+    from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.model_table import TableOptions, compare_logs
 
-    asked = TableOptions(
+    logs = (given.log, given.validate or [], given.reading, IdentificationOptions())
+    table = TableOptions(
         given.models, given.skip, not given.no_timings, given.format, given.figures, given.save_models
     )
-    remarks = compare_logs(
-        given.log,
-        given.validate or [],
-        given.output,
-        given.reading,
-        asked,
-        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
-        listener=Progress(given.reporter, "read"),
+    asked, listener = IdentifyRun(*logs, given.voltage, given.displacement), Progress(given.reporter, "read")
+    given.reporter.remarks(compare_logs(asked, given.output, table, listener))
+
+
+def trajectory(given: Given) -> None:
+    """Write a move to be followed: raster, spiral, staircase, sine or triangle.
+
+    It starts and stops softly, and its turns and steps are rounded to --bandwidth or to what --model can be
+    trusted to; what the model does not reach is refused.
+
+    Writes
+    ------
+    Time and displacement, or time, x and y: dbo compensate --displacement x_um takes one of them.
+
+    Examples
+    --------
+    A raster that a model can follow:
+        dbo trajectory raster --rate 10000 --range 2:9 --lines 64 --frequency 5 --model m.json -o s.csv
+    Levels up and down:
+        dbo trajectory staircase --rate 500 --range 1:9 --steps 9 --dwell 1 --model m.json -o s.csv
+    """
+    from dbo_cli.drives.shapes import TrajectoryOptions
+    from dbo_cli.runs.trajectories import write_trajectory
+
+    asked = TrajectoryOptions(given.shape, **given.of(options.MOVE))
+    command = shlex.join(["dbo", *given.typed])
+    given.reporter.notes(
+        write_trajectory(
+            given.output, asked, given.model or (), given.unit, given.format, given.summary, command
+        )
     )
-    given.reporter.remarks(remarks)
+
+
+def waveform(given: Given) -> None:
+    """Write a drive as the file that a generator, a wave table or a converter takes.
+
+    What is written is read back and passes the gate that the drive passed. One line says what to set:
+    points, rate, amplitude, offset, repetitions, and by how much rounding moves the drive.
+
+    Writes
+    ------
+    The generator's file; one line on standard error says what to set there.
+
+    Examples
+    --------
+    For a generator before an amplifier of gain 20:
+        dbo waveform drive.csv --to keysight-arb --gain 20 --v-min 0 --v-max 100 -o drive.arb
+    Codes of a 16-bit converter from 0 to 5 V:
+        dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
+
+    Exit code 3
+    -----------
+    The drive breaks a limit, or the generator's rate or range would change it by more than allowed.
+    """
+    from dbo_cli.runs.waveform_files import WaveformOptions, write_waveform
+
+    asked = WaveformOptions(**given.of(options.WAVEFORM), voltage=tuple(given.voltage or ()))
+    command = shlex.join(["dbo", *given.typed])
+    given.reporter.remarks(
+        write_waveform(given.drive, given.output, given.reading, asked, given.summary, command)
+    )
 
 
 def _work(given: Given) -> Work:
@@ -405,3 +508,13 @@ def _summary_lines(summary: ExportSummary) -> list[str]:
             f"turn within {100.0 * summary.bounds['close_turn_fraction']:.2g} % of a gear's width from an end"
         )
     return lines + list(summary.notes)
+
+
+COMMANDS = {
+    function.__name__: Command(function, options.OPTIONS_OF[function.__name__])
+    for function in (
+        identify, show, invert, simulate, compensate, check, report, excite, export, compare, trajectory,
+        waveform,
+    )
+}  # fmt: skip
+"""All commands by name, in the order of a working day."""

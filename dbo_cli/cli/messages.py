@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.remarks import Listener, Remarks
 
 if TYPE_CHECKING:
     from dbo_cli.logs.addresses import Address
-    from dbo_cli.remarks import Remarks
 
 _PARAMETER = re.compile(r"`([a-z]\w*)`")
 
@@ -70,7 +70,7 @@ def refuse_terminal(output: Address) -> None:
         raise UsageError("the model would be written onto the terminal: name a file (-o model.json)")
 
 
-class Progress:
+class Progress(Listener):
     """Prints how far a run has come: how a log was understood, then rows or seconds on a terminal.
 
     The number of rows of a stream is not known beforehand, so it counts instead of drawing a bar.

@@ -1,4 +1,4 @@
-"""The table of all options; ``commands`` says which command has which."""
+"""The table of all options, and which command has which."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from dbo_cli.cli.values import (
     rows,
     seconds_or_auto,
     segment,
+    span,
     times,
     whole,
     with_unit,
@@ -429,3 +430,92 @@ EXPORTING = (
     Option("--shared", "Add a flat C library for this computer; double."),
     Option("--overwrite", "Replace a folder that an export wrote."),
 )
+
+# --- trajectory, waveform ---
+GENERATOR_FILES = (
+    "npy", "wav", "int16", "uint16", "tdms", "pi-gcs", "keysight-arb", "tektronix-tfw", "rigol-raf",
+    "picoscope",
+)  # fmt: skip
+SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
+SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", SHAPES, REQUIRED)
+MOVE = (  # the fields of ``TrajectoryOptions``
+    Option("--rate HZ", "Rows a second.", positive, REQUIRED),
+    Option(
+        "--range LOW:HIGH", "From where to where: a raster's lines, a spiral's first axis.", span, REQUIRED
+    ),
+    Option("--slow-range LOW:HIGH", "The second axis of raster and spiral [default: the same].", span),
+    Option("--frequency HZ", "Lines, turns or cycles a second.", positive),
+    Option("--lines N", "Of a raster.", whole(1)),
+    Option("--pixels N", "Of a line: each gets a whole number of rows.", whole(1)),
+    Option("--overscan PERCENT", "How far lines go on at their speed beyond the range.", not_negative, "0"),
+    Option("--one-way", "Lines in one direction, the way back as fast; a staircase up alone."),
+    Option("--turns N", "Of a spiral.", whole(1)),
+    Option("--cycles N", "Of sine and triangle [default: 1].", whole(1)),
+    Option("--steps N", "Of a staircase.", whole(1)),
+    Option("--dwell SECONDS", "At each level of a staircase.", positive),
+    Option("--rest SECONDS", "At rest before and after the move.", not_negative, "0"),
+    Option("--loop", "Whole cycles without start and stop, for compensate --periodic."),
+    Option("--bandwidth HZ", "Each turn, step, start and stop takes one period of it.", positive),
+)
+MOVE_MODEL = Option(
+    "--model MODEL",
+    "Round to what it can be trusted to, refuse what it cannot reach; one an axis, or one for both.",
+    repeated=True,
+)
+UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
+DRIVES = Option("DRIVE", "The drive; several where the file has channels.", address, REQUIRED, repeated=True)
+DRIVE_COLUMNS = DRIVE_COLUMN._replace(
+    meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
+)
+WAVEFORM = (  # the fields of ``WaveformOptions``
+    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", choice(GENERATOR_FILES), REQUIRED),
+    Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", number, "1"),
+    Option(
+        "--points N", "Of the generator: resampled to so many; with --rate the last value fills.", whole(2)
+    ),
+    Option("--rate HZ", "Points a second [default: the drive's].", positive),
+    Option("--codes LOW:HIGH", "The lowest and the highest code [default: the format's].", span),
+    Option("--volts LOW:HIGH", "What they mean at the generator [default: the drive's ends].", span),
+    Option("--loop", "The drive repeats: it must close, and stays so at another rate."),
+    Option("--v-min VOLT", "Lowest drive allowed.", figure),
+    Option("--v-max VOLT", "Highest drive allowed.", figure),
+    MAX_SLEW,
+    Option(
+        "--tolerance VOLT",
+        "By how much another rate may move the drive [default: a thousandth of its range].",
+        figure_above_0,
+    ),
+)
+
+# --- which command has which, in the order of the help ---
+# fmt: off
+OPTIONS_OF: dict[str, tuple[Option, ...]] = {
+    "identify": (
+        LOGS, *READING, *REPORTING, *IDENTIFICATION, SKIP, ZERO, METHOD, VALIDATE, PRIOR, SHARED_SHAPE,
+        COUPLING, RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, OUTPUT,
+    ),
+    "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, SETTLE, OUTPUT),
+    "invert": (MODEL, *REPORTING, OUTPUT),
+    "simulate": (
+        MODEL, INPUTS, *READING, *REPORTING, OUTSIDE, *WORK, STATE, SAVE_STATE, INPUT, FLUSH, SUMMARY,
+        HEADER, OUTPUT,
+    ),
+    "compensate": (
+        MODEL, TRAJECTORIES, *READING, *DRIVING, *WORK, *REPORTING, TRACKED, TRACKED_VOLTAGE,
+        TRACKED_MEASURED, STATE, SAVE_STATE, DISPLACEMENT, FLUSH, SUMMARY, HEADER, OUTPUT,
+    ),
+    "check": (DRIVE, *READING_OF_LOGS, *REPORTING, *CHECKING, SHOW_FORMAT, DRIVE_COLUMN, OUTPUT),
+    "report": (
+        LOGS, *READING_OF_LOGS, *REPORTING, *TRACKING, *LIMITS, *WORK, FIGURES, REPORT_FORMAT,
+        *REPORT_COLUMNS, OUTPUT,
+    ),
+    "excite": (*REPORTING, *EXCITATION, DRIVEN, OUTPUT_FORMAT, OUTPUT),
+    "export": (MODEL, *REPORTING, FOLDER, *EXPORTING),
+    "compare": (
+        LOGS, *READING_OF_LOGS, *REPORTING, MODEL_NAMES, VALIDATE, SKIP, NO_TIMINGS, SAVE_MODELS, FIGURES,
+        REPORT_FORMAT, VOLTAGE, DISPLACEMENT, OUTPUT,
+    ),
+    "trajectory": (SHAPE, *REPORTING, *MOVE, MOVE_MODEL, UNIT, OUTPUT_FORMAT, SUMMARY, OUTPUT),
+    "waveform": (DRIVES, *READING_OF_LOGS, *REPORTING, *WAVEFORM, DRIVE_COLUMNS, SUMMARY, OUTPUT),
+}
+# fmt: on

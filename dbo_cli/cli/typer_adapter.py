@@ -9,11 +9,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import functools
 import inspect
 import os
-from collections.abc import Mapping, Sequence
+import re
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from typing import Annotated, Any
 
@@ -21,12 +24,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from dbo_cli.cli import options
-from dbo_cli.cli.bench_commands import COMMANDS
-from dbo_cli.cli.commands import Given
-from dbo_cli.cli.completion import ASKED, offers, without_help
-from dbo_cli.cli.manual import PAGES, exit_codes
+from dbo_cli.cli.commands import COMMANDS, Given
 from dbo_cli.cli.options import Option
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import DboError, UsageError
 from dbo_cli.version import __version__
 
 SHELLS = ("bash", "zsh", "fish")
@@ -34,7 +34,13 @@ PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_e
 HEADINGS = ("Arguments", options.OPTIONS, options.STARTING, options.READING_LOGS, options.MESSAGES)
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
-TYPED: ContextVar[tuple[str, ...]] = ContextVar("TYPED", default=())
+ASKED = "_DBO_COMPLETE"
+"""The environment variable by which a shell asks for completions, as the library's scripts set it."""
+
+TYPED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
+"""Where those scripts put the words typed so far: bash, and zsh and fish."""
+
+WORDS: ContextVar[tuple[str, ...]] = ContextVar("WORDS", default=())
 """The words that were typed, set by ``run``."""
 
 
@@ -58,16 +64,16 @@ class TableCommand(ParsedValues, TyperCommand):
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write the description, what the command writes, and the examples."""
         super().format_help_text(ctx, formatter)
-        page = PAGES[self.name or ""]
+        command = COMMANDS[self.name or ""]
         with formatter.section("Writes"):
-            formatter.write_text(page.writes)
+            formatter.write_text(command.writes)
         with formatter.section("Examples"):
-            for purpose, line in page.examples:
+            for purpose, line in command.examples:
                 formatter.write(f"  {purpose}\n    {line}\n")
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options, then the exit codes."""
-        for heading, rows in [*self.sections(ctx), ("Exit codes", exit_codes(self.name or ""))]:
+        for heading, rows in [*self.sections(ctx), ("Exit codes", COMMANDS[self.name or ""].exit_codes)]:
             with formatter.section(heading):
                 formatter.write_dl(rows, col_max=28)
 
@@ -107,7 +113,7 @@ class Commands(ParsedValues, TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each command with the first line of its documentation."""
-        rows = [(name, (one.function.__doc__ or "").partition("\n")[0]) for name, one in COMMANDS.items()]
+        rows = [(name, one.summary) for name, one in COMMANDS.items()]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 
@@ -138,7 +144,7 @@ def run(words: Sequence[str]) -> int:
         return completions()
     if words and words[0] == "help":
         words = [*words[1:], "--help"]
-    TYPED.set(tuple(words))
+    WORDS.set(tuple(words))
     command = root_command()
     try:
         # Not command.main(): it words errors its own way and turns an interrupt into something else.
@@ -193,9 +199,9 @@ def _build(name: str) -> Any:
     function, declared = COMMANDS[name]
 
     def command(**values: Any) -> None:
-        function(Given(typed=TYPED.get(), **values))
+        function(Given(typed=WORDS.get(), **values))
 
-    command.__doc__ = function.__doc__
+    command.__doc__ = COMMANDS[name].section()
     parameters = [_parameter(option) for option in declared]
     # The library takes the options from the signature.
     command.__dict__["__signature__"] = inspect.Signature(parameters)
@@ -253,3 +259,55 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
         parsed = [option.parse(option.key if is_option else "", one) for one in texts]
         value = parsed if option.repeated else parsed[0]
     return parameter.callback(context, parameter, value) if parameter.callback else value
+
+
+# --- what a shell offers for the word that is typed ---
+
+
+def offers(option: Option) -> Callable[[str], list[str]] | None:
+    """Return what finds the words to offer, from the beginning of one; None where files are offered."""
+    value = option.metavar or ""
+    if value == options.COLUMN:
+        return columns_beginning
+    words = value.split("|") if "|" in value else getattr(option.parse, "choices", ())
+    return (lambda incomplete: [word for word in words if word.startswith(incomplete)]) if words else None
+
+
+def without_help() -> None:
+    """Take ``help`` out of the words typed: ``dbo help COMMAND`` is completed as ``dbo COMMAND`` is."""
+    for name in TYPED:
+        line, taken = re.subn(r"^(\s*\S+\s+)help\s+", r"\1", os.environ.get(name, ""))
+        if taken:
+            os.environ[name] = line
+            os.environ["COMP_CWORD"] = str(int(os.environ.get("COMP_CWORD", "1")) - 1)
+
+
+def columns_beginning(incomplete: str) -> list[str]:
+    """Return the columns, of the logs in the words typed, whose names begin so.
+
+    Of a name with a blank only what stands before the unit is offered, and nothing where that has one too:
+    the shells do not agree on how to quote it.
+    """
+    from dbo_cli.logs.addresses import parse_address
+    from dbo_cli.logs.byte_source import Request
+    from dbo_cli.logs.reading_options import ReadingOptions
+    from dbo_cli.logs.signal_log import open_table
+
+    line = next((os.environ[name] for name in TYPED if name in os.environ), "")
+    found: dict[str, None] = {}
+    with contextlib.suppress(ValueError):  # a quotation mark that is still open
+        for word in shlex.split(line):
+            with contextlib.suppress(DboError, OSError):
+                address = parse_address(word)
+                if os.path.isfile(address.path):
+                    table = open_table(Request(address, ReadingOptions()))
+                    found |= dict.fromkeys(_typed(column.name or "") for column in table.columns)
+                    table.close()
+    return [name for name in found if name.startswith(incomplete) and name and " " not in name]
+
+
+def _typed(name: str) -> str:
+    """Return what has to be typed for a column: ``Drive`` for ``Drive (V)``."""
+    from dbo_cli.logs.columns import split_header
+
+    return split_header(name)[0] if " " in name else name

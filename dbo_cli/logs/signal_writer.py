@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
-from dbo_cli.logs.output_files import is_replaceable
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened
+from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
@@ -169,19 +168,16 @@ def signal_writer(
         return
     with _text_stream(target) as stream:
         behind = not flush and is_replaceable(target.path)
-        comment = _comment(attributes or {}) if commented else ""
+        comment = ""
+        if commented:  # where the output comes from
+            stated = (f"{key}: {value}" for key, value in (attributes or {}).items())
+            comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
         writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
         try:
             yield writer
             writer.finish()
         finally:
             writer.close()
-
-
-def _comment(attributes: Mapping[str, str | float]) -> str:
-    """Return the comment line that says where a text output comes from."""
-    parts = [program_version_string(), *(f"{key}: {value}" for key, value in attributes.items())]
-    return f"# {cleaned('; '.join(parts))}\n"
 
 
 @contextlib.contextmanager

@@ -18,9 +18,17 @@ from dbo_cli.reports.drawing import Plot, save
 from dbo_cli.reports.report import LogReport, Report, common_unit
 from dbo_cli.runs.channels import Columns, models_by_channel, opened_readers, sum_up_remarks
 from dbo_cli.runs.jobs import Outcome, Work, good_ones, run_jobs, spread_line
-from dbo_cli.runs.reporting import ReportRun, Written, add_file, prepare_folder, report_form
+from dbo_cli.runs.reporting import (
+    ReportRun,
+    TrackingOptions,
+    TrackingReport,
+    TrackingRun,
+    Written,
+    add_log,
+    prepare_folder,
+    report_form,
+)
 from dbo_cli.runs.roles import short_names
-from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
 from dbo_cli.version import program_version_string
 
 
@@ -119,6 +127,6 @@ def _reported(
     """Compare one channel, in whichever process."""
     model = None if options.model is None else read_model(options.model)
     tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
-    add_file(tracking, log, reading, options, name)
+    add_log(tracking, log, reading, options, name)
     result = tracking.result()
     return result.report, result.remarks

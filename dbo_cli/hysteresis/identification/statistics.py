@@ -132,8 +132,13 @@ def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list
     for log in logs:
         stretch = np.arange(len(log.fold)) // length
         chosen = (stretch * GOLDEN_RATIO) % 1.0 < limit / total
-        kept.append(replace(log, fold=np.where(chosen, log.fold, -1)))
-    return kept
+        kept.append(np.where(chosen, log.fold, -1))
+    # A fold of one short cycle may have lost all its rows.
+    left = np.unique(np.concatenate([fold[fold >= 0] for fold in kept]))
+    return [
+        replace(log, fold=np.where(fold >= 0, np.searchsorted(left, fold), -1))
+        for log, fold in zip(logs, kept, strict=True)
+    ]
 
 
 def _thinned(log: PreparedLog, every: int) -> PreparedLog:

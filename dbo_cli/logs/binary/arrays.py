@@ -13,7 +13,6 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
-from dbo_cli.logs.column_names import TIME_NAMES
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -27,6 +26,7 @@ from dbo_cli.logs.column_table import (
     with_unit,
     without_scalars,
 )
+from dbo_cli.logs.columns import TIME_NAMES
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 
@@ -61,9 +61,7 @@ def open_npy(request: Request) -> ColumnTable:
                 ) from None
             raise
         sources = list(_file_array_columns(request.address.path, array))
-    if not sources:
-        raise request.no_columns([_array_shape(array)])
-    return ColumnTable(request, "NumPy array", sources)
+    return ColumnTable(request, "NumPy array", sources, held=[_array_shape(array)])
 
 
 def open_npz(request: Request) -> ColumnTable:
@@ -86,11 +84,10 @@ def open_npz(request: Request) -> ColumnTable:
     sources = without_scalars(
         [one for name, array in readable.items() for one in _array_columns(name, array)]
     )
-    if not sources:
-        raise request.no_columns(f"{name} ({_array_shape(array)})" for name, array in arrays.items())
     single = {name: array.ravel()[0] for name, array in readable.items() if array.size == 1}
     stated = {name: value for name, value in single.items() if is_clock_name(name) or isinstance(value, str)}
-    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated))
+    held = (f"{name} ({_array_shape(array)})" for name, array in arrays.items())
+    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated), held=held)
 
 
 def _member(archive: Any, name: str) -> Any:
@@ -195,14 +192,13 @@ def open_matlab(request: Request) -> ColumnTable:
     for path in request.named:
         if path not in group:
             sources += _by_path(variables, path)
-    if not sources:
-        objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
-        held = (f"{name} ({_shape(value)})" for name, value in group.items())
-        raise request.no_columns(held, MATLAB_OBJECTS if objects else "")
+    objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
+    held = (f"{name} ({_shape(value)})" for name, value in group.items())
     clock = next((stated for level in reversed(trail) if (stated := _statements(level))), [])
     starts = [value for level in trail for name, value in level.items() if name.lower() in _START_NAMES]
     start = number_in(starts[-1]) if starts and np.ndim(starts[-1]) == 0 else None
-    return ColumnTable(request, "MATLAB", sources, clock=clock, start=start or 0.0)
+    remedy = MATLAB_OBJECTS if objects else ""
+    return ColumnTable(request, "MATLAB", sources, clock, start or 0.0, held=held, remedy=remedy)
 
 
 def _struct(
@@ -226,7 +222,12 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
     if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
         known = {source.label for source in sources}
         sources += [source for source in _channels("", group) if source.label not in known]
-    channels = {name: one for name, one in group.items() if isinstance(one, dict) and _is_signal(one)}
+    structs = {name: one for name, one in group.items() if isinstance(one, dict)}
+    channels = {
+        name: one
+        for name, one in structs.items()
+        if not _is_channel_list(one) and np.ndim(_first(one, _VALUES)) == 1
+    }
     if len(channels) > 1:
         sources += _with_their_times(channels)
     elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
@@ -240,10 +241,6 @@ def _below(group: dict[str, Any]) -> Iterator[ColumnSource]:
         if isinstance(value, dict):
             for one in [*_columns(value), *_below(value)]:
                 yield replace(one, label=f"{name}/{one.label}")
-
-
-def _is_signal(value: dict[str, Any]) -> bool:
-    return not _is_channel_list(value) and np.ndim(_first(value, _VALUES)) == 1
 
 
 def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSource]:
@@ -343,9 +340,8 @@ def open_netcdf(request: Request) -> ColumnTable:
         for name, variable in variables.items():
             if not variable.shape:
                 clock += read_statements(name, variable.data, variable._attributes.get("units"))
-    if not sources:
-        raise request.no_columns(f"{name} {variable.shape}" for name, variable in variables.items())
-    return ColumnTable(request, "netCDF", sources, clock=clock)
+    held = (f"{name} {variable.shape}" for name, variable in variables.items())
+    return ColumnTable(request, "netCDF", sources, clock=clock, held=held)
 
 
 def _variable(label: str, variable: Any) -> ColumnSource:
