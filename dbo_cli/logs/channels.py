@@ -17,8 +17,7 @@ from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, column_label, list_columns
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
-from dbo_cli.logs.signal_log import file_sha256
-from dbo_cli.logs.tables import open_table
+from dbo_cli.logs.signal_log import file_sha256, open_table
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.time_column import FoundTime, find_time_column
 
@@ -74,12 +73,14 @@ def channels_of(
     found = {option: _matches(place, columns, option, one, taken) for option, one in patterns.items()}
     names = list(dict.fromkeys(channel for one in found.values() for channel in one))
     for option, one in found.items():
-        missing = [channel for channel in names if channel not in one]
-        if missing:
+        first, *others = [channel for channel in names if channel not in one] or [""]
+        if first:
             counts = ", ".join(f"`{key}` {len(found[key]):,}" for key in found)
+            shown = [*others[: _LISTED - 1], *(["…"] if len(others) >= _LISTED else [])]
+            more = f" nor for {', '.join(shown)} ({len(others) + 1:,} channels)" if others else ""
             raise InputError(
-                f"{place}: no column '{column_of(patterns[option], missing[0])}' (`{option}`) for channel"
-                f" '{missing[0]}'{_and_more(missing)} (columns found: {counts})"
+                f"{place}: no column '{column_of(patterns[option], first)}' (`{option}`) for channel"
+                f" '{first}'{more} (columns found: {counts})"
             )
     return {channel: {option: one[channel] for option, one in found.items()} for channel in names}
 
@@ -110,13 +111,6 @@ def _matches(
             if found:
                 return found
     raise InputError(f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}")
-
-
-def _and_more(channels: Sequence[str]) -> str:
-    if len(channels) == 1:
-        return ""
-    more = ", …" if len(channels) > _LISTED else ""
-    return f" nor for {', '.join(channels[1:_LISTED])}{more} ({len(channels):,} channels)"
 
 
 @dataclass(kw_only=True)
@@ -212,9 +206,8 @@ class ChannelReader:
     def __post_init__(self) -> None:
         """Open the log and find its channels."""
         if any("::" in one for one in (*self.patterns.values(), self.options.time or "")):
-            raise UsageError(
-                "a pattern of columns takes all of them, and the time, from one log: no FILE::COLUMN"
-            )
+            all_of_one = "takes all of them, and the time, from one log: no FILE::COLUMN"
+            raise UsageError(f"a pattern of columns {all_of_one}")
         self._table = self._open()
         self._first_notes = list(self._table.notes)
         try:
@@ -279,11 +272,8 @@ class ChannelReader:
         if not parts:
             return dict.fromkeys(channels)
         block = joined(parts)
-        held = dict(block.values) | (
-            {}
-            if clock is None
-            else {str(one.number): block.values[role] for role, one in clock.picks.items()}
-        )
+        timed = {} if clock is None else clock.picks
+        held = dict(block.values) | {str(one.number): block.values[role] for role, one in timed.items()}
         return {channel: self._table_of(channel, replace(block, values=held)) for channel in channels}
 
     def _table_of(self, channel: str, block: SampleBlock) -> HeldTable:

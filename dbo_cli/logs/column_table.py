@@ -15,6 +15,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.columns import column_info, column_label
+from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.reading_options import remedy_for
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, Table, are_measured, dropped_note
 from dbo_cli.logs.stated_clock import Statement, agreed_rate, read_statements
@@ -263,10 +264,9 @@ class ColumnTable(Table):
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""
-        plural = "s" if len(self.sources) != 1 else ""
         stated = [one for one in self.clock if one.rate]
         rate = f", {stated[0].rate:g} samples a second" if stated else ""
-        return f"{self.place}: {self.kind}, {len(self.sources)} column{plural}{self.where}{rate}"
+        return f"{self.place}: {self.kind}, {counted(len(self.sources), 'column')}{self.where}{rate}"
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states for these columns, and the first row's time (s).

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 
@@ -261,7 +261,7 @@ def column_label(column: ColumnInfo) -> str:
 def list_columns(columns: Sequence[ColumnInfo]) -> str:
     """List the columns of a log for an error message, shortened when there are many."""
     if not any(column.quantity for column in columns):
-        return f"it has {len(columns)} column{'s' if len(columns) != 1 else ''} without names"
+        return f"it has {counted(len(columns), 'column')} without names"
     shown = [f"{one.number} {one.name}" if one.quantity else str(one.number) for one in columns[:_LISTED]]
     more = f", … ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
@@ -293,8 +293,8 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
         if number < 1:
             raise UsageError(f"`{option}` {selector}: columns are counted from 1")
         if number > len(columns):
-            plural = "s" if len(columns) != 1 else ""
-            raise InputError(f"{place}: there is no column {number}: it has {len(columns)} column{plural}")
+            has = counted(len(columns), "column")
+            raise InputError(f"{place}: there is no column {number}: it has {has}")
         return columns[number - 1]
     wanted = cleaned(selector)
     named = [(one, " ".join(one.name.split()), one.quantity) for one in columns if one.quantity]
@@ -388,12 +388,12 @@ def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
 def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
     """Find the columns of which a word is a long name but for one letter."""
     names = [name for name in wish.guesses if len(name) >= 4]
-    found = []
-    for column in columns:
+
+    def is_slip(column: ColumnInfo) -> bool:
         words = {*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())} - wish.foreign
-        if any(_one_letter_off(word, name) for word in words for name in names):
-            found.append(column)
-    return found
+        return any(_one_letter_off(word, name) for word in words for name in names)
+
+    return [column for column in columns if is_slip(column)]
 
 
 def _suspects(

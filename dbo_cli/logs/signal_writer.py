@@ -168,19 +168,16 @@ def signal_writer(
         return
     with _text_stream(target) as stream:
         behind = not flush and is_replaceable(target.path)
-        comment = _comment(attributes or {}) if commented else ""
+        comment = ""
+        if commented:  # where the output comes from
+            stated = (f"{key}: {value}" for key, value in (attributes or {}).items())
+            comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
         writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
         try:
             yield writer
             writer.finish()
         finally:
             writer.close()
-
-
-def _comment(attributes: Mapping[str, str | float]) -> str:
-    """Return the comment line that says where a text output comes from."""
-    parts = [program_version_string(), *(f"{key}: {value}" for key, value in attributes.items())]
-    return f"# {cleaned('; '.join(parts))}\n"
 
 
 @contextlib.contextmanager

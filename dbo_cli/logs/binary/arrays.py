@@ -222,7 +222,12 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
     if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
         known = {source.label for source in sources}
         sources += [source for source in _channels("", group) if source.label not in known]
-    channels = {name: one for name, one in group.items() if isinstance(one, dict) and _is_signal(one)}
+    structs = {name: one for name, one in group.items() if isinstance(one, dict)}
+    channels = {
+        name: one
+        for name, one in structs.items()
+        if not _is_channel_list(one) and np.ndim(_first(one, _VALUES)) == 1
+    }
     if len(channels) > 1:
         sources += _with_their_times(channels)
     elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
@@ -236,10 +241,6 @@ def _below(group: dict[str, Any]) -> Iterator[ColumnSource]:
         if isinstance(value, dict):
             for one in [*_columns(value), *_below(value)]:
                 yield replace(one, label=f"{name}/{one.label}")
-
-
-def _is_signal(value: dict[str, Any]) -> bool:
-    return not _is_channel_list(value) and np.ndim(_first(value, _VALUES)) == 1
 
 
 def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSource]:

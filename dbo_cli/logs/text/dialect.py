@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.plain_text import decoded
-from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
+from dbo_cli.logs.plain_text import counted, decoded
+from dbo_cli.logs.reading_options import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
 
@@ -29,10 +29,10 @@ _LABEL = re.compile(
     re.IGNORECASE,
 )
 # 1.5 V, as Grafana formats its cells; V:1.5, as the Arduino's plotter reads it.
-NUMBER_WITH_UNIT = re.compile(
+_NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
 )
-PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
+_PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
 _MOST_ACROSS = 64  # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
 _THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = re.compile(
@@ -70,12 +70,18 @@ class Dialect:
         """Describe in one line what was detected, for ``verbose``."""
         head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
         sign = "decimal comma" if self.decimal == "," else "decimal point"
-        plural = "s" if self.width != 1 else ""
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         return (
-            f"{self.width} column{plural} separated by {mark}, {sign}, "
+            f"{counted(self.width, 'column')} separated by {mark}, {sign}, "
             f"{head}, data from line {self.first_line}"
         )
+
+
+def cause_of(cell: str) -> str:
+    """Return what to do about a cell that many rows have instead of a number; empty where it is not known."""
+    if not cell:
+        return FILL_GAPS
+    return _PLAIN_NUMBERS if _NUMBER_WITH_UNIT.fullmatch(cell) else ""
 
 
 def is_comment(line: str, comments: str) -> bool:
@@ -103,9 +109,9 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         raise InputError(f"{place}: the file is empty")
     shapes = _shapes(lines, candidates, options)
     if not shapes:
-        found = next((one for n in candidates[::-1] if (one := NUMBER_WITH_UNIT.search(lines[n]))), None)
+        found = next((one for n in candidates[::-1] if (one := _NUMBER_WITH_UNIT.search(lines[n]))), None)
         if found is not None:
-            raise InputError(f"{place}: no line holds plain numbers, but '{found[0]}' ({PLAIN_NUMBERS})")
+            raise InputError(f"{place}: no line holds plain numbers, but '{found[0]}' ({_PLAIN_NUMBERS})")
         raise InputError(f"{place}: no data rows: no line holds numbers")
     best = max(shape.score for shape in shapes)
     tied = [shape for shape in shapes if shape.score >= best - 1e-12]

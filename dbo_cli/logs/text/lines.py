@@ -5,6 +5,7 @@ The fast parsers accept a subset of this grammar; whatever they refuse is decide
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -96,6 +97,52 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
         overflow = "the instrument's overflow" if to_number(cell, decimal) is None and "37" in cell else ""
         return f"is {overflow or 'not finite'}: {shown}"
     return f"is not a number: {shown}"
+
+
+# --- is the last number of a log whole? -----------------------------------------------------------------
+
+_USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
+_NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
+
+
+def _digits(cell: str) -> tuple[int, int, int] | None:
+    """Count a number's digits before and after the decimal sign (-1: no sign) and in the exponent."""
+    found = _NUMBER.fullmatch(cell)
+    if found is None:
+        return None
+    decimals = len(found["rest"]) - 1 if found["rest"] is not None else -1
+    return len(found["whole"]), decimals, len(found["exponent"] or "")
+
+
+def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Return whether a number has visibly fewer digits than all the numbers above it.
+
+    Fewer decimals, or fewer digits in the exponent, than any number above: cut, unless it ends in ``.0`` as
+    whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
+    decimal sign alone mean nothing (99 follows 100), unless the value leaps as well.
+    """
+    own = _digits(cell)
+    others = [one for one in map(_digits, above) if one is not None]
+    if own is None or not others:
+        return False
+    whole, decimals, exponent = (min(counts) for counts in zip(*others, strict=True))
+    if own[2] < exponent:
+        return True
+    if own[1] < decimals:
+        varying = len({one[1] for one in others}) > 1
+        return not (varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal))
+    shorter = len(cell) < min(map(len, above)) or own[0] < whole
+    return shorter and _leaps(cell, above, decimal)
+
+
+def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Return whether the last number is further from the one above than numbers above are from each other."""
+    value = to_number(cell, decimal)
+    numbers = [number for number in (to_number(one, decimal) for one in above) if number is not None]
+    if value is None or len(numbers) < 2:
+        return False
+    steps = [abs(later - earlier) for earlier, later in itertools.pairwise(numbers)]
+    return abs(value - numbers[-1]) > _USUAL_STEPS * max(steps)
 
 
 # --- header blocks that stand again, one before each segment (LabVIEW's Multi_Headings) --------------

@@ -26,7 +26,7 @@ from dbo_cli.logs.column_table import (
     without_scalars,
 )
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.reading_options import FILL_GAPS
 from dbo_cli.logs.stated_clock import FACTORS, Statement, time_unit
 from dbo_cli.logs.text.dialect import Dialect, is_comment
@@ -166,8 +166,7 @@ def _row(place: str, line: str, width: int) -> list[float]:
     values = [float("nan") if cell.upper() == "NAN" else to_number(cell, ".") for cell in cells]
     numbers = [value for value in values if value is not None]
     if len(numbers) != width or len(cells) != width:
-        plural = "s" if width != 1 else ""
-        raise InputError(f"{place}: not one number for each of {width} wave{plural}: '{line[:40]}'")
+        raise InputError(f"{place}: not one number for each of {counted(width, 'wave')}: '{line[:40]}'")
     return numbers
 
 
