@@ -88,7 +88,8 @@ class TrackingOptions:
             raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
         if segment not in (None, "cycles"):
             if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
-                raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")
+                given = segment if isinstance(segment, str) else f"{segment:g}"
+                raise UsageError(f"`segment` {given}: neither 'cycles' nor a number of seconds above 0")
 
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
