@@ -204,7 +204,7 @@ class ChannelFits:
             return functools.partial(_as_it_is, self.apart[channel])
         fit, judged = ([one.log(channel) for one in some] for some in (readers, checks))
         number = readers[0].channels[channel]["displacement"].number
-        if fit[0].table is not None:
+        if isinstance(fit[0], Address) and fit[0].table is not None:
             digest = hashlib.sha256(fit[0].table.block.values[str(number)].tobytes()).digest()
             self._seen.setdefault(digest, {})[channel] = None
         columns = self.columns.of_channel(channel)
