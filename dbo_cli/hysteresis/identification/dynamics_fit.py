@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
+from dbo_cli.hysteresis.identification.evaluation import TINY
 from dbo_cli.hysteresis.identification.fast_parts import FastPart
 from dbo_cli.hysteresis.identification.recordings import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -116,8 +117,9 @@ class Signals:
         self.measured = log.displacement[rows]
         self.voltage = log.voltage[rows]
         self.block = (np.arange(self.measured.size) * BLOCKS) // self.measured.size
-        at = np.linspace(-1.0, 1.0, self.measured.size)
-        self.offsets = np.column_stack([np.ones_like(at), at])
+        self._at = np.linspace(-1.0, 1.0, self.measured.size)  # of the drift, at right angles to an offset
+        self._at /= np.sqrt(np.einsum("i,i->", self._at, self._at))
+        self._steady = self._without_drift(self.measured)
         self._model = model
         before = model.start(float(log.voltage[0]), "auto")
         self._state = model.simulate(log.voltage[: rows.start], before, time_step=part.time_step).state
@@ -132,6 +134,19 @@ class Signals:
     def _after(self, lag: float, sampled: bool) -> Floats:
         drive = lagged(self.voltage, lag, self.time_step, sampled)
         return self._model.simulate(drive, self._state, time_step=self.time_step).y
+
+    def _without_drift(self, signal: Floats) -> Floats:
+        """Return what an offset and an even drift do not explain of a signal."""
+        free: Floats = signal - signal.mean()
+        free -= np.einsum("i,i->", self._at, free) * self._at
+        return free
+
+    def left(self, moved: Floats) -> Floats:
+        """Return what is measured beside a prediction, the best gain, offset and drift fitted."""
+        free = self._without_drift(moved)
+        power = max(float(np.einsum("i,i->", free, free)), TINY)
+        left: Floats = self._steady - np.einsum("i,i->", self._steady, free) / power * free
+        return left
 
     def moved(self, parameters: Floats, structure: Structure) -> Floats:
         """Return the prediction through the lag, the gears and the resonances."""
@@ -167,11 +182,7 @@ def lagged(x: Floats, seconds: float, time_step: float, sampled: bool = False) -
 
 def residuals(signals: Sequence[Signals], parameters: Floats, structure: Structure) -> list[Floats]:
     """Return measured minus predicted through the dynamics, gain, offset and drift of each part fitted."""
-    left = []
-    for one in signals:
-        columns = np.column_stack([one.moved(parameters, structure), one.offsets])
-        left.append(one.measured - columns @ np.linalg.lstsq(columns, one.measured, rcond=None)[0])
-    return left
+    return [one.left(one.moved(parameters, structure)) for one in signals]
 
 
 def sections_of(parameters: Floats, structure: Structure) -> tuple[Section, ...]:
