@@ -136,10 +136,9 @@ class RelativeModel(ActuatorModel):
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
-        still = np.zeros(1) if operator.by_rate.size else NOTHING
-        ends = [operator.run(np.array([value]), operator.after(end), still)[0] for end in (operator.low, 1.0)]
-        low, high = (float(through(forward.tail, end)[0]) for end in ends)
-        return abs(high - low)
+        ends = [operator.slow_output(value, operator.after(end)) for end in (operator.low, 1.0)]
+        low, high = through(forward.tail, np.array(ends)).tolist()
+        return float(abs(high - low))
 
     @cached_property
     def _covered(self) -> tuple[float, float]:
