@@ -33,9 +33,9 @@ from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
 from dbo_cli.hysteresis.identification.search import Score, simplest_of
 from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.hysteresis.operators import DiscretePointOperator
+from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
 from dbo_cli.relatives.play_model import RelativeModel
-from dbo_cli.relatives.plays import Floats, Kind, PlayOperator
+from dbo_cli.relatives.plays import Kind, PlayOperator
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
 PLAYS = (12, 25, 50, 100)  # to choose from

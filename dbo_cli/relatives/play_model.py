@@ -14,23 +14,15 @@ from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import ScaleStage, Stage, through
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
 from dbo_cli.hysteresis.model_file import Node
-from dbo_cli.hysteresis.model_state import (
-    START_NAMES,
-    DriveLimits,
-    ModelState,
-    StartName,
-)
-from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Outside
+from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
+from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Floats, Outside
 from dbo_cli.relatives.plays import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
-
-Floats = NDArray[np.float64]
 
 
 class RelativeModel(ActuatorModel):
