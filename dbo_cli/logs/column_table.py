@@ -135,14 +135,15 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
     return replace(array_source(name, numbers, unit), problem="".join(odd))
 
 
-def matrix_sources(name: str, array: Any, column: str = "{name}[{number}]") -> list[ColumnSource]:
+def matrix_sources(name: str, array: Any) -> list[ColumnSource]:
     """Make columns of a vector or a matrix, whose longer axis is time; none of what holds no numbers."""
     if array.dtype.kind not in "fiub" or array.ndim not in (1, 2) or not array.size:
         return []
     if array.ndim == 1:
         return [array_source(name, array)]
     table = array if array.shape[0] >= array.shape[1] else array.T
-    labels = [column.format(name=name, number=index) for index in range(1, table.shape[1] + 1)]
+    width = table.shape[1]
+    labels = [f"{name}[{number}]" for number in range(1, width + 1)] if width > 1 else [name]
     return [array_source(label, table[:, index]) for index, label in enumerate(labels)]
 
 

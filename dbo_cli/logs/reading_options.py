@@ -152,11 +152,8 @@ class ReadingOptions:
 
     def chosen(self) -> dict[str, object]:
         """Return what the user gave, under its parameter's name; how many rows are held changes nothing."""
-        given: dict[str, object] = {}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if value != field.default and field.name != "block_rows":
-                given[field.name] = value
+        own = [field for field in dataclasses.fields(self) if field.name != "block_rows"]
+        given = {one.name: value for one in own if (value := getattr(self, one.name)) != one.default}
         if "rows" in given:
             first, last = self.rows
             given["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"

@@ -188,7 +188,9 @@ def _join_files(
         for other in others.values():
             other.table.close()
         raise
-    table = _JoinedTable(table, list(others.values()), columns, options) if others else table
+    if others:
+        first = _File(table, {column.number: column for column in table.columns})
+        table = _JoinedTable(table.place, columns, table.notes, [first, *others.values()], options)
     return table, wishes, options, list(others)
 
 
@@ -223,22 +225,20 @@ def _refuse_missing(table: Table, wish: ColumnWish) -> None:
         raise InputError(f"{path}: no such file ({takes})")
 
 
+@dataclass
 class _JoinedTable(Table):
-    """Several files as one."""
+    """Several files as one; the first has the place and takes the notes."""
 
-    def __init__(
-        self, first: Table, others: Sequence[_File], columns: list[ColumnInfo], options: ReadingOptions
-    ) -> None:
-        self.place = first.place
-        self.columns = columns
-        self.notes = first.notes
-        self._files = [_File(first, {column.number: column for column in first.columns}), *others]
-        self._options = options
-        self._step = 0.0
+    place: str
+    columns: list[ColumnInfo]
+    notes: list[str]
+    files: Sequence[_File]
+    options: ReadingOptions
+    _step: float = 0.0
 
     def describe(self) -> str:
         """Describe in one line how each file is written."""
-        return "; ".join(file.table.describe() for file in self._files)
+        return "; ".join(file.table.describe() for file in self.files)
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
@@ -248,7 +248,7 @@ class _JoinedTable(Table):
         InputError
             They do not agree.
         """
-        first, *others = self._files
+        first, *others = self.files
         rate, start = first.table.even_clock([one for one in columns if one.number in first.columns])
         for other in others:
             rate_there, start_there = other.table.even_clock(list(other.columns.values()))
@@ -269,18 +269,17 @@ class _JoinedTable(Table):
         InputError
             The files are not equally long, or their clocks do not agree.
         """
-        first, *others = self._files
+        first, *others = self.files
         timed = TIME in picks and picks[TIME].number in first.columns  # else there is nothing to compare
         if timed:
             column = first.columns[picks[TIME].number]
-            first.clock = time_column(self.place, column, list(first.table.columns), self._options.time_unit)
+            first.clock = time_column(self.place, column, list(first.table.columns), self.options.time_unit)
         streams = []
-        for file in self._files:
-            own = {
-                role: replace(file.columns[pick.number], may_be_blank=pick.may_be_blank)
-                for role, pick in picks.items()
-                if pick.number in file.columns
-            }
+        for file in self.files:
+            own = {}
+            for role, pick in picks.items():
+                if pick.number in file.columns:
+                    own[role] = replace(file.columns[pick.number], may_be_blank=pick.may_be_blank)
             clock = file.clock if timed else None
             extra = {} if clock is None or file is first else dict(clock.picks)
             if own or extra:
@@ -288,7 +287,7 @@ class _JoinedTable(Table):
                 role = _CLOCK if file is first else _CLOCK + file.table.place
                 seconds = found if clock is None else _with_seconds(clock, found, role, extra)
                 streams.append((file.table.place, seconds))
-        for block in _in_step(streams, self._options.skip_bad, self.notes):
+        for block in _in_step(streams, self.options.skip_bad, self.notes):
             yield self._checked(block)
         for other in others:
             self.notes.extend(other.table.notes)
@@ -315,13 +314,13 @@ class _JoinedTable(Table):
 
     def close(self) -> None:
         """Close all files."""
-        for file in self._files:
+        for file in self.files:
             file.table.close()
 
     @property
     def sha256(self) -> str | None:
         """The digest of the first file, where it was asked for."""
-        return self._files[0].table.sha256
+        return self.files[0].table.sha256
 
 
 def _with_seconds(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -32,6 +33,7 @@ class SignalWriter(Protocol):
         """Append rows."""
 
 
+@dataclass
 class TextWriter:
     """Appends rows of delimited text to a binary stream.
 
@@ -39,31 +41,27 @@ class TextWriter:
     arrays must not change after they were handed in.
     """
 
-    def __init__(
-        self,
-        stream: IO[bytes],
-        columns: Sequence[OutColumn],
-        delimiter: str,
-        flush: bool,
-        behind: bool,
-        comment: str = "",
-    ) -> None:
-        self._stream = stream
-        self._delimiter = delimiter
-        self._flush = flush
-        self._may_lag = behind
-        self._pool: ThreadPoolExecutor | None = None
-        self._running: Future[None] | None = None
-        self._columns, self._headers = columns, unique_headers(columns)
-        cells = [header_cell(header, delimiter) for header in self._headers]
-        stream.write((comment + delimiter.join(cells) + "\n").encode())
-        if flush:
-            stream.flush()
+    stream: IO[bytes]
+    columns: Sequence[OutColumn]
+    delimiter: str
+    flush: bool
+    behind: bool
+    comment: str = ""
+    _pool: ThreadPoolExecutor | None = None
+    _running: Future[None] | None = None
+
+    def __post_init__(self) -> None:
+        """Write the header."""
+        self._headers = unique_headers(self.columns)
+        cells = [header_cell(header, self.delimiter) for header in self._headers]
+        self.stream.write((self.comment + self.delimiter.join(cells) + "\n").encode())
+        if self.flush:
+            self.stream.flush()
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
         self.finish()
-        if self._may_lag and np.size(arrays[0]) >= _WORTH_A_THREAD:
+        if self.behind and np.size(arrays[0]) >= _WORTH_A_THREAD:
             if self._pool is None:
                 from concurrent.futures import ThreadPoolExecutor
 
@@ -71,8 +69,8 @@ class TextWriter:
             self._running = self._pool.submit(self._append, arrays)
             return
         self._append(arrays)
-        if self._flush:
-            self._stream.flush()
+        if self.flush:
+            self.stream.flush()
 
     def finish(self) -> None:
         """Wait until the rows so far are handed to the stream.
@@ -93,10 +91,10 @@ class TextWriter:
 
     def _append(self, arrays: Sequence[ArrayLike]) -> None:
         if np.size(arrays[0]):
-            require_finite(self._columns, self._headers, arrays)
+            require_finite(self.columns, self._headers, arrays)
             for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
                 rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
-                self._stream.write(rows_as_text(rows, self._delimiter))
+                self.stream.write(rows_as_text(rows, self.delimiter))
 
 
 class _Keeper:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # --- which file an output is ------------------------------------------------------------------------
 
 # Linux' names of open files, and the names that ``partial_path`` gives.
-_DESCRIPTOR = re.compile(r"/(?:dev/fd|proc/(?:self|thread-self|\d+)/fd)/(\d{1,9})")
+_DESCRIPTOR = re.compile(r"/(?:dev/fd|proc/(?:self|thread-self|\d+(?:/task/\d+)?)/fd)/(\d{1,9})")
 _PARTIAL = re.compile(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
 _NAME_BYTES = 100  # of the output's own name; most file systems allow 255 bytes for all of it
 WINDOWS = os.name == "nt"
@@ -62,7 +62,7 @@ def descriptor_of(path: str) -> int | None:
     here = path
     for _ in range(_MOST_LINKS):
         folder, name = os.path.split(here)
-        here = os.path.join(_plain_folder(folder), name)
+        here = os.path.join(os.path.realpath(folder or "."), name)
         found = _DESCRIPTOR.fullmatch(here)
         if found:
             return int(found[1])
@@ -77,16 +77,6 @@ def is_replaceable(path: str) -> bool:
     """Tell whether an output is a file to be renamed to: no stream, device or open descriptor."""
     regular = path != "-" and (os.path.isfile(path) or not os.path.exists(path))
     return regular and descriptor_of(path) is None
-
-
-def _plain_folder(folder: str) -> str:
-    """Resolve links in a folder, but keep /dev/fd and /proc/self/fd in their short spelling."""
-    absolute = os.path.abspath(folder or ".")
-    own = f"/proc/{os.getpid()}/"
-    resolved = os.path.realpath(absolute)
-    if resolved.startswith(own) and resolved.endswith("/fd"):
-        return "/proc/self/fd"
-    return resolved
 
 
 def identity_of(address: Given, *, reading: bool = False) -> FileIdentity | None:
@@ -158,15 +148,14 @@ def check_outputs(outputs: Sequence[Given], inputs: Sequence[Given] = ()) -> Non
     read = {identity_of(given, reading=True) for given in _readable(inputs)}
     written: dict[FileIdentity, Address] = {}
     for target in targets:
-        which = identity_of(target)
-        if which is not None and which in read:
+        which = identity_of(target) or (object(),)  # what may be used twice is like nothing else
+        if which in read:
             raise UsageError(f"{_called(target)}: this output is also an input: write to another file")
-        if which is not None and which in written:
+        if which in written:
             first, again = _called(written[which]), _called(target)
             same = f"{first} and {again} are" if first != again else f"{first} is"
             raise UsageError(f"{same} one file, and two outputs go there: give each a file of its own")
-        if which is not None:
-            written[which] = target
+        written[which] = target
         if not target.is_stream:
             _check_place(target.path)
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
@@ -24,9 +25,11 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.reports.drawing import check_folder, refuse_picture
+from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch, rows_to_read
+from dbo_cli.runs.channels import Columns, models_by_channel, opened_readers, sum_up_remarks
+from dbo_cli.runs.jobs import Outcome, Work, spread_line
 from dbo_cli.runs.roles import bring_to, opened, short_names
 from dbo_cli.version import program_version_string
 
@@ -85,7 +88,8 @@ class TrackingOptions:
             raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
         if segment not in (None, "cycles"):
             if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
-                raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")
+                given = segment if isinstance(segment, str) else f"{segment:g}"
+                raise UsageError(f"`segment` {given}: neither 'cycles' nor a number of seconds above 0")
 
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
@@ -389,36 +393,44 @@ class ReportRun:
     form: str | None = None
     figures: str | None = None
 
+    def prepared(self) -> tuple[str, list[Given]]:
+        """Return the report's form and the inputs; what cannot be written is refused before the long work."""
+        options, chosen = self.options, report_form(self.output, self.form)
+        check_document(self.output, "a report", chosen)
+        files = [name for name in (options.model, options.trajectory) if name is not None]
+        inputs: list[Given] = [*self.logs, *files]
+        inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)
+        check_output(self.output, inputs)
+        if self.figures is not None:
+            prepare_folder(self.figures)
+        return chosen, inputs
+
+    def write(self, content: bytes, inputs: Sequence[Given]) -> None:
+        """Write the report; a reader who has seen enough of it does not do without the figures."""
+        try:
+            write_whole(self.output, content, protect=inputs)
+        except BrokenPipeError:
+            if self.figures is None:
+                raise
+
 
 @all_or_none()
 def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
-    logs, output, reading, options, figures = (
-        asked.logs, asked.output, asked.reading, asked.options, asked.figures
-    )  # fmt: skip
+    options, figures = asked.options, asked.figures
     if options.model is not None and options.trajectory is not None:
         refuse_both()
-    chosen = report_form(output, asked.form)
-    check_document(output, "a report", chosen)
-    inputs: list[Given] = [*logs, *(name for name in (options.model, options.trajectory) if name is not None)]
-    inputs += selected_files(options.desired, options.measured, options.voltage, reading.time)
-    check_output(output, inputs)
-    if figures is not None:
-        prepare_folder(figures)
+    chosen, inputs = asked.prepared()
     model = None if options.model is None else read_model(options.model)
     traced = figures is not None or chosen == "html"
     tracking = TrackingRun(options.scoring(model is not None), model, str(options.model), traced)
-    names = short_names(logs)
-    for address in logs:
-        add_log(tracking, address, reading, options, names.get(address), listener)
+    names = short_names(asked.logs)
+    for address in asked.logs:
+        add_log(tracking, address, asked.reading, options, names.get(address), listener)
     result = tracking.result()
     if figures is not None:
         result.figures(figures)
-    try:
-        write_whole(output, result.rendered(chosen), protect=inputs)
-    except BrokenPipeError:  # the reader has seen enough; the figures were asked for all the same
-        if figures is None:
-            raise
+    asked.write(result.rendered(chosen), inputs)
     return Written(result.report, chosen, result.remarks)
 
 
@@ -515,3 +527,96 @@ def open_trajectory(address: Address, desired: str | None, reading: ReadingOptio
     log.close()
     timed = dataclasses.replace(own, sample_rate=reading.sample_rate)
     return open_log(address, trajectory_wishes(desired), timed)
+
+
+# --- channels: a line each, and how their errors are spread, as a line and as figures ---
+
+
+@all_or_none()
+def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written:
+    """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
+    logs, options = asked.logs, asked.options
+    if options.trajectory is not None:
+        raise UsageError(
+            "`trajectory` holds one desired signal: a pattern takes `desired` from the log itself"
+        )
+    wanted = None if options.model is not None else options.desired or ""
+    drive = (options.voltage or "") if options.model is not None else options.voltage
+    columns = Columns.of(desired=wanted, measured=options.measured or "", voltage=drive)
+    chosen, inputs = asked.prepared()
+    outcome = Outcome()
+    merits: list[LogReport] = []
+    units: list[tuple[str, str | None]] = []
+    texts: dict[str, Remarks] = {}
+    short = short_names(logs)
+    with opened_readers(logs, asked.reading, columns) as readers:
+        channels = list(readers[0].channels)
+        models = None if options.model is None else models_by_channel(options.model, channels)
+        if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
+            outcome.remarks.warn(
+                f"the models of {options.model} are coupled, and each is compared by itself: what the others "
+                "show is in the error (simulate takes the coupling into account)"
+            )
+
+        def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
+            for reader, address in zip(readers, logs, strict=True):
+                for channel in channels:
+                    name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
+                    own: dict[str, Any] = columns.of_channel(channel)
+                    own |= {"model": models(channel) if models else None}
+                    one = dataclasses.replace(options, **own)
+                    yield name, functools.partial(_reported, reader.log(channel), name, asked.reading, one)
+
+        count = len(channels) * len(logs)
+        for one in outcome.good(jobs(), work, "channel", count, listener):
+            found, texts[one.name] = one.value
+            merits += found.logs
+            units.append((one.name, found.unit))
+    report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
+    if merits:
+        _write(asked, report, chosen, inputs)
+    sum_up_remarks(texts, columns.patterns["measured"], outcome.remarks)
+    drawn = asked.figures is not None or chosen == "html"
+    outcome.remarks.notes += _summary(merits, columns if drawn and len(logs) == 1 else None)
+    return Written(report, chosen, outcome.remarks, outcome.failure)
+
+
+def _summary(merits: Sequence[LogReport], drawn: Columns | None) -> Iterator[str]:
+    """Return how the errors are spread, and how the figures of the worst are made where all were drawn."""
+    percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
+    if percents:
+        yield spread_line(percents, "channel", "RMSE of range", {})
+    if percents and drawn is not None:
+        worst = max(percents, key=percents.__getitem__)
+        own = ", ".join(f"`{option}` '{name}'" for option, name in drawn.of_channel(worst).items())
+        yield f"the figures are of all channels; for those of one name its columns: {own}"
+
+
+def _write(asked: ReportRun, report: Report, form: str, inputs: Sequence[Given]) -> None:
+    """Write the report; a page and figures show all channels together."""
+    plots: list[Plot] = []
+    if asked.figures is not None or form == "html":
+        from dbo_cli.reports.figures import plots_of_channels
+
+        plots = plots_of_channels(report)
+    if asked.figures is not None:
+        save(plots, Path(asked.figures), "channels")
+    if form == "html":
+        from dbo_cli.reports.page import to_html
+
+        none = [()] * len(report.logs)
+        page = to_html(report, none, comparison_plots=plots, program=program_version_string()).encode()
+    else:
+        page = TrackingReport(report, (), None, Remarks()).rendered(form)
+    asked.write(page, inputs)
+
+
+def _reported(
+    log: Address, name: str, reading: ReadingOptions, options: TrackingOptions
+) -> tuple[Report, Remarks]:
+    """Compare one channel, in whichever process."""
+    model = None if options.model is None else read_model(options.model)
+    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
+    add_log(tracking, log, reading, options, name)
+    result = tracking.result()
+    return result.report, result.remarks

@@ -103,8 +103,7 @@ def _member(archive: Any, name: str) -> Any:
 def _array_columns(name: str, array: Any) -> list[ColumnSource]:
     if array.dtype.names is not None and array.ndim == 1:
         return [array_source(f"{name}/{field}", array[field]) for field in _numbers_in(array.dtype)]
-    single = array.ndim == 2 and 1 in array.shape
-    return matrix_sources(name, array, "{name}" if single else "{name}[{number}]")
+    return matrix_sources(name, array)
 
 
 def _numbers_in(kind: Any) -> list[str]:
@@ -172,23 +171,23 @@ def open_matlab(request: Request) -> ColumnTable:
         except (IndexError, EOFError):
             raise ValueError("it ends early") from None
     variables = {name: value for name, value in stored.items() if not name.startswith("__")}
-    group, trail = _struct(place, variables, request.address.group)
-    sources, level = _columns(group), {"": (trail, group)}
+    trail = _struct(place, variables, request.address.group or "")
+    group, sources, level = trail[-1], _columns(trail[-1]), {"": trail}
     while not sources and level:  # the shallowest structs that have any
         level = {
-            f"{name}.{member}".lstrip("."): ([*above, value], value)
-            for name, (above, struct) in level.items()
-            for member, value in struct.items()
+            f"{name}.{member}".lstrip("."): [*above, value]
+            for name, above in level.items()
+            for member, value in above[-1].items()
             if isinstance(value, dict)
         }
-        inner = {name: found for name, (_, value) in level.items() if (found := _columns(value))}
+        inner = {name: found for name, above in level.items() if (found := _columns(above[-1]))}
         if len(inner) > 1:
             raise InputError(
                 f"{place}: columns in {len(inner)} structs, {', '.join(inner)}: which one? "
                 f"(write {request.address.path}::{next(iter(inner))})"
             )
         for name, found in inner.items():
-            trail, sources = level[name][0], found
+            trail, sources = level[name], found
     for path in request.named:
         if path not in group:
             sources += _by_path(variables, path)
@@ -201,18 +200,16 @@ def open_matlab(request: Request) -> ColumnTable:
     return ColumnTable(request, "MATLAB", sources, clock, start or 0.0, held=held, remedy=remedy)
 
 
-def _struct(
-    place: str, variables: dict[str, Any], path: str | None
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Go down to the struct that ``FILE::a.b`` names; the variables themselves without one."""
-    group, trail = variables, [variables]
-    for part in [part for part in (path or "").replace("/", ".").split(".") if part]:
-        value = group.get(part)
+def _struct(place: str, variables: dict[str, Any], path: str) -> list[dict[str, Any]]:
+    """Go down to the struct that ``FILE::a.b`` names; returns it behind all above, the variables first."""
+    trail = [variables]
+    for part in filter(None, path.replace("/", ".").split(".")):
+        value = trail[-1].get(part)
         if not isinstance(value, dict):
-            names = ", ".join(name for name, one in group.items() if isinstance(one, dict)) or "none"
+            names = ", ".join(name for name, one in trail[-1].items() if isinstance(one, dict)) or "none"
             raise InputError(f"{place}: there is no struct '{part}': the structs are: {names}")
-        group, trail = value, [*trail, value]
-    return group, trail
+        trail.append(value)
+    return trail
 
 
 def _columns(group: dict[str, Any]) -> list[ColumnSource]:
@@ -250,9 +247,8 @@ def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSou
         yield from _channels(name, {_LABELS[0]: name} | value)
         for key in (key for key in value if key.lower() in TIME_NAMES and np.ndim(value[key]) == 1):
             times[name] = value[key]
-    same = len(times) == len(channels) and all(
-        np.array_equal(one, next(iter(times.values()))) for one in times.values()
-    )
+    first: Any = next(iter(times.values()), None)
+    same = len(times) == len(channels) and all(np.array_equal(one, first) for one in times.values())
     for name in list(times)[:1] if same else times:
         yield array_source("time" if same else f"{name}/time", times[name])
 
@@ -268,11 +264,8 @@ def _is_channel(value: Any) -> bool:
 def _is_channel_list(value: Any) -> bool:
     """Recognise an array of structs with a name and values each (dSPACE's Y, Simulink's signals)."""
     items = value if isinstance(value, list | np.ndarray) else [value]
-    return (
-        (not isinstance(items, np.ndarray) or items.dtype == object)
-        and len(items) > 0
-        and all(_is_channel(one) and _first(one, _LABELS) for one in items)
-    )
+    structs = isinstance(items, list) or items.dtype == object
+    return structs and len(items) > 0 and all(_is_channel(one) and _first(one, _LABELS) for one in items)
 
 
 def _channels(name: str, value: Any) -> Iterator[ColumnSource]:

@@ -126,7 +126,10 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     if options.decimal is None and shape.delimiter != "," and doubtful:
         decimal = _late_decimal(place, lines[layout.first :], comments)
     data = [lines[number] for number in candidates if number >= layout.first]
-    rows = [split_cells(line, shape.delimiter) for line in data[:3]]
+    rows, last = (
+        [split_cells(line, shape.delimiter) for line in some]
+        for some in (data[:SAMPLE_LINES], data[-SAMPLE_LINES:])
+    )
     headers, units = _aligned(place, layout, shape.width, rows)
     if headers and not any(units):
         units = _units_apart(lines[: layout.first], headers, shape, comments)
@@ -136,12 +139,12 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
             "read_csv(FILE, header=None, index_col=0).T)"
         )
     if not headers and options.header_lines is None:
-        _ask_about_numbered_columns(place, data[:SAMPLE_LINES], shape)
+        _ask_about_numbered_columns(place, rows)
     return Dialect(
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
-        _writings(data[-SAMPLE_LINES:], shape),
+        _writings(last, shape),
         find_header_block(lines, layout.first, shape.delimiter),
-        _is_sparse(data[-SAMPLE_LINES:], shape),
+        _is_sparse(last, shape),
         tuple(one for line in lines[: layout.first] for one in labelled(line, comments)),
     )  # fmt: skip
 
@@ -153,8 +156,8 @@ def labelled(line: str, comments: str, units: bool = True) -> list[tuple[str, st
     return [] if label is None or (label["unit"] and not units) else [(label[0], body[label.end() :])]
 
 
-def _is_sparse(sample: list[str], shape: _Shape) -> bool:
-    rows = [split_cells(line, shape.delimiter)[: shape.width] for line in sample]
+def _is_sparse(rows: list[list[str]], shape: _Shape) -> bool:
+    rows = [row[: shape.width] for row in rows]
     full = [[column for column, cell in enumerate(row) if is_number(cell, shape.decimal)] for row in rows]
     if shape.delimiter == BLANKS or len(set(map(tuple, full))) < 2:
         return False
@@ -162,7 +165,7 @@ def _is_sparse(sample: list[str], shape: _Shape) -> bool:
     return all(any(n < len(row) and not row[n] for n in partly) for row in rows)
 
 
-def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> None:
+def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
     """Refuse a first row that counts the columns above rows of decimals: a table saved without names.
 
     Two numbers may be a sample written short (0,1), so they are asked about only where no other cell is.
@@ -172,7 +175,7 @@ def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> N
     InputError
         It may be a header or a sample.
     """
-    first, *others = [split_cells(line, shape.delimiter) for line in data]
+    first, *others = rows
     written = first[1:] if not first[0] else first
     counted = [[str(number + start) for number in range(len(written))] for start in (0, 1)]
     if written not in counted or len(written) < 2:
@@ -185,14 +188,13 @@ def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> N
         )
 
 
-def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:
+def _writings(rows: list[list[str]], shape: _Shape) -> tuple[str, ...]:
     """Find the columns of time stamps; empty where there are none."""
     others = sorted(set(range(shape.width)) - shape.numeric)
     if not others:
         return ()
     from dbo_cli.logs.text.time_stamps import writing_of
 
-    rows = [split_cells(line, shape.delimiter) for line in sample]
     rows = [row for row in rows if len(row) >= shape.width]
     found = {column: writing_of([row[column] for row in rows]) for column in others}
     if not any(found.values()):

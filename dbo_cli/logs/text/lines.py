@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dbo_cli.errors import InputError
@@ -185,6 +186,7 @@ def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     return None if date is None or clock is None else (date, clock)
 
 
+@dataclass
 class RepeatedHeader:
     """Takes header blocks out of the data, and lets the time go on where a segment begins it again.
 
@@ -192,17 +194,16 @@ class RepeatedHeader:
     is not stated, it begins one step after the last row.
     """
 
-    def __init__(self, place: str, block: HeaderBlock) -> None:
-        self.place = place
-        self.block = block
-        self.count = 0
-        self.guessed = 0
-        self._lines: list[str] | None = None
-        self._begins = False
-        self._start: tuple[float, float] | None = None
-        self._shift = 0.0
-        self._last: float | None = None
-        self._step = 0.0
+    place: str
+    block: HeaderBlock
+    count: int = 0
+    guessed: int = 0
+    _lines: list[str] | None = None
+    _begins: bool = False
+    _start: tuple[float, float] | None = None
+    _shift: float = 0.0
+    _last: float | None = None
+    _step: float = 0.0
 
     def takes(self, line: str, number: int) -> bool:
         """Return whether a line belongs to a header block and not to the data.
@@ -270,27 +271,27 @@ class RepeatedHeader:
 # --- blocks of whole lines ---------------------------------------------------------------------------
 
 
+@dataclass
 class LineBlocks:
     """Blocks of whole lines of a source; the first one can be looked at before it is taken.
 
     ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
-    counts those that were left out at the start.
+    counts those that were left out at the start; ``ended`` tells that the source has been read to its end.
     """
 
-    def __init__(self, source: ByteSource, block_bytes: int) -> None:
-        self.block_bytes = block_bytes
-        self._source = source
-        self.above = b""
-        self.empty_lines = 0
-        self._pending = b""
-        self._ended = False
+    source: ByteSource
+    block_bytes: int
+    above: bytes = b""
+    empty_lines: int = 0
+    ended: bool = False
+    _pending: bytes = b""
 
     def head(self, enough: Any) -> bytes:
         """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
 
         ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
         """
-        while not self._ended:
+        while not self.ended:
             read = len(self._pending)
             if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
                 break
@@ -303,9 +304,9 @@ class LineBlocks:
     def longer_head(self) -> bytes | None:
         """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
         wanted = 2 * len(self._pending)
-        if self._ended or wanted > LONGEST_LINE:
+        if self.ended or wanted > LONGEST_LINE:
             return None
-        while len(self._pending) < wanted and not self._ended:
+        while len(self._pending) < wanted and not self.ended:
             self._fill(wanted - len(self._pending))
         return self._pending
 
@@ -318,11 +319,6 @@ class LineBlocks:
             self.empty_lines += above.count(b"\n")
             self._pending = self._pending[end:]
 
-    @property
-    def whole_in_head(self) -> bool:
-        """Whether the source ended inside what has been read."""
-        return self._ended
-
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
         while True:
@@ -331,7 +327,7 @@ class LineBlocks:
                 self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
                 yield block
             self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
-            if self._ended:
+            if self.ended:
                 break
             self._fill(self.block_bytes)
         if self._pending:
@@ -353,16 +349,16 @@ class LineBlocks:
         return cuts
 
     def _fill(self, size: int) -> None:
-        data = self._source.read(size)
+        data = self.source.read(size)
         if not data:
-            self._ended = True
+            self.ended = True
         elif self._pending:
             self._pending += data
         else:
             self._pending = data
         if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
             raise InputError(
-                f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
+                f"{self.source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
             )
 
 

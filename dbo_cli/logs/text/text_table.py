@@ -84,10 +84,10 @@ class TextTable(Table):
             self.source.close()
             raise
         self.columns = self._describe_columns()
-        self._small = not live and self._lines.whole_in_head and len(head) < PLAIN_BYTES
+        self._small = not live and self._lines.ended and len(head) < PLAIN_BYTES
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._live = live
-        self._ahead = self.source.is_regular and not (live or self._lines.whole_in_head)
+        self._ahead = self.source.is_regular and not (live or self._lines.ended)
 
     def _detected(
         self, head: bytes | None, options: ReadingOptions, live: bool
@@ -97,7 +97,7 @@ class TextTable(Table):
         if options.skip_lines:
             options = replace(options, skip_lines=max(0, options.skip_lines - above))
         while head is not None:
-            whole = self._lines.whole_in_head
+            whole = self._lines.ended
             try:
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
                 if _PLAIN.fullmatch(complete):
@@ -203,15 +203,14 @@ def _has_data(text: bytes, options: ReadingOptions) -> bool:
     """Return whether a line of numbers has arrived, so that a live log can begin."""
     forced = options.delimiter_character
     comments = COMMENTS if options.comment is None else options.comment
-    for raw in text.split(b"\n")[-2::-1]:
-        line = decoded(raw)
-        if not is_comment(line, comments):
-            marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
-            if any(
-                all(is_number(x, sign) for x in split_cells(line, mark)) for mark in marks for sign in ".,"
-            ):
-                return True
-    return False
+    marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
+    lines = [line for raw in text.split(b"\n")[-2::-1] if not is_comment(line := decoded(raw), comments)]
+    return any(
+        all(is_number(cell, sign) for cell in split_cells(line, mark))
+        for line in lines
+        for mark in marks
+        for sign in ".,"
+    )
 
 
 def last_cells(text: bytes, dialect: Dialect) -> list[str]:
@@ -409,11 +408,8 @@ class BlockParser:
 
     def _value(self, cell: str, pick: ColumnInfo) -> float | None:
         """Read a cell as a number or a time stamp (s); None where it is neither."""
-        if pick.written == "numbers":
-            return to_number(cell, self.dialect.decimal)
-        from dbo_cli.logs.text.time_stamps import READERS
-
-        return READERS[pick.written](cell)
+        number = pick.written == "numbers"
+        return to_number(cell, self.dialect.decimal) if number else _stamp_reader(pick.written)(cell)
 
     def _text_among_numbers(self, cells: list[str]) -> str:
         """Describe where text stands in a column of numbers that nobody asked for: no sample has it."""
@@ -561,13 +557,17 @@ def _parse_plain(
     return arrays if all(are_measured(array).all() for array in arrays) else None
 
 
+def _stamp_reader(written: str) -> Callable[[str], float | None]:
+    from dbo_cli.logs.text.time_stamps import READERS
+
+    return READERS[written]
+
+
 def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
     """Return what reads the cells of a column."""
     if pick.written == "numbers":
         return float
-    from dbo_cli.logs.text.time_stamps import READERS
-
-    read = READERS[pick.written]
+    read = _stamp_reader(pick.written)
     return lambda cell: read(cell.decode().strip())
 
 
