@@ -212,12 +212,9 @@ class Controller:
                 volts = self._bent(volts)
             if self._lag is not None:
                 volts, self._clipped_now = self._lag.plan(volts, displacement, stepper)
+        self.planned = volts
         if self._dac is not None:
-            self._most = self._dac.most(self._last)
-            code = self._dac.code(volts, self._last, self._most)
-            self.planned, volts = code, self._dac.curve[code]
-        else:
-            self.planned = volts
+            self.planned, volts = self._coded(volts, self._dac)
         self._pass(volts)
         self._planned_volts = volts
         return self.planned
@@ -296,18 +293,20 @@ class Controller:
             raise UsageError("a ramp to rest needs a committed sample and a `sample_rate`")
         rest = min(max(0.0 if to is None else to, self._limits.v_min), self._limits.v_max)
         way: list[Any] = []
-        for aim in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
-            code = None
-            if self._dac is not None:
-                self._most = self._dac.most(self._last)
-                code = self._dac.code(aim, self._last, self._most)
-            volts = aim if self._dac is None or code is None else self._dac.curve[code]
-            self._pass(volts)
-            way.append(volts if code is None else code)
-            self.commit(way[-1])
+        for volts in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
+            code, played = (volts, volts) if self._dac is None else self._coded(volts, self._dac)
+            self._pass(played)
+            way.append(code)
+            self.commit(code)
         if self._ahead is not None:
             self._ahead.forget()
         return way
+
+    def _coded(self, volts: float, dac: Converter) -> tuple[int, float]:
+        """Return the converter's code for a voltage, and the voltage that it means."""
+        self._most = dac.most(self._last)
+        code = dac.code(volts, self._last, self._most)
+        return code, dac.curve[code]
 
     @property
     def state(self) -> ModelState | None:

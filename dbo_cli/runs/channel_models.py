@@ -39,11 +39,11 @@ from dbo_cli.runs.identifying import (
     identify_recordings,
 )
 from dbo_cli.runs.jobs import (
+    Failed,
     Outcome,
     Work,
     check_names,
     each_file,
-    good_ones,
     named,
     of_file,
     run_jobs,
@@ -185,9 +185,7 @@ class ChannelFits:
                         functools.partial(_identified, recordings(channel), options, arguments, prior),
                     )
 
-            done = run_jobs(jobs(), work.processes)
-            for one in good_ones(done, work, "channel", outcome, len(channels), self.listener):
-                assert one.value is not None
+            for one in outcome.good(jobs(), work, "channel", len(channels), self.listener):
                 yield one.name, one.value
         for twins in self._seen.values():
             if len(twins) > 1:
@@ -398,9 +396,8 @@ def _fits(jobs: Mapping[str, Callable[[], Identified]], processes: int) -> dict[
     """Return what each job identified; the first failure ends it, and names its job."""
     fits: dict[str, Identified] = {}
     for done in run_jobs(jobs.items(), processes):
-        if done.problem is not None:
+        if isinstance(done, Failed):
             raise type(done.problem)(f"shared shape, {done.name}: {done.problem}")
-        assert done.value is not None
         fits[done.name] = done.value
     return fits
 

@@ -36,7 +36,7 @@ from dbo_cli.runs.channels import (
     sum_up_remarks,
 )
 from dbo_cli.runs.files import Destination, SignalRun, check_order
-from dbo_cli.runs.jobs import Done, Outcome, Work, good_ones, run_jobs
+from dbo_cli.runs.jobs import Done, Outcome, Work
 from dbo_cli.runs.roles import bring_to, quantity_wish
 
 _ROWS = 1 << 12  # of a table of channels, written at a time
@@ -78,11 +78,9 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
             table = ChannelTable(destination, channels, pattern)
             if each_own:
                 make_folder_of(destination.output)
-            done = run_jobs(jobs(), work.processes)
-            good = good_ones(done, work, "channel", outcome, len(channels), listener)
+            good = outcome.good(jobs(), work, "channel", len(channels), listener)
             pads = not each_own and _may_pad(asked)
             for one in _together(good, coupling, pads, -2 if wanted else -1):
-                assert one.value is not None
                 remarks[one.name] = one.value
                 if each_own:
                     write_kept(one.outputs, destination.protect)

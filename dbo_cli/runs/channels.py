@@ -56,7 +56,7 @@ class Columns(NamedTuple):
         return {option: column_of(one, channel) for option, one in self.patterns.items()}
 
 
-def wants_channels(output: Address | None, *selectors: str | None) -> bool:
+def wants_channels(output: Address, *selectors: str | None) -> bool:
     """Tell whether columns are named by a pattern.
 
     Raises
@@ -66,7 +66,7 @@ def wants_channels(output: Address | None, *selectors: str | None) -> bool:
     """
     if any(map(is_pattern, selectors)):
         return True
-    if output is not None and CHANNEL in output.text:
+    if CHANNEL in output.text:
         raise UsageError(
             f"{output.text}: {CHANNEL} stands for a channel's name: name the columns by a pattern, 'V{{}}'"
         )

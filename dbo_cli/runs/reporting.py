@@ -29,7 +29,7 @@ from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch, rows_to_read
 from dbo_cli.runs.channels import Columns, models_by_channel, opened_readers, sum_up_remarks
-from dbo_cli.runs.jobs import Outcome, Work, good_ones, run_jobs, spread_line
+from dbo_cli.runs.jobs import Outcome, Work, spread_line
 from dbo_cli.runs.roles import bring_to, opened, short_names
 from dbo_cli.version import program_version_string
 
@@ -88,7 +88,8 @@ class TrackingOptions:
             raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
         if segment not in (None, "cycles"):
             if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
-                raise UsageError(f"`segment` {segment}: neither 'cycles' nor a number of seconds above 0")
+                given = segment if isinstance(segment, str) else f"{segment:g}"
+                raise UsageError(f"`segment` {given}: neither 'cycles' nor a number of seconds above 0")
 
     def scoring(self, with_model: bool) -> ReportOptions:
         """Return how signals are compared."""
@@ -567,8 +568,7 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written
                     yield name, functools.partial(_reported, reader.log(channel), name, asked.reading, one)
 
         count = len(channels) * len(logs)
-        for one in good_ones(run_jobs(jobs(), work.processes), work, "channel", outcome, count, listener):
-            assert one.value is not None
+        for one in outcome.good(jobs(), work, "channel", count, listener):
             found, texts[one.name] = one.value
             merits += found.logs
             units.append((one.name, found.unit))
