@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from dbo_cli.errors import DboError  # noqa: E402
-from dbo_cli.logs.column_names import wish  # noqa: E402
+from dbo_cli.logs.columns import wish  # noqa: E402
 from dbo_cli.logs.reading_options import ReadingOptions  # noqa: E402
 from dbo_cli.logs.signal_log import SignalLog, open_log  # noqa: E402
 

@@ -231,7 +231,7 @@ FAULTS: list[Fault] = [
         ("self._count(self._bins, self._first)", "pass", "the first batch is in the distribution of a long log"),
     ),
     *_faults(
-        "reports/loop_and_lag.py",
+        "reports/figures_of_merit.py",
         REPORTS,
         ("widths = down_sum / down_count - up_sum / up_count", "widths = up_sum / up_count - down_sum / down_count",
          "the sign of the loop that is left"),
@@ -422,7 +422,7 @@ FAULTS: list[Fault] = [
          "a memory is off by what it is away from the loop's own"),
     ),
     *_faults(
-        "drives/loop_starts.py",
+        "drives/loops.py",
         ("runs_repeated",),
         ("return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)",
          "return np.full(1, first)",

@@ -102,7 +102,7 @@ def parsers(rows: int) -> None:
     """Show what each way of reading and writing costs inside a process."""
     from dbo_cli.logs import out_column as numbers
     from dbo_cli.logs.sample_block import ColumnInfo
-    from dbo_cli.logs.text import block_parser as parsing
+    from dbo_cli.logs.text import text_table as parsing
     from dbo_cli.logs.text.dialect import Dialect
 
     values = np.random.default_rng(1).normal(size=(2, rows))

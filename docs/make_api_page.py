@@ -22,7 +22,7 @@ from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.runs.model import Result
-from dbo_cli.runs.tracking import TrackingOptions, TrackingReport
+from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 
 PAGE = Path(__file__).resolve().parent / "api.md"
 HEAD = """# Reference of the Python API

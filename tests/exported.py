@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.export.single_tables import counts_of_range
+from dbo_cli.export.single_code import counts_of_range
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, Relaxation, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 

@@ -25,8 +25,7 @@ from exported import (
 from dbo_cli.errors import DboError, ModelError, OutputError, UsageError
 from dbo_cli.export import export_model
 from dbo_cli.export.cascade_plan import plan_cascade
-from dbo_cli.export.single_code import row_shift
-from dbo_cli.export.single_tables import fold
+from dbo_cli.export.single_code import fold, row_shift
 from dbo_cli.export.source_text import RESERVED, check_name, hex_double, integer
 from dbo_cli.hysteresis.cascade import through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance

@@ -15,7 +15,7 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 

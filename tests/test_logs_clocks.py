@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -242,13 +242,13 @@ def test_cells_of_stamps() -> None:
 
 
 def test_stamps_read_the_same_by_every_parser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dbo_cli.logs.text import block_parser
+    from dbo_cli.logs.text import text_table
 
     def cell(k: int) -> str:
         return (LATE + datetime.timedelta(microseconds=1237 * k)).isoformat()
 
     first = read(tmp_path, "time", cell)[1].time
-    monkeypatch.setattr(block_parser, "_parse_plain", lambda *_: None)
+    monkeypatch.setattr(text_table, "_parse_plain", lambda *_: None)
     second = read(tmp_path, "time", cell)[1].time
     assert first is not None and second is not None
     assert first.tolist() == second.tolist()

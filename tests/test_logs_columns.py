@@ -10,7 +10,6 @@ import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import parse_address
-from dbo_cli.logs.column_names import wish
 from dbo_cli.logs.columns import (
     ColumnWish,
     choose_columns,
@@ -19,6 +18,7 @@ from dbo_cli.logs.columns import (
     list_columns,
     matching_columns,
     split_header,
+    wish,
 )
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import input_record, open_log

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from tests.shapes.format_files import LIBRARY_FILES, FormatFile
 from tests.shapes.format_table import page

@@ -32,7 +32,7 @@ def test_no_byte_of_a_parquet_file_brings_the_library_to_the_terminal(tmp_path: 
         "import sys\n"
         "from pathlib import Path\n"
         "from dbo_cli.errors import InputError\n"
-        "from dbo_cli.logs.column_names import wish\n"
+        "from dbo_cli.logs.columns import wish\n"
         "from dbo_cli.logs.signal_log import open_log\n"
         "from dbo_cli.cli.process import prepare_process\n"
         "prepare_process()\n"

@@ -18,15 +18,17 @@ import pytest
 from dbo_cli.cli.process import CommandProcess
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import check_document
-from dbo_cli.logs.output_files import (
+from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.whole_output import (
+    all_or_none,
     check_outputs,
     descriptor_of,
     identity_of,
     partial_path,
     remove_orphans,
+    replacing,
+    write_whole,
 )
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.whole_output import all_or_none, replacing, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX files and signals")
 ROOT = str(Path(__file__).resolve().parent.parent)
@@ -237,7 +239,7 @@ def test_one_file_under_two_spellings_is_refused(tmp_path: Path, monkeypatch: py
 def test_names_that_differ_in_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one, other = str(tmp_path / "New.csv"), str(tmp_path / "new.csv")
     assert (identity_of(one) == identity_of(other)) == (tmp_path.parent / tmp_path.name.swapcase()).exists()
-    monkeypatch.setattr("dbo_cli.logs.output_files._ignores_case", lambda folder: True)
+    monkeypatch.setattr("dbo_cli.logs.whole_output._ignores_case", lambda folder: True)
     assert identity_of(one) == identity_of(other)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, OutputError, UsageError
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.out_column import _fast_rows, _plain_rows
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import column_names, stated_clock, time_column
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs import columns as column_names
+from dbo_cli.logs import stated_clock, time_column
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from dbo_cli.errors import DboError
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from tests.shapes.refusable import REFUSABLE

@@ -13,8 +13,8 @@ from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.text import block_parser as parsing
 from dbo_cli.logs.text import text_table
+from dbo_cli.logs.text import text_table as parsing
 from dbo_cli.logs.text.instruments import InstrumentHeader, read_instrument_header
 from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.readable import READABLE, Shape

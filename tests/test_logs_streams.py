@@ -22,7 +22,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
-from dbo_cli.logs.text import block_parser as parsing
+from dbo_cli.logs.text import text_table as parsing
 from dbo_cli.logs.text.dialect import Dialect
 
 WANT = {"voltage": ColumnWish(None, ("voltage",))}

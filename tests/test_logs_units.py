@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.column_names import wish
-from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.columns import column_info, wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.units import kind_of_unit, match_units, parse_scale, unit_factor
+from dbo_cli.logs.sources import Source
+from dbo_cli.logs.units import kind_of_unit, parse_scale, unit_factor
 
 
 @pytest.mark.parametrize(
@@ -58,22 +58,35 @@ def test_a_conversion_keeps_the_digits() -> None:
     assert same.apply(figures) is figures
 
 
+def converted(header: str, wanted: str | None, taker: str) -> tuple[Source, float]:
+    """Return a source after a conversion, and what it makes of 1."""
+    source = Source("run.csv", {"x": column_info(header, 2)}, False, None, None)
+    source.warns_of_units = True
+    source.convert("x", wanted, taker)
+    return source, float(source.in_units({"x": np.ones(1)})["x"][0])
+
+
 def test_a_column_is_matched_with_a_model() -> None:
-    column = column_info("drive_mV", 2)
-    match = match_units("run.csv", column, "V", "model.json takes voltage")
-    assert float(match.factor) == 0.001
-    assert match.note == "run.csv: column 'drive_mV' is converted from mV to V"
-    assert match_units("run.csv", column, "mV", "it").factor.is_one
-    assert match_units("run.csv", column_info("u", 1), None, "it").warning is None
-    bare = match_units("run.csv", column_info("drive", 2), "V", "model.json takes voltage")
-    assert bare.warning is not None and bare.warning.startswith(
-        "run.csv: column 'drive' has no unit, but model.json takes voltage in V: its figures are taken as V"
+    source, one = converted("drive_mV", "V", "model.json takes voltage")
+    assert (one, source.columns["x"].unit) == (0.001, "V")
+    assert (source.notes, source.warnings) == (
+        ["run.csv: column 'drive_mV' is converted from mV to V"],
+        [],
     )
-    other = match_units("run.csv", column, None, "model.json takes voltage")
-    assert other.warning is not None
-    assert "is in mV, but model.json takes voltage without a unit" in other.warning
+    for header, wanted in (("drive_mV", "mV"), ("u", None)):
+        source, one = converted(header, wanted, "it")
+        assert (one, source.notes, source.warnings) == (1.0, [], [])
+    source, one = converted("drive", "V", "model.json takes voltage")
+    assert (one, source.notes) == (1.0, [])
+    assert source.warnings == [
+        "run.csv: column 'drive' has no unit, but model.json takes voltage in V: its figures are taken as V "
+        "(name the unit in the header, or convert with `scale`)"
+    ]
+    source, one = converted("drive_mV", None, "model.json takes voltage")
+    assert (one, source.notes) == (1.0, [])
+    assert "is in mV, but model.json takes voltage without a unit" in source.warnings[0]
     with pytest.raises(InputError) as raised:
-        match_units("run.csv", column_info("sensor (V)", 1), "um", "model.json gives displacement")
+        converted("sensor (V)", "um", "model.json gives displacement")
     assert str(raised.value) == (
         "run.csv: column 'sensor (V)' is in V, but model.json gives displacement in um "
         "(`scale` ROLE=FACTORum/V converts it)"

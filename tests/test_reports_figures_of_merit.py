@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.loop_and_lag import LoopWidth, PhaseLag
+from dbo_cli.reports.figures_of_merit import LoopWidth, PhaseLag, TrackingFigures, TrackingMetrics
 from dbo_cli.reports.running_statistics import (
     BATCH,
     Batches,
@@ -23,7 +22,8 @@ def figures_of(desired, measured, chunk=None, **options) -> TrackingFigures:
     metrics = TrackingMetrics(**options)
     chunk = chunk or max(len(desired), 1)
     for start in range(0, len(desired), chunk):
-        metrics.add(desired[start : start + chunk], measured[start : start + chunk])
+        part = slice(start, start + chunk)
+        metrics.add(desired[part], measured[part], np.arange(1.0, len(desired) + 1.0)[part])
     result = metrics.result()
     assert result is not None
     return result
@@ -100,7 +100,7 @@ def test_no_scale_breaks_it(scale):
 @pytest.mark.parametrize("scale", [1e71, 1e308, np.inf])
 def test_beyond_what_can_be_squared_counts_as_no_number(scale):
     metrics = TrackingMetrics()
-    metrics.add(np.array([1.0, scale, 2.0]), np.array([1.0, 1.0, -scale]))
+    metrics.add(np.array([1.0, scale, 2.0]), np.array([1.0, 1.0, -scale]), np.arange(1.0, 4.0))
     figures = metrics.result()
     assert figures is not None
     assert (figures.samples, figures.not_finite, metrics.missing) == (1, 2, [1, 1])
@@ -108,7 +108,7 @@ def test_beyond_what_can_be_squared_counts_as_no_number(scale):
 
 def test_no_number_at_all():
     metrics = TrackingMetrics()
-    metrics.add(np.arange(5.0), np.full(5, np.nan))
+    metrics.add(np.arange(5.0), np.full(5, np.nan), np.arange(1.0, 6.0))
     assert metrics.result() is None
     assert metrics.missing == [0, 5]
     assert TrackingMetrics().result() is None
@@ -275,7 +275,7 @@ def test_the_range_is_that_of_all_batches():
     desired = np.zeros(3 * BATCH)
     desired[[5, 7]] = -4.0, 6.0
     metrics = TrackingMetrics()
-    metrics.add(desired, desired + 1.0)
+    metrics.add(desired, desired + 1.0, np.arange(1.0, len(desired) + 1.0))
     figures = metrics.result()
     assert figures is not None
     assert (figures.desired_min, figures.desired_max, figures.nrmse_percent) == (-4.0, 6.0, 10.0)

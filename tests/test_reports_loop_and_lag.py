@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, hold_length
-from dbo_cli.reports.loop_and_lag import DirectionTracker, LoopWidth, NoiseLevel, PhaseLag, monotone_ends
+from dbo_cli.reports.figures_of_merit import (
+    DirectionTracker,
+    LoopWidth,
+    NoiseLevel,
+    PhaseLag,
+    TrackingFigures,
+    TrackingMetrics,
+    hold_length,
+    monotone_ends,
+)
 from dbo_cli.reports.running_statistics import BATCH
 
 TRUE_LOOP = 0.5
@@ -16,7 +24,8 @@ def figures_of(desired, measured, chunk=None) -> TrackingFigures:
     metrics = TrackingMetrics()
     chunk = chunk or len(desired)
     for start in range(0, len(desired), chunk):
-        metrics.add(desired[start : start + chunk], measured[start : start + chunk])
+        part = slice(start, start + chunk)
+        metrics.add(desired[part], measured[part], np.arange(1.0, len(desired) + 1.0)[part])
     result = metrics.result()
     assert result is not None
     return result
@@ -227,8 +236,9 @@ def test_a_value_held_from_one_batch_into_the_next_counts_once():
     desired = np.sin(phase)[np.arange(count) // hold * hold]
     measured = np.sin(phase - 0.2)
     held, new = TrackingMetrics(), TrackingMetrics()
-    held.add(desired, measured)
-    new.add(desired[::hold], measured[::hold])
+    rows = np.arange(1.0, len(desired) + 1.0)
+    held.add(desired, measured, rows)
+    new.add(desired[::hold], measured[::hold], rows[: len(desired[::hold])])
     first, second = held.result(), new.result()
     assert first is not None and second is not None
     assert first.phase_left == pytest.approx(second.phase_left, rel=1e-9)

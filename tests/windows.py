@@ -84,4 +84,4 @@ def pretend(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, count in (("replace", 2), ("rename", 2), ("unlink", 1), ("remove", 1)):
         monkeypatch.setattr(os, name, careful(getattr(os, name), count))
     monkeypatch.setitem(sys.modules, "fcntl", None)
-    monkeypatch.setattr("dbo_cli.logs.output_files.WINDOWS", True)
+    monkeypatch.setattr("dbo_cli.logs.whole_output.WINDOWS", True)

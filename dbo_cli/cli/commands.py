@@ -297,8 +297,7 @@ def report(given: Given) -> None:
     A limit (--max-rmse, --max-abs, --max-nrmse-percent) is missed; the report is written all the same.
     """
     from dbo_cli.runs.many import reported
-    from dbo_cli.runs.reporting import Limits, ReportRun
-    from dbo_cli.runs.tracking import TrackingOptions
+    from dbo_cli.runs.reporting import Limits, ReportRun, TrackingOptions
 
     tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
     asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures)
@@ -374,7 +373,7 @@ def export(given: Given) -> None:
         dbo export model.json -o firmware --arithmetic float --sample-rate 10000
     """
     from dbo_cli.remarks import Remarks
-    from dbo_cli.runs.channel_exports import export_models
+    from dbo_cli.runs.channels import export_models
     from dbo_cli.runs.jobs import summed_up
 
     remarks = Remarks()
@@ -403,21 +402,16 @@ def compare(given: Given) -> None:
     Two of them, the same bytes every time:
         dbo compare recorded.csv --models dbo,pi --no-timings -o table.csv
     """
+    from dbo_cli.hysteresis.identification import IdentificationOptions
+    from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.model_table import TableOptions, compare_logs
 
-    asked = TableOptions(
+    logs = (given.log, given.validate or [], given.reading, IdentificationOptions())
+    table = TableOptions(
         given.models, given.skip, not given.no_timings, given.format, given.figures, given.save_models
     )
-    remarks = compare_logs(
-        given.log,
-        given.validate or [],
-        given.output,
-        given.reading,
-        asked,
-        **given.of([options.VOLTAGE, options.DISPLACEMENT]),
-        listener=Progress(given.reporter, "read"),
-    )
-    given.reporter.remarks(remarks)
+    asked, listener = IdentifyRun(*logs, given.voltage, given.displacement), Progress(given.reporter, "read")
+    given.reporter.remarks(compare_logs(asked, given.output, table, listener))
 
 
 def trajectory(given: Given) -> None:

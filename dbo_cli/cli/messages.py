@@ -38,30 +38,21 @@ class Reporter:
     def note(self, text: str) -> None:
         """Print what is good to know."""
         if not self.quiet:
-            self._line(text)
+            print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
 
     def notes(self, texts: Iterable[str]) -> None:
         """Print notes, one line each."""
         for text in texts:
             self.note(text)
 
-    def warnings(self, texts: Iterable[str]) -> None:
-        """Print what may spoil the result, one line each."""
-        for text in texts:
-            self.note(f"warning: {text}")
-
     def remarks(self, remarks: Remarks) -> None:
         """Print the remarks of a run, first what was read."""
-        self.notes([*remarks.read, *remarks.notes])
-        self.warnings(remarks.warnings)
+        self.notes([*remarks.read, *remarks.notes, *(f"warning: {text}" for text in remarks.warnings)])
 
     def detail(self, text: str) -> None:
         """Print what was detected or assumed."""
         if self.verbose:
             self.note(text)
-
-    def _line(self, text: str) -> None:
-        print("dbo: " + shell_line(text), file=sys.stderr, flush=True)
 
 
 def refuse_terminal(output: Address) -> None:

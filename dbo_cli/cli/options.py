@@ -12,14 +12,13 @@ from dbo_cli.cli.values import (
     auto_or,
     choice,
     header_lines,
-    lag,
     names,
     not_negative,
     number,
+    number_or_word,
     positive,
     rows,
     seconds_or_auto,
-    segment,
     span,
     times,
     whole,
@@ -28,6 +27,7 @@ from dbo_cli.cli.values import (
 )
 
 figure, figure_above_0 = with_unit(number), with_unit(positive)
+lag, segment = number_or_word(int), number_or_word(float)
 OPTIONS = "Options"
 READING_LOGS = "Reading logs"
 MESSAGES = "Output and messages"

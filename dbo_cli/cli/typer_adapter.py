@@ -291,7 +291,7 @@ def columns_beginning(incomplete: str) -> list[str]:
     from dbo_cli.logs.addresses import parse_address
     from dbo_cli.logs.byte_source import Request
     from dbo_cli.logs.reading_options import ReadingOptions
-    from dbo_cli.logs.tables import open_table
+    from dbo_cli.logs.signal_log import open_table
 
     line = next((os.environ[name] for name in TYPED if name in os.environ), "")
     found: dict[str, None] = {}

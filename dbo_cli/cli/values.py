@@ -163,33 +163,19 @@ def zero(option: str, text: str) -> str | float:
         ) from None
 
 
-def lag(option: str, text: str) -> int | str:
-    """Return a whole number of samples, negative too, or ``auto``."""
-    if text == "auto":
-        return text
-    try:
-        return int(text) if len(text) < 30 else _too_long()
-    except ValueError:
-        raise UsageError(f"`{option}` {shown(text)}: neither a whole number of samples nor 'auto'") from None
+def number_or_word(kind: Callable[[str], float]) -> Parser:
+    """Return a parser that leaves a text that is no number as it is; the record that takes it refuses it."""
 
+    def parse(option: str, text: str) -> float | str:
+        try:
+            value = kind(text) if len(text) < 400 else math.inf
+        except ValueError:
+            value = math.inf
+        return value if math.isfinite(value) else shown(text)
 
-def segment(option: str, text: str) -> float | str:
-    """Return ``cycles`` or seconds above 0."""
-    if text == "cycles":
-        return text
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0.0 < seconds < math.inf:
-        raise UsageError(f"`{option}` {shown(text)}: neither 'cycles' nor a number of seconds above 0")
-    return seconds
+    return parse
 
 
 def shown(text: str) -> str:
     """Return a value as a message repeats it: whole, or its beginning where it is long."""
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _too_long() -> int:
-    raise ValueError

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Extent
-from dbo_cli.drives.history import write_history
-from dbo_cli.drives.inputs import first_blocks
-from dbo_cli.drives.model_run import ModelRun, Response, Tally
+from dbo_cli.drives.learning import write_history
+from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
 from dbo_cli.drives.options import DriveOptions, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.drives.settling import HeldLevels, StepTime, distance_in, settling_notes, step_times

@@ -6,14 +6,15 @@ hardware, and calls ``commit`` once the hardware has acknowledged it. A plan nev
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
+import itertools
 import math
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.drives.converter import Converter
 from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.drives.lookahead import DriveLag, LookAhead
 from dbo_cli.drives.options import DriveOptions, Figure
@@ -24,7 +25,83 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.hysteresis.stepper import ROUNDING, BacklashStepper
 from dbo_cli.logs.reading_options import checked_rate
+from dbo_cli.logs.sources import samples
 from dbo_cli.logs.units import in_unit
+
+
+class Converter:
+    """A digital-to-analogue converter within the limits of a drive.
+
+    One step between codes may be larger than the slew limit allows in a sample. Then the allowance of several
+    samples is saved up for it: over any time the drive changes by no more than the slew limit allows in that
+    time and one code, and in one sample by no more than the larger of the two.
+
+    Parameters
+    ----------
+    volts : array_like
+        The voltage of every code from 0 on, rising.
+    limits : DriveLimits
+        Of the drive; codes outside the range are never planned.
+    most : float, optional
+        Largest change in one sample, V.
+
+    Raises
+    ------
+    UsageError
+        The curve does not rise, or no code lies within the limits.
+    """
+
+    def __init__(self, volts: ArrayLike, limits: DriveLimits, most: float | None) -> None:
+        curve = samples("dac", volts)
+        if curve.size < 2 or not (np.diff(curve) > 0.0).all():
+            raise UsageError("`dac`: give the voltage of every code from 0 on, rising from code to code")
+        self.curve: list[float] = curve.tolist()
+        self._low = bisect.bisect_left(self.curve, limits.v_min)
+        self._high = bisect.bisect_right(self.curve, limits.v_max) - 1
+        if self._low > self._high:
+            raise UsageError(
+                f"`dac`: no code lies within the limits of the drive, {limits.v_min:g} to {limits.v_max:g}"
+            )
+        self.step, self.saved = most, 0.0
+        gaps: list[float] = [b - a for a, b in itertools.pairwise(self.curve)]
+        self._widest = max(gaps)
+        self._gaps: list[float] = [max(pair) for pair in itertools.pairwise([gaps[0], *gaps, gaps[-1]])]
+
+    def volts(self, code: int | float) -> float:
+        """Return the voltage of a code (InputError where there is none)."""
+        if code != int(code) or not 0 <= code < len(self.curve):
+            raise InputError(f"code {code} is not one of the converter's, 0 to {len(self.curve) - 1}")
+        return self.curve[int(code)]
+
+    def most(self, last: float | None) -> float | None:
+        """Return the largest change that is allowed now, V; None where any is."""
+        step = self.step
+        if step is None or last is None:
+            return None
+        if step < self._widest:
+            gap = self._gaps[min(bisect.bisect_left(self.curve, last), len(self._gaps) - 1)]
+            return min(self.saved + step, max(step, gap))
+        return step
+
+    def code(self, volts: float, last: float | None, most: float | None) -> int:
+        """Return the code nearest to a voltage, of those within range and slew; the last one, if none is."""
+        curve, low, high = self.curve, self._low, self._high
+        after = bisect.bisect_left(curve, volts)
+        near = after - (0 < after < len(curve) and curve[after] - volts >= volts - curve[after - 1])
+        near = low if near < low else high if near > high else near
+        if most is None or last is None or -most <= curve[near] - last <= most:
+            return near
+        low = max(low, bisect.bisect_left(curve, last - most))
+        high = min(high, bisect.bisect_right(curve, last + most) - 1)
+        if low > high:  # from outside the range, or between two codes
+            return min(max(bisect.bisect_left(curve, last), self._low), self._high)
+        return low if near < low else high
+
+    def commit(self, change: float, most: float | None) -> None:
+        """Take what a change used off what was saved up."""
+        if most is not None:
+            self.saved = max(most - change, 0.0)
+
 
 UPDATE = 128
 """Samples after which dynamics follow the drive: so many take hardly longer than one of them alone."""
@@ -135,12 +212,9 @@ class Controller:
                 volts = self._bent(volts)
             if self._lag is not None:
                 volts, self._clipped_now = self._lag.plan(volts, displacement, stepper)
+        self.planned = volts
         if self._dac is not None:
-            self._most = self._dac.most(self._last)
-            code = self._dac.code(volts, self._last, self._most)
-            self.planned, volts = code, self._dac.curve[code]
-        else:
-            self.planned = volts
+            self.planned, volts = self._coded(volts, self._dac)
         self._pass(volts)
         self._planned_volts = volts
         return self.planned
@@ -219,18 +293,20 @@ class Controller:
             raise UsageError("a ramp to rest needs a committed sample and a `sample_rate`")
         rest = min(max(0.0 if to is None else to, self._limits.v_min), self._limits.v_max)
         way: list[Any] = []
-        for aim in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
-            code = None
-            if self._dac is not None:
-                self._most = self._dac.most(self._last)
-                code = self._dac.code(aim, self._last, self._most)
-            volts = aim if self._dac is None or code is None else self._dac.curve[code]
-            self._pass(volts)
-            way.append(volts if code is None else code)
-            self.commit(way[-1])
+        for volts in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
+            code, played = (volts, volts) if self._dac is None else self._coded(volts, self._dac)
+            self._pass(played)
+            way.append(code)
+            self.commit(code)
         if self._ahead is not None:
             self._ahead.forget()
         return way
+
+    def _coded(self, volts: float, dac: Converter) -> tuple[int, float]:
+        """Return the converter's code for a voltage, and the voltage that it means."""
+        self._most = dac.most(self._last)
+        code = dac.code(volts, self._last, self._most)
+        return code, dac.curve[code]
 
     @property
     def state(self) -> ModelState | None:

@@ -1,25 +1,39 @@
-"""A move that is looped: one period in, the settled loop's drive out, perhaps with a run-in before it.
+"""A move that is looped: one period in, the settled loop's drive out, and what stands before it.
 
-What stands before the period is planned in ``loop_starts``.
+That is nothing, a ramp, a run-in, or a rest and a run-in. The settled drive comes first. The run-in follows
+the trajectory, fades over into that drive, and ends on it, so that the first settled period follows the
+run-in as every later one follows the one before.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.learning import Tracked, learned_source
-from dbo_cli.drives.loop_starts import LED_IN, LOOP_ERROR, BeforeLoop
-from dbo_cli.drives.model_run import Response
+from dbo_cli.drives.model_run import Response, Tally
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.pieces import NOTHING, require_rows
+from dbo_cli.drives.pieces import NOTHING, SHORTEST_WAY, Before, ramp, require_rows, rest_samples, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass
-from dbo_cli.hysteresis.loops import Settled, settled_run, settling, slow_output, undone_loop
+from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
+from dbo_cli.hysteresis.kernel import towards
+from dbo_cli.hysteresis.loops import (
+    Settled,
+    creep_rest,
+    looped_state,
+    settled_drive,
+    settled_run,
+    settling,
+    shifted,
+    slow_output,
+    undone_loop,
+)
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
@@ -31,19 +45,47 @@ SEAM = 3.0
 
 A period sampled evenly has steps at the seam like those inside; one that was cut elsewhere has a jump.
 """
+SETTLED_PART = 1e-3  # of the move: the mean of a pass within it counts as settled, where no error is stated
+MOST_STARTS = 60  # tries for a loop that its own start leads to; halving brings a range to 1e-18 of it
+MOST_RUN_INS = 10  # tries for a run-in or a ramp that leads to the loop it ends on; two or three are usual
+REST_PLANS = 4  # the way to a rest and the loop's own start depend on its level, each time by a few percent
+LED_IN = 2  # passes after a rest, at least: one to fade over, one of the loop for its gears and its ringing
+LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
+SAME_DRIVE = 1e-9  # of the range: two settled drives that agree to this are one
+FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
+"""Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
+the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up; and
+where the run-in reaches about as far as the loop, so that the two push each other to and fro, another one
+reaches less far or further."""
+
+
+class Led(NamedTuple):
+    """What is played before a loop, what the run-in follows and is, the loop, and the state before it."""
+
+    before: Before
+    desired: FloatArray
+    run_in: FloatArray
+    settled: Settled
+    begun: ModelState | None
 
 
 @dataclass
-class LoopCompensation(BeforeLoop):
+class LoopCompensation(Compensation):
     """The drive of a settled loop, with ``options.passes`` passes of run-in before it, in negative time.
 
     Attributes
     ----------
     whole : WholeSource
         The period as it was read.
+    step : float
+        Its even time step (s).
+    period : array
+        What the gears are to follow: dynamics and delay are undone.
     """
 
     whole: WholeSource = field(init=False)
+    step: float = field(init=False)
+    period: FloatArray = field(init=False)
 
     remedies = ""  # a loop is run in instead of swept
 
@@ -69,7 +111,7 @@ class LoopCompensation(BeforeLoop):
         self.period = undone_loop(self.model, asked, step)
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
-        led = self.led_to_loop(asked)
+        led = self._led_to_loop(asked)
         before, run_in, settled, begun = led.before, led.run_in, led.settled, led.begun
         played = before.voltage.size
         count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
@@ -149,6 +191,286 @@ class LoopCompensation(BeforeLoop):
             f"{name}: by the model the loop settles in {count}, {passes * (self.step * drive.size):.3g} s: "
             f"the mean of the first is {first:.3g}{unit} off, then within {what}"
         )
+
+    # --- what stands before the period ---
+
+    def _led_to_loop(self, asked: FloatArray) -> Led:
+        """Return the settled loop of a period, and what is asked to stand before it."""
+        passes = self.options.passes
+        if self.options.lead is not None:
+            return self._run_in_from_rest(asked)
+        before = self._before(float(asked[0]), self.step) if passes else self._ramp_before()
+        settled = self._settled(before.state or self._begun(float(self.period[0])))
+        if passes:
+            desired = np.concatenate([before.desired, self._approached(asked, float(asked[0]))])
+            return Led(before, desired, *self._run_in(desired, asked, before.state, settled))
+        if before.state is None:
+            before, settled = self._of_its_own_start(settled)
+        return Led(before, NOTHING, NOTHING, settled, before.state)
+
+    def _run_in_from_rest(self, asked: FloatArray) -> Led:
+        """Return the loop, and before it the rest and the run-in.
+
+        What the plan of the rest leaves out, gears that the run-in reaches, is measured and taken off.
+        """
+        bias, within, start = 0.0, self._stated()[0], self.came_from
+        seconds = (0.0, math.inf) if self.options.lead == "auto" else (float(self.options.lead or 0.0),) * 2
+        for _ in range(REST_PLANS):
+            self.rows, self.rows_before, self.clipped = 0, 0, Tally()  # of the last try alone
+            before = self._rest_before(start, seconds, bias)
+            desired = self._approached(asked, float(before.expected[-1]))
+            assert before.state is not None
+            run_in, settled, begun = self._run_in(desired, asked, before.state, self._settled(before.state))
+            off, _ = settling(self.model, settled.done.y, self.step, begun, settled.before, within)
+            if abs(off) <= 0.5 * within:
+                break
+            if start is None:  # what an unknown start leaves crossed jumps with it: the next rests start here
+                start, rested = float(before.voltage[0]), self.step * (before.voltage.size - 1)
+                seconds = rested, rested
+            else:
+                bias += off
+        rows = int(np.count_nonzero(before.voltage == before.voltage[-1]))
+        self.remarks_before.notes.append(
+            f"{self.source.name}: for the creep the drive rests {self.step * rows:.3g} s at "
+            f"{before.voltage[-1]:.6g}{self.output.suffix} before the run-in"
+        )
+        return Led(before, desired, run_in, settled, begun)
+
+    def _approached(self, asked: FloatArray, first: float) -> FloatArray:
+        """Return the passes of a run-in, which fade in from a rest."""
+        passes = self.options.passes
+        return first + _rise(asked.size, passes) * (np.tile(asked, passes) - first)
+
+    def _rest_before(self, last: float | None, between: tuple[float, float], bias: float) -> Before:
+        """Return the rest that brings the creep where the loop needs it, and the ramp there from ``last``."""
+        model, step, come = self.model, self.step, self.came_from is not None
+        known = self.start if isinstance(self.start, ModelState) else None
+        settled, memory = self._settled(known or self._begun(float(self.period[0]))), None
+        within, swing = self._stated()[0], self.options.approach
+        if come and between[1] > between[0]:  # what the ramp made ring dies away
+            between = step * rest_samples(model, step), math.inf
+        if swing is None:
+            swing = "auto" if come or self.limits.max_slew is not None else SHORTEST_WAY
+        passes, count = self.options.passes, self.period.size
+        fade = _fade(passes * count, passes * count, (1.0, 1.0 / passes))
+        rise = 1.0 - (1.0 - _rise(count, passes)) * (1.0 - fade)
+        for _ in range(REST_PLANS):
+            level, seconds = creep_rest(model, settled, step, memory, rise, within, between, bias)
+            voltage, begun = np.array([level]), known
+            if last is not None:
+                voltage = ramp("approach", last, level, step, swing, self.limits)
+                if known is None:
+                    voltage, begun = np.concatenate([[last], voltage]), model.start(last, self.start)
+            done = model.simulate(voltage, begun or model.start(level, self.start), time_step=step)
+            settled = self._settled(done.state)
+            memory = None if last is None else done.state.backlash.memory
+        rest = np.full(require_rows("`lead`", math.ceil(seconds / step), step), level)
+        rested = model.simulate(rest, done.state, time_step=step)
+        expected = np.concatenate([done.y, rested.y])
+        return Before(np.concatenate([voltage, rest]), expected, NOTHING, rested.state)
+
+    def _ramp_before(self) -> Before:
+        """Return the ramp to a loop without a run-in; it ends on the first row of the settled drive."""
+        approach, last = self.options.approach, self.came_from
+        known = self.start if isinstance(self.start, ModelState) else None
+        if approach is None or last is None:
+            if approach is not None:
+                self._before(float(self.period[0]), self.step)  # says what is missing
+            return Before(NOTHING, NOTHING, NOTHING, known)
+
+        def to(target: float) -> FloatArray:
+            voltage = ramp("approach", last, target, self.step, approach, self.limits)
+            return voltage if known is not None else np.concatenate([[last], voltage])
+
+        before = self._leading(known or self.model.start(last, self.start), to)
+        if before is None:
+            raise LimitError(
+                f"{self.source.name}: no ramp was found that ends where the loop begins (`passes` runs it in)"
+            )
+        return before
+
+    def _leading(self, begun: ModelState, to: Callable[[float], FloatArray]) -> Before | None:
+        """Return the rows ``to`` the first row of the loop that they lead to, or None."""
+        target = float(self._settled(begun).done.y[0])
+        for _ in range(MOST_RUN_INS):
+            voltage = to(target)
+            done = self.model.simulate(voltage, begun, time_step=self.step)
+            ends, target = target, float(self._settled(done.state).done.y[0])
+            if abs(target - ends) <= SAME_DRIVE * self.output.span:
+                return Before(voltage, done.y, NOTHING, done.state)
+        return None
+
+    def _settled(self, state: ModelState) -> Settled:
+        """Return the loop that settles from a state: gears that it does not reach stay as they were."""
+        return settled_drive(self.model, self.period, self.step, state, self.limits)
+
+    def _of_its_own_start(self, settled: Settled) -> tuple[Before, Settled]:
+        """Return the loop whose first row's own start (``auto``, ``settled``) leads to it, and rows before.
+
+        Which gears a start leaves crossed changes by jumps with the voltage, so that the first row that the
+        loop needs may jump over the one it began with. A row or few from there on then stand before the loop.
+        """
+        model, first, found = self.model, float(settled.done.y[0]), settled
+        below, above, least = -math.inf, math.inf, math.inf
+        for _ in range(MOST_STARTS):
+            settled = self._settled(model.start(first, self.start))
+            leads_to = float(settled.done.y[0])
+            away = self._away(settled, model.start(leads_to, self.start))
+            if away < least:
+                found, least = settled, away
+            if least <= LOOP_ERROR * float(np.ptp(self.period)) or below >= above:
+                break
+            if self.start in ("empty", "full"):  # whatever the first row
+                break
+            # A later start only lowers the first row that the loop needs: the two meet between these.
+            below, above = (max(below, first), above) if leads_to > first else (below, min(above, first))
+            middle = 0.5 * (below + above)
+            first = leads_to if below < leads_to < above or not math.isfinite(middle) else middle
+        if least > LOOP_ERROR * float(np.ptp(self.period)):
+            lag = found.before.drive_lag
+            for start in (first,) if lag is None else (first, lag[0][0]):  # the second: the lag is on its way
+                if led := self._rows_before(start, found):
+                    return led
+        return Before(NOTHING, NOTHING, NOTHING, None), found
+
+    def _rows_before(self, first: float, loop: Settled) -> tuple[Before, Settled] | None:
+        """Return rows from a voltage to the loop that they lead to, where the model then repeats it."""
+        most = float(np.abs(np.diff(loop.done.y)).max())
+
+        def to(target: float) -> FloatArray:
+            return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)
+
+        before = self._leading(self.model.start(first, self.start), to)
+        if before is None or before.state is None:
+            return None
+        settled = self._settled(before.state)
+        if self._away(settled, before.state) > LOOP_ERROR * float(np.ptp(self.period)):
+            return None
+        count, taken, end, unit = before.voltage.size, "", "", self.output.suffix
+        if self.start not in ("empty", "full"):
+            taken, end = ", where the actuator is taken to have settled,", " (`state` empty needs none)"
+        self.remarks_before.warn(
+            f"{self.source.name}: no start leads to the loop: {count:,} row{'s' if count > 1 else ''} from "
+            f"{first:.6g}{unit} on{taken} stand{'' if count > 1 else 's'} before the period{end}"
+        )
+        return before, settled
+
+    def _away(self, settled: Settled, begun: ModelState) -> float:
+        """Return how far off the model repeats a settled drive that is begun in a state."""
+        model, drive, step = self.model, settled.done.y, self.step
+        ends = slow_output(model, drive, step, looped_state(model, drive, step, begun))
+        clipped = settled.done.clipped_count
+        aim = slow_output(model, drive, step, settled.before) if clipped else self.period
+        return float(np.abs(ends - aim).max())
+
+    def _run_in(
+        self, desired: FloatArray, asked: FloatArray, begun: ModelState | None, settled: Settled
+    ) -> tuple[FloatArray, Settled, ModelState]:
+        """Return the drive up to the settled period, the period settled from the state it leaves, and that.
+
+        During the second half of the last pass it fades over from what follows the trajectory to the settled
+        drive, within the slew limit.
+        """
+        model, limits = self.model, self.limits
+        signal = self._undone_before(desired, asked, begun)
+        start = begun or model.start_compensation(float(signal[0]), self.start, limits)
+        time_step = self.step if model.needs_time or limits.max_slew is not None else None
+        followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=time_step)
+        self.rows += followed.y.size
+        self.rows_before += followed.y.size
+        self._clip(followed, None)
+        forward = start if begun is not None else model.start(float(followed.y[0]), self.start)
+        found, off = None, math.inf
+        fades = FADES if self.options.lead is None else ((1.0, 1.0 / self.options.passes), *FADES)
+        for fade in fades:
+            aim = settled
+            for _ in range(MOST_RUN_INS):
+                target, closed = aim, self._closed(aim.done.y)
+                drive = self._faded_over(followed.y, closed, fade)
+                if drive[-1] != closed[-1]:
+                    off = min(off, abs(float(drive[-1] - closed[-1])))
+                    break
+                state = model.simulate(drive, forward, time_step=time_step).state
+                aim = settled_drive(model, self.period, self.step, state, limits)
+                found = drive, target, state
+                if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:
+                    return found
+        if found is None:
+            raise LimitError(
+                f"{self.source.name}: the run-in ends {off:.3g}{self.output.suffix} off the settled loop "
+                "(more `passes`, or a larger `max_slew`)"
+            )
+        return found
+
+    def _undone_before(self, desired: FloatArray, asked: FloatArray, begun: ModelState | None) -> FloatArray:
+        """Return what the gears are to follow before the period, delay and dynamics undone."""
+        model, step = self.model, self.step
+        inverter = None if model.dynamics is None else model.dynamics.inverter(step)
+        ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
+        signal = shifted(np.concatenate([desired, np.resize(asked, ahead)]), model.delay_seconds / step)
+        if inverter is not None:
+            memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
+            ((_, signal, _),) = undone([(None, signal)], inverter, memory)
+        return signal
+
+    def _faded_over(self, followed: FloatArray, settled: FloatArray, fade: tuple[float, float]) -> FloatArray:
+        """Return a run-in that ends on the settled drive, within the slew limit.
+
+        ``followed`` and the settled drive both keep the limits, and so does what lies between; only the
+        change from the one to the other may be too fast, and then it takes longer. ``fade`` is where the
+        change begins and ends, in parts of the run-in before its end.
+        """
+        rows = followed.size
+        tail = np.resize(settled, rows + (-rows) % settled.size)[-rows:]
+        rise = _fade(rows, settled.size * self.options.passes, fade)
+        drive: FloatArray = np.where(rise < 1.0, followed + rise * (tail - followed), tail)
+        drive = np.clip(drive, self.limits.v_min, self.limits.v_max)
+        return self._within_slew(drive, float(drive[0]))
+
+    def _stated(self) -> tuple[float, str]:
+        """Return what the mean of a pass may be off, and what that is."""
+        expected = self.model.fit.get("expected_rmse")
+        if isinstance(expected, float) and expected > 0.0:
+            return expected, "the expected error"
+        return SETTLED_PART * float(np.ptp(self.period)), "0.1 % of the move"
+
+    def _closed(self, drive: FloatArray) -> FloatArray:
+        """Return a settled drive whose seam keeps the slew limit to the last digit; refuse one that jumps.
+
+        A drive that has settled differs from the pass before in its last digits, and the first row was held
+        within the limit behind the last row of that pass.
+        """
+        closed = self._within_slew(drive, float(drive[-1]))
+        away = float(np.abs(closed - drive).max())
+        most = self.limits.largest_change(self.step)
+        seam = abs(float(closed[0]) - float(closed[-1]))
+        if away > SAME_DRIVE * self.output.span or (most is not None and seam > most):
+            raise LimitError(
+                f"{self.source.name}: the loop does not close within the limits: from its last row, "
+                f"{drive[-1]:.6g}, to its first, {drive[0]:.6g}, is a step that `max_slew` forbids"
+            )
+        return closed
+
+    def _within_slew(self, drive: FloatArray, last: float) -> FloatArray:
+        """Return a drive whose rows follow ``last`` and one another within the slew limit."""
+        most = self.limits.largest_change(self.step)
+        if most is None or (np.abs(np.diff(drive, prepend=last)) <= most).all():
+            return drive
+        values = drive.tolist()
+        for k, value in enumerate(values):
+            last = values[k] = min(max(value, towards(last, -most)), towards(last, most))
+        return np.array(values)
+
+
+def _rise(count: int, passes: int) -> FloatArray:
+    """Return how much of a run-in's rows is the period: it fades in, during the first pass, from a rest."""
+    return np.concatenate([soft_rise(np.arange(count) / count), np.ones(count * (passes - 1))])
+
+
+def _fade(rows: int, run_in: int, fade: tuple[float, float]) -> FloatArray:
+    """Return a rise over the last rows, from one part of the run-in before its end to another."""
+    left = (rows - np.arange(rows)) / run_in
+    return soft_rise(np.clip((fade[0] - left) / (fade[0] - fade[1]), 0.0, 1.0))
 
 
 def _require_closed(name: str, period: FloatArray) -> None:

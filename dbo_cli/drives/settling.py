@@ -11,7 +11,6 @@ import numpy as np
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.dynamics import Lag, Section
-from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.units import in_unit
@@ -160,7 +159,7 @@ def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: f
     """
     terms = model.backlash.relaxation
     longest = FOR_EVER * max(terms.tau if terms is not None else (1.0,))
-    slow = slow_model(model, but=(model.drive_lag,))
+    slow = model.without_lag
 
     def output(drive: float, seconds: float) -> float:
         """Return the displacement some seconds after the step, without ringing."""

@@ -27,6 +27,8 @@ TAKES = {  # what each shape needs, and what it takes besides
     "triangle": (("frequency",), ("cycles", "loop")),
 }
 
+ABOVE_0 = ("rate", "frequency", "bandwidth", "dwell", "lines", "pixels", "turns", "steps", "cycles")
+
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
@@ -111,17 +113,7 @@ class TrajectoryOptions:
         for low, high in (self.range, self.slow_range or self.range):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise UsageError(f"`range` {low:g}:{high:g}: give the lower end first, both finite")
-        for name in (
-            "rate",
-            "frequency",
-            "bandwidth",
-            "dwell",
-            "lines",
-            "pixels",
-            "turns",
-            "steps",
-            "cycles",
-        ):
+        for name in ABOVE_0:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
                 raise UsageError(f"`{name}` {value:g}: give a number above 0")

@@ -8,16 +8,19 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.delay import DelayStage, whole_and_part
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    Floats,
+)
 
-Floats = NDArray[np.float64]
 Direction = Literal["forward", "inverse"]
 
 _TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
@@ -69,17 +72,11 @@ class CascadePlan:
 
     @property
     def delay_samples(self) -> tuple[int, float] | None:
-        """A forward model's delay in whole samples and the part beyond, as the delay stage counts; or None.
-
-        What is within a billionth of a sample of a whole number is that number, as in ``hysteresis.delay``.
-        """
+        """A forward model's delay as the delay stage counts: whole samples and the part beyond; or None."""
         if self.direction == "inverse" or self.model.delay_seconds == 0.0:
             return None
         assert self.time_step is not None
-        samples = self.model.delay_seconds / self.time_step
-        whole = math.floor(samples + 1e-9)
-        part = max(samples - whole, 0.0)
-        return whole, part if part > 1e-9 else 0.0
+        return whole_and_part(self.model.delay_seconds / self.time_step)
 
     @property
     def terms(self) -> int:

@@ -17,8 +17,7 @@ from dbo_cli.export import source_text as c
 from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
 from dbo_cli.export.double_code import double_code
 from dbo_cli.export.project_files import ExportSummary
-from dbo_cli.export.single_code import single_code
-from dbo_cli.export.single_tables import NarrowGearsError
+from dbo_cli.export.single_code import NarrowGearsError, single_code
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.logs.units import in_unit
 

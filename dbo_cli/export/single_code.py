@@ -1,26 +1,470 @@
-"""The model in float32 or q31 as C: tables, steps and self-test."""
+"""The model in float32 or q31 as C: tables, how far they can be from the float64 model, steps and self-test.
+
+The bounds on the error are derived from the tables, step by step.
+Every rounding is bounded by half a unit (q31) or by 2^-24 of the largest number that can stand there
+(float32), and followed to the output through the slopes. Two runs cross the same gears unless the drive
+turns within the crossing tolerance of a gear's end. After such a turn their remembered turning points differ
+by up to one gear's width until a larger move wipes them out. The output depends on nested turning points
+m_1, m_2 ... by the difference of the slopes at which the branches before and behind each end, and these
+differences add up to at most the total variation of the slopes: hence one width times that variation.
+
+Memory on the output feeds an error back. Where the loop gain is below one, errors grow by 1/(1 - gain).
+Else a bound comes from energy: with V = sum c_j e_j^2 / (2 b_j) a disturbance r of the input gives
+V_k+1 <= V_k + r e - s e^2 - sum c_j ((b_j/2) e^2 + (1 - b_j/2) e_j^2), so V <= r^2 / (4 (s + kappa/2) rho)
+with rho = min 2 b_j (1 - b_j/2), and sum c_j a_j e_j <= r A by Cauchy-Schwarz.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
-from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables
-from dbo_cli.export.single_tables import (
-    axes_of,
-    check_memories,
-    counts_of_range,
-    derive_bounds,
-    single_tables,
-    to_counts,
-)
+from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
 from dbo_cli.export.source_text import ModelCode, Vectors, array, delay_line, hex_float, integer, struct_rows
+from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
+from dbo_cli.hysteresis.kernel import Floats
+from dbo_cli.hysteresis.model import DriveLimits, Quantity
 
 Text = Callable[[Any], str]
+
+COUNTS = 2.0**30
+"""A range is so many counts of q31 to either side of its middle, which leaves a factor of two beyond it."""
+
+MOST_FINE_BITS = 12
+"""Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
+
+MOST_GEARS = 46_340
+"""Up to here n gears find their row with a product of 32 bits, whatever the run."""
+
+SLOWEST_REST = 2.0**-34
+"""A memory that follows by less a step would stand still below 2^10 counts, 1e-6 of the range."""
+
+EPS = 2.0**-24
+"""Half a unit in the last place of a float32, as a part of the number."""
+
+LEAST_TOLERANCE = 20
+"""A crossing tolerance finer than 2^-20 of a gear gains nothing: the float64 model's own is 2^-30."""
+
+COARSEST_TOLERANCE = 4
+"""Where even 2^-4 of a gear drowns in rounding, the arithmetic cannot hold the gears."""
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Points and scales as one piecewise linear function in float64: its nodes, and the slope of each."""
+
+    x: Floats
+    y: Floats
+    slope: Floats
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The gears at the time step, and how the arithmetic holds them.
+
+    ``wide`` and ``high`` are the widths wanted, per gear; ``widths`` and ``heights`` those of the tables, in
+    the same units; positions are multiples of ``x_unit`` and ``y_unit``. ``fine`` are the bits by which
+    positions are finer than counts, on either axis.
+    """
+
+    kappa: float
+    wide: Floats
+    high: Floats
+    widths: Floats
+    heights: Floats
+    x_unit: float
+    y_unit: float
+    fine: tuple[int, int]
+
+    @property
+    def x_count(self) -> float:
+        """One count of the input axis."""
+        return self.x_unit * 2.0 ** self.fine[0]
+
+    @property
+    def y_count(self) -> float:
+        """One count of the output axis."""
+        return self.y_unit * 2.0 ** self.fine[1]
+
+
+def fold(stages: MemoryFree, low: float, high: float) -> Folded:
+    """Return points and scales, composed, as one function of an input between ``low`` and ``high``.
+
+    Exact up to float64's rounding: its nodes are the points of every stage, led back to the input.
+    """
+    nodes = [low]
+    for place, stage in enumerate(stages):
+        if isinstance(stage, ScaleStage):
+            continue
+        inner = stage.segments[1:, 0] + stage.x0
+        back = tuple(one.inverse() for one in reversed(stages[:place]))
+        nodes += through(back, np.ascontiguousarray(inner)).tolist()
+    span = high - low
+    found: list[float] = []
+    for node in sorted(nodes):
+        if not found or node - found[-1] > 1e-9 * span:
+            found.append(node)
+    x = np.array([*found, max(found[-1] + span, high)])
+    y = through(stages, x.copy())
+    return Folded(x[:-1], y[:-1], np.diff(y) / np.diff(x))
+
+
+def quantised(wanted: Floats, run: int, unit: float) -> Floats:
+    """Return one width a run, whole multiples of ``unit``, whose running sums follow the exact ones."""
+    widths, total, reached = [], 0.0, 0.0
+    for begin in range(0, len(wanted), run):
+        count = min(run, len(wanted) - begin)
+        total += float(wanted[begin]) * count
+        width = max(round((total - reached) / count / unit), 1) * unit
+        widths.append(width)
+        reached += width * count
+    return np.array(widths)
+
+
+def axes_of(plan: CascadePlan) -> Axes:
+    """Return the gears with kappa in their widths, and the units of positions."""
+    gears = plan.backlash
+    kappa = plan.kappa
+    wide, high = gears.gears[:, 0] + kappa * gears.gears[:, 1], gears.gears[:, 1].copy()
+    totals = [float(wide.sum()), float(high.sum())]
+    if gears.memory_on == "input" and plan.terms:
+        totals[1] += float(np.sum(plan.gain)) * totals[0]
+    fine = [0, 0]
+    units = []
+    for axis, (total, widths) in enumerate(zip(totals, (wide, high), strict=True)):
+        most = float(widths.max()) / total * COUNTS
+        fine[axis] = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
+        units.append(total / COUNTS / 2.0 ** fine[axis])
+    run = gears.equal_run
+    return Axes(
+        kappa, wide, high, quantised(wide, run, units[0]), quantised(high, run, units[1]),
+        units[0], units[1], (fine[0], fine[1]),
+    )  # fmt: skip
+
+
+def shift_for(largest: float, most: int = 62) -> int:
+    """Return the shift that brings a factor just below 2^31, as a whole number."""
+    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), most) if largest > 0.0 else 30
+
+
+def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]) -> Segments:
+    """Return a folded function in the arithmetic; ``x`` and ``y`` are (offset, unit) of either axis."""
+    at, up = (folded.x - x[0]) / x[1], (folded.y - y[0]) / y[1]
+    slopes = folded.slope * x[1] / y[1]
+    if not q31:
+        return Segments([(F(a), F(b), F(s)) for a, b, s in zip(at, up, slopes, strict=True)], 0)
+    at, up = np.rint(at), np.rint(up)
+    slopes[:-1] = np.diff(up) / np.maximum(np.diff(at), 1.0)
+    shift = shift_for(float(np.abs(slopes).max()))
+    if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
+        raise ModelError("points or scales beyond the range of q31 (`arithmetic` float or double)")
+    rows = zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True)
+    return Segments([(int(a), int(b), round(s * 2.0**shift)) for a, b, s in rows], shift)
+
+
+def counts_of_range(quantity: Quantity) -> tuple[float, float]:
+    """Return where a range has its count 0, and how much one count is."""
+    return 0.5 * (quantity.minimum + quantity.maximum), 0.5 * quantity.span / COUNTS
+
+
+def check_memories(plan: CascadePlan) -> None:
+    """Refuse memories that would stand still in q31.
+
+    Raises
+    ------
+    ModelError
+        A memory follows by less than 2^-34 a step.
+    """
+    if plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
+        raise ModelError(
+            "relaxation.tau: a memory this slow at this rate stands still in q31"
+            " (`sample_rate` lower, or `arithmetic` double)"
+        )
+
+
+def _terms(plan: CascadePlan, axes: Axes, q31: bool) -> list[tuple[Any, Any, int, int]]:
+    """Return (carried, rest, carried_shift, rest_shift) of each relaxation term."""
+    found: list[tuple[Any, Any, int, int]] = []
+    on_output = plan.backlash.memory_on == "output"
+    for c, a in zip(plan.gain.tolist(), plan.decay.tolist(), strict=True):
+        carried, rest = (c * a if on_output else c), 1.0 - a
+        # From counts of the remembered axis to the other's: counts in float32, positions in q31.
+        if not q31:
+            ratio = axes.y_count / axes.x_count if on_output else axes.x_count / axes.y_count
+            found.append((F(carried * ratio), F(rest), 0, 0))
+            continue
+        factor = carried * (axes.y_count / axes.x_unit if on_output else axes.x_count / axes.y_unit)
+        up, down = shift_for(factor), math.floor(math.log2(COUNTS / rest))
+        if up < 0:
+            raise ModelError("relaxation.gain: beyond the range of q31 (`arithmetic` float or double)")
+        found.append((round(factor * 2.0**up), round(rest * 2.0**down), up, down))
+    return found
+
+
+def _rows(axes: Axes, q31: bool) -> tuple[list[tuple[int, int, Any]], int]:
+    """Return the gear table and, in q31, the shift of its slopes."""
+    slopes = axes.heights / axes.widths * (axes.x_unit / axes.y_unit)
+    shift = shift_for(float(slopes.max())) if q31 else 0
+    if q31 and shift < 16:
+        raise ModelError("dy: a gear too steep for q31 (`arithmetic` float or double)")
+    return [
+        (round(w / axes.x_unit), round(h / axes.y_unit), round(s * 2.0**shift) if q31 else F(s))
+        for w, h, s in zip(axes.widths.tolist(), axes.heights.tolist(), slopes.tolist(), strict=True)
+    ], shift
+
+
+def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) -> SingleTables:
+    """Return every constant; ``tolerance`` is the part of a gear that may be missing when it is crossed.
+
+    Raises
+    ------
+    ModelError
+        Something is beyond what the arithmetic holds.
+    """
+    gears = plan.backlash
+    if gears.n > MOST_GEARS:
+        raise ModelError(f"dx: {gears.n} gears are more than {MOST_GEARS} (`gears` fewer, or double)")
+    on_output = gears.memory_on == "output"
+    source, result = plan.model.input, plan.model.output
+    rows, slope_shift = _rows(axes, q31)
+    base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
+    taken, given = (counts_of_range(source), counts_of_range(result)) if q31 else ((0.0, 1.0), (0.0, 1.0))
+    x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
+    before = fold(plan.model.head, source.minimum, source.maximum)
+    behind = fold(plan.model.tail, gears.y0, gears.y0 + float(axes.high.sum()))
+    if plan.direction == "forward":
+        drive = segments_of(before, q31, taken, (gears.x0, x_step))
+    else:
+        undone = fold(plan.drive_stages, result.minimum, result.maximum)
+        drive = segments_of(undone, q31, given, (gears.y0, y_step))
+    clip, change, positions = _limits(plan, axes, q31)
+    first = to_counts(plan.first_output, result) if q31 else F(plan.first_output)
+    if clip is not None:
+        first = min(max(first, clip[0]), clip[1])
+    whole, part = plan.delay_samples or (-1, 0.0)
+    delay = whole, round(part * COUNTS) if q31 else F(part)
+    offset = (gears.y0 if on_output else gears.x0) - plan.reference
+    offset /= axes.y_count if on_output else axes.x_count
+    span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
+    return SingleTables(
+        q31=q31, rows=rows, n=gears.n, run=gears.equal_run, tolerance=round(-math.log2(tolerance)),
+        terms=_terms(plan, axes, q31), memory_on_output=on_output,
+        drive_offset=round(offset) if q31 else F(offset),
+        slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
+        least=-span, most=2 * span, limits=positions,
+        covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
+        before=segments_of(before, q31, taken, (base, x_step)),
+        behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
+        drive=drive, clip=clip, change=change, first=first, delay=delay,
+    )  # fmt: skip
+
+
+def to_counts(value: float, quantity: Quantity) -> int:
+    """Return a value in counts of q31, saturating."""
+    middle, unit = counts_of_range(quantity)
+    return clamped(round((value - middle) / unit))
+
+
+def _limits(
+    plan: CascadePlan, axes: Axes, q31: bool
+) -> tuple[tuple[Any, Any] | None, Any, tuple[int, int, int] | None]:
+    """Return the limits on the output in the arithmetic, rounded inwards: clip, change and positions.
+
+    ``clip`` and ``change`` are numbers as they come out; ``positions`` are low, high and step (-1: no slew
+    limit) as the gears meet them. None of them is outside of the model's own.
+    """
+    limits, inner = plan.limits, plan.inner_limits
+    if limits is None or inner is None:
+        return None, None, None
+    clip = _count_clip(limits, plan.drive) if q31 else _float_clip(limits)
+    if not clip[0] < clip[1]:
+        raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
+    change, step = None, -1.0
+    if limits.max_slew is not None and plan.slew_step is not None and plan.time_step is not None:
+        asked = limits.max_slew * plan.time_step
+        change, reached = _count_change(asked, plan.drive) if q31 else _float_change(asked, clip)
+        step = plan.slew_step * (reached / asked) / axes.y_unit
+        if step < 4.0:
+            raise ModelError(
+                "`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)"
+            )
+    low, high = ((v - plan.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max))
+    if max(abs(low), abs(high), step) >= 2.0**59:
+        raise ModelError("`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)")
+    return clip, change, (math.ceil(low), math.floor(high), math.floor(step))
+
+
+def _float_clip(limits: DriveLimits) -> tuple[Any, Any]:
+    low, high = F(limits.v_min), F(limits.v_max)
+    low = np.nextafter(low, F(np.inf)) if float(low) < limits.v_min else low
+    high = np.nextafter(high, F(-np.inf)) if float(high) > limits.v_max else high
+    return low, high
+
+
+def _count_clip(limits: DriveLimits, drive: Quantity) -> tuple[int, int]:
+    """Return the limits in counts, each, as ``NAME_OUT`` converts it, within the limits asked for."""
+    middle, unit = counts_of_range(drive)
+    low, high = round((limits.v_min - middle) / unit), round((limits.v_max - middle) / unit)
+    if max(abs(low), abs(high)) >= 2**31 - 1:
+        raise ModelError("`v_min`, `v_max`: beyond twice the model's range, which q31 does not hold")
+    while low * unit + middle < limits.v_min:
+        low += 1
+    while high * unit + middle > limits.v_max:
+        high -= 1
+    return low, high
+
+
+def _float_change(asked: float, clip: tuple[Any, Any]) -> tuple[Any, float]:
+    """Return the change that adding to an output may round up to the one asked for, and what is sure.
+
+    A sum is off by half a unit in the last place of the largest output, and the change itself by as much.
+    """
+    place = float(np.spacing(max(abs(clip[0]), abs(clip[1]))))
+    change = F(max(asked - 0.5 * place, 0.0))
+    change = np.nextafter(change, F(0.0)) if float(change) > asked - 0.5 * place else change
+    return change, max(asked - 2.0 * place, 0.0)
+
+
+def _count_change(asked: float, drive: Quantity) -> tuple[int, float]:
+    """Return the change in whole counts, and what that is."""
+    unit = counts_of_range(drive)[1]
+    change = min(math.floor(asked / unit), 2**32)  # 2^32: more than from one end to the other
+    return change, min(change * unit, asked)
+
+
+def _function_error(
+    folded: Folded, q31: bool, end: float, offset: float, x_unit: float, y_unit: float
+) -> float:
+    """Bound the rounding in one piecewise linear function, up to ``end`` on its input."""
+    lengths = np.abs(np.diff(np.append(folded.x, max(end, folded.x[-1]))))
+    rises = np.abs(folded.slope) * lengths
+    if q31:
+        shift = shift_for(float(np.abs(folded.slope).max()) * x_unit / y_unit)
+        nodes = 0.5 * float(np.abs(folded.slope).max()) * x_unit + 0.5 * y_unit
+        return nodes + y_unit * (0.5 + float(lengths.max()) / x_unit * 2.0 ** -(shift + 1))
+    largest = float(np.abs(folded.y - offset).max() + rises.max())
+    constant = float((np.abs(folded.slope) * np.abs(folded.x)).max())
+    return EPS * (3.0 * float(rises.max()) + constant + 2.0 * largest)  # and x - x_c, the product, the sum
+
+
+def _subset_error(table: Floats, wanted: Floats, run: int) -> float:
+    """Bound what the roundings of any set of gears add up to."""
+    off = np.repeat(table, run)[: len(wanted)] - wanted
+    return float(max(off[off > 0.0].sum(), -off[off < 0.0].sum()))
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """What memory adds: its own rounding, and how a disturbance comes back through it."""
+
+    own: float
+    gain: float
+    amplification: float
+
+
+def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> _Loop:
+    """Bound the rounding of the memories, as the input meets it, and the feedback of errors."""
+    c, a = plan.gain, plan.decay
+    if not plan.terms:
+        return _Loop(0.0, 0.0, 1.0)
+    on_output = plan.backlash.memory_on == "output"
+    b, carried = 1.0 - a, (c * a if on_output else c)
+    offset = abs((plan.backlash.y0 if on_output else plan.backlash.x0) - plan.reference)
+    drive = float((axes.high if on_output else axes.wide).sum()) + offset
+    count = axes.y_count if on_output else axes.x_count
+    if q31:
+        other = axes.x_unit if on_output else axes.y_unit
+        held = count * (1.5 + 2.0 * drive / count * 2.0**-30 + 2.0**-25 / b)
+        factors = np.array([shift_for(float(v)) if v > 0.0 else 30 for v in carried * count / other])
+        recall = other * (0.5 + drive / count * 2.0 ** -(factors + 1.0))
+    else:
+        held = np.full(plan.terms, 8.0 * EPS * drive + count)
+        recall = EPS * (2.0 + plan.terms) * carried * drive
+    own = float(np.sum(carried * held) + np.sum(recall))
+    if not on_output:
+        return _Loop(own, float(np.sum(c)), 1.0)
+    loop = steepest * float(np.sum(carried))
+    stiff = max(1.0 / steepest - axes.kappa, 0.0) + 0.5 * axes.kappa
+    rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
+    energy = 1.0 + math.sqrt(float(np.sum(2.0 * b * c * a**2)) / (4.0 * stiff * rho))
+    return _Loop(own, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy))
+
+
+class NarrowGearsError(ModelError):
+    """The gears are too narrow for the arithmetic; fewer would do."""
+
+
+def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
+    """Return the bounds for inputs inside the model's range, in the output's unit and in % of its range.
+
+    ``same_gears`` holds while both have crossed the same gears, and with memory always did;
+    ``after_close_turn`` always, also after turns within ``close_turn_fraction`` of a gear's end. That is the
+    part of a gear that may be missing when it counts as crossed, a power of two.
+
+    Raises
+    ------
+    ModelError
+        The gears are too narrow for the arithmetic: its rounding is beyond 1/16 of one.
+    """
+    gears, source, result = plan.backlash, plan.model.input, plan.model.output
+    run, on_output = gears.equal_run, gears.memory_on == "output"
+    slopes = axes.high / axes.wide
+    steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
+    loop = _loop(plan, axes, q31, steepest)
+    base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
+    x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
+    before = fold(plan.model.head, source.minimum, source.maximum)
+    entering = _function_error(before, q31, source.maximum, base, x_in, axes.x_unit)
+    across = entering + _subset_error(axes.widths, axes.wide, run)
+    off_x = np.repeat(axes.widths, run)[: gears.n] - axes.wide
+    off_y = np.repeat(axes.heights, run)[: gears.n] - axes.high
+    rising = _subset_error(axes.heights, axes.high, run)
+    rising += float(np.max(np.abs(off_y) + slopes * np.abs(off_x)))
+    if q31:
+        shift = shift_for(steepest * axes.x_unit / axes.y_unit)
+        rising += axes.y_unit * (1.0 + float(axes.wide.max()) / axes.x_unit * 2.0 ** -(shift + 1))
+    else:
+        across += EPS * (2.0 * span + loop.gain * height * on_output) + axes.x_count
+        rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
+    if on_output:
+        steady = steepest * (across + loop.own) + rising
+        inner = steady * loop.amplification if loop.amplification < math.inf else math.inf
+        place = across + loop.own + loop.gain * inner
+    else:
+        inner = steepest * across + loop.gain * entering + loop.own + rising + axes.y_count
+        place = across
+    tolerance = _tolerance(place, float(axes.wide.min()), rising, float(axes.high.min()), plan)
+    hop = float(axes.wide.max()) * float(np.sum(np.abs(np.diff(slopes)))) * loop.amplification
+    behind = fold(plan.model.tail, gears.y0, gears.y0 + height)
+    bend = float(np.abs(behind.slope).max())
+    leaving = _function_error(
+        Folded(behind.x - gears.y0, behind.y, behind.slope), q31, height, 0.0, axes.y_count, y_out
+    ) + bend * 0.5 * axes.y_count + (y_out if q31 else EPS * bend * height)  # fmt: skip
+    if plan.model.delay_seconds and not on_output and not q31:
+        leaving += 3.0 * EPS * max(abs(result.minimum), abs(result.maximum))
+    same = bend * inner + leaving
+    found: dict[str, float] = {}
+    for key, value in (("same_gears", same), ("after_close_turn", same + bend * hop)):
+        found |= {key: value, f"{key}_percent": 100.0 * value / result.span}
+    return {**found, "close_turn_fraction": tolerance}
+
+
+def _tolerance(place: float, narrow: float, rising: float, low: float, plan: CascadePlan) -> float:
+    """Return a power of two, twice what rounding can shift a turn by, as a part of the smallest gear."""
+    part = 2.0 * max(place / narrow, rising / low)
+    power = min(math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE)
+    if power < COARSEST_TOLERANCE:
+        raise NarrowGearsError(
+            f"{plan.backlash.n} gears are too narrow for this arithmetic: its rounding is {100.0 * part:.2g}"
+            " % of the smallest"
+        )
+    return 2.0**-power
 
 
 def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
@@ -68,7 +512,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "Y_SHIFT": str(t.y_shift),
     }  # fmt: skip
     for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
-        values |= {f"{label}_ROWS": str(len(segments.x)), f"{label}_SHIFT": str(segments.shift)}
+        values |= {f"{label}_ROWS": str(len(segments.rows)), f"{label}_SHIFT": str(segments.shift)}
     for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
         middle, unit = counts_of_range(quantity)
         values |= {
@@ -100,22 +544,15 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     if t.limits is not None:
         out += f"static const dbo_limits limits = {{{', '.join(integer(v) for v in t.limits)}}};\n"
     for label, segments in (("before", t.before), ("behind", t.behind), ("drives", t.drive)):
-        out += array("dbo_segment", label, _segment_rows(segments, text))
-        size += (24 if t.q31 else 12) * len(segments.x)
+        rows = [[text(value) for value in row] for row in segments.rows]
+        out += array("dbo_segment", label, struct_rows(rows))
+        size += (24 if t.q31 else 12) * len(rows)
     return out, size
-
-
-def _segment_rows(segments: Segments, text: Text) -> list[str]:
-    rows = zip(segments.x, segments.y, segments.slope, strict=True)
-    return struct_rows([text(value) for value in row] for row in rows)
 
 
 def row_shift(n: int, run: int) -> int:
     """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i < n, in 32 bits."""
-    shift = 0
-    while 2**shift < n * run and run > 1:
-        shift += 1
-    return shift
+    return (n * run - 1).bit_length() if run > 1 else 0
 
 
 def _between(t: SingleTables, text: Text) -> str:

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
-
-Floats = NDArray[np.float64]
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    Floats,
+)
 
 
 @dataclass(frozen=True)
@@ -66,15 +68,9 @@ class OtherHysteresis(ABC):
         """Return the stage as plain values for the model file, its ``type`` first."""
 
 
-Stage = (
-    DiscreteBacklashOperator
-    | DiscretePointOperator
-    | ScaleStage
-    | DynamicsStage
-    | DelayStage
-    | OtherHysteresis
-)
-MemoryFree = tuple[DiscretePointOperator | ScaleStage, ...]
+MemoryFreeStage = DiscretePointOperator | ScaleStage
+MemoryFree = tuple[MemoryFreeStage, ...]
+Stage = DiscreteBacklashOperator | MemoryFreeStage | DynamicsStage | DelayStage | OtherHysteresis
 
 
 def memory_free(stages: Sequence[Stage]) -> MemoryFree:
@@ -82,14 +78,14 @@ def memory_free(stages: Sequence[Stage]) -> MemoryFree:
     return tuple(stage for stage in stages if isinstance(stage, DiscretePointOperator | ScaleStage))
 
 
-def through(stages: Sequence[DiscretePointOperator | ScaleStage], x: Floats) -> Floats:
+def through(stages: Sequence[MemoryFreeStage], x: Floats) -> Floats:
     """Pass a block through memory-free stages."""
     for stage in stages:
         x = stage.run(x)
     return x
 
 
-def least_slope(stage: DiscretePointOperator | ScaleStage) -> float:
+def least_slope(stage: MemoryFreeStage) -> float:
     """Return the least slope of a memory-free stage, without its sign."""
     if isinstance(stage, ScaleStage):
         return abs(stage.gain)

@@ -20,30 +20,13 @@ MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
 _WHOLE = 1e-9  # a delay, or a time in samples, this close to a whole number of samples is that number
 
 
-def _samples_before(times: Floats, wanted: Floats) -> NDArray[np.intp]:
-    """Return the last sample not after each time wanted, 0 where there is none.
-
-    On an even clock that is as many samples on for each, or one more or less where times are rounded: this is
-    tried and checked, and searched for only where it does not hold.
-    """
-    last = times.size - 1
-    begin = int(np.searchsorted(times, wanted[0], side="right")) - 1
-    found = np.clip(np.arange(begin, begin + wanted.size), 0, last)
-    found -= (times[found] > wanted) & (found > 0)
-    found += (times[np.minimum(found + 1, last)] <= wanted) & (found < last)
-    not_after = (times[found] <= wanted) | (found == 0)
-    if np.all(not_after & ((times[np.minimum(found + 1, last)] > wanted) | (found == last))):
-        return found
-    return np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
-
-
 def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats, int]:
     """Return a signal at other times, linearly between its samples, and the sample before the last of them.
 
     Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
     sample's (in steps) is that sample's, so that shifting there and back is exact.
     """
-    first = _samples_before(times, wanted)
+    first = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
     second = np.clip(first + 1, 0, times.size - 1)
     gap = times[second] - times[first]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -51,6 +34,13 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     part = np.where(part < _WHOLE, 0.0, part)
     between = values[first] + part * (values[second] - values[first])
     return np.where(part > 1.0 - _WHOLE, values[second], between), int(first[-1])
+
+
+def whole_and_part(samples: float) -> tuple[int, float]:
+    """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
+    whole = math.floor(samples + _WHOLE)
+    part = max(samples - whole, 0.0)
+    return whole, part if part > _WHOLE else 0.0
 
 
 @dataclass(frozen=True)
@@ -125,9 +115,7 @@ class DelayStage:
     ) -> tuple[Floats, DelayHistory]:
         if not step > 0.0:
             raise InputError(f"time step: {step!r} s is not greater than 0")
-        samples = self.seconds / step
-        whole = math.floor(samples + _WHOLE)
-        part = max(samples - whole, 0.0)
+        whole, part = whole_and_part(self.seconds / step)
         if whole > MOST_DELAYED:
             raise InputError(
                 f"time step: {step:g} s is {whole:,} times in the delay of {self.seconds:g} s, and more than "
@@ -139,7 +127,7 @@ class DelayStage:
             times = np.concatenate([times[0] - step * np.arange(missing, 0, -1), times])
         begin = values.size - count - whole
         later, earlier = values[begin : begin + count], values[begin - 1 : begin - 1 + count]
-        y = later + part * (earlier - later) if part > _WHOLE else later.copy()
+        y = later + part * (earlier - later) if part else later.copy()
         kept = slice(-(whole + 1), None)
         return y, DelayHistory(tuple(times[kept].tolist()), tuple(values[kept].tolist()))
 

@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis.operators import checked_steps
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating]
@@ -353,10 +354,7 @@ class DynamicsStage:
         InputError
             A time step is negative or not a number.
         """
-        steps = np.asarray(time_step, dtype=np.float64).reshape(-1)
-        if not np.all(steps >= 0.0):
-            k = int(np.flatnonzero(~(steps >= 0.0))[0])
-            raise InputError(f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards")
+        steps = checked_steps(time_step)
         parts = [section.step(steps) for section in self.sections]
         return np.ascontiguousarray(np.concatenate(parts, axis=1))
 
@@ -404,16 +402,12 @@ class DynamicsStage:
 def _loop_of(stage: DynamicsStage, x: Floats, time_step: float) -> tuple[Floats, tuple[float, float, float]]:
     """Return what ``DynamicsStage.loop`` does, for a stage of one section."""
 
-    def after(p: float, q: float) -> tuple[Floats, SectionStates]:
+    def after(p: float, q: float) -> tuple[Floats, Floats]:
         y, state = stage.run(x, time_step, ((p, q, float(x[-1])),))
-        assert state is not None
-        return y, state
+        return y, np.array(state).reshape(-1)
 
-    def ends(p: float, q: float) -> tuple[float, float]:
-        return after(p, q)[1][0][:2]
-
-    y, state = after(*_fixed_point(ends))
-    return y, state[0]
+    y, held = _repeated(after, slice(0, 2))
+    return y, _as_states(held[np.newaxis])[0]
 
 
 def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
@@ -425,19 +419,15 @@ def _undone_loop_of(part: SectionInverse, y: Floats) -> Floats:
         kernel.CHOSEN.dynamics_undo(part.numbers, part.weight, held, wrapped, u)
         return u, held
 
-    def ends(a: float, b: float) -> tuple[float, float]:
-        held = after(a, b)[1]
-        return float(held[1]), float(held[2])
-
-    return after(*_fixed_point(ends))[0]
+    return _repeated(after, slice(1, 3))[0]
 
 
-def _fixed_point(after: Callable[[float, float], tuple[float, float]]) -> tuple[float, float]:
-    """Return the two numbers that an affine map leaves unchanged."""
-    base = np.array(after(0.0, 0.0))
-    columns = [np.array(after(1.0, 0.0)) - base, np.array(after(0.0, 1.0)) - base]
-    first, second = np.linalg.solve(np.eye(2) - np.column_stack(columns), base).tolist()
-    return first, second
+def _repeated(after: Callable[[float, float], tuple[Floats, Floats]], kept: slice) -> tuple[Floats, Floats]:
+    """Return a period, and the state after it, from the two numbers of the state that it leaves unchanged."""
+    base, *ends = (after(*pair)[1][kept] for pair in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+    columns = np.column_stack([end - base for end in ends])
+    first, second = np.linalg.solve(np.eye(2) - columns, base).tolist()
+    return after(first, second)
 
 
 def _as_states(held: Floats) -> SectionStates:
@@ -505,25 +495,20 @@ class DynamicsInverter:
 
 def with_future(blocks: Iterable[tuple[Payload, Floats]], ahead: int) -> Iterator[tuple[Payload, Floats]]:
     """Yield each block with ``ahead`` samples of those after it; at the end the last value holds."""
-    waiting: deque[tuple[Payload, Floats]] = deque()
-    known = 0
+    waiting: deque[tuple[Payload, int]] = deque()
+    values = np.empty(0)  # of the blocks that wait, and what is known of those after them
     for block in chain(blocks, [None]):
         if block is None:
-            if waiting:
-                held = np.full(ahead, waiting[-1][1][-1])
-                values = np.concatenate([*(part for _, part in waiting), held])
-                for payload, part in waiting:
-                    yield payload, values[: part.size + ahead]
-                    values = values[part.size :]
-            return
-        if block[1].size:
-            waiting.append(block)
-            known += block[1].size
-        while waiting and known - waiting[0][1].size >= ahead:
-            values = np.concatenate([part for _, part in waiting])
-            payload, part = waiting.popleft()
-            known -= part.size
-            yield payload, values[: part.size + ahead]
+            part = np.full(ahead, values[-1]) if values.size else values
+        else:
+            part = block[1]
+            if part.size:
+                waiting.append((block[0], part.size))
+        values = np.concatenate([values, part])
+        while waiting and values.size - waiting[0][1] >= ahead:
+            payload, count = waiting.popleft()
+            yield payload, values[: count + ahead]
+            values = values[count:]
 
 
 def undone(

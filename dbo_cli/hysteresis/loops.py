@@ -13,14 +13,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.cascade import through
+from dbo_cli.hysteresis.delay import whole_and_part
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated, StartName
-from dbo_cli.hysteresis.operators import BacklashState
-
-Floats = NDArray[np.float64]
+from dbo_cli.hysteresis.operators import BacklashState, Floats
 
 MOST_PASSES = 200
 """Relaxation of half the gears' own slope settles within 60; limits that bind now and then take longer."""
@@ -42,10 +40,9 @@ class Settled(NamedTuple):
 
 def shifted(x: Floats, samples: float) -> Floats:
     """Return one period read ahead by so many samples (behind, where negative), linear between them."""
-    whole = math.floor(samples + 1e-9)
-    part = max(samples - whole, 0.0)
+    whole, part = whole_and_part(samples)
     near = np.roll(x, -whole)
-    return near if part <= 1e-9 else near + part * (np.roll(near, -1) - near)
+    return near + part * (np.roll(near, -1) - near) if part else near
 
 
 def _advanced(x: Floats, samples: float) -> Floats:
@@ -53,9 +50,9 @@ def _advanced(x: Floats, samples: float) -> Floats:
 
     Between samples the delay takes the mean of two; frequencies that come through that are restored.
     """
-    ahead = np.roll(x, -math.floor(samples + 1e-9))
-    part = max(samples - math.floor(samples + 1e-9), 0.0)
-    if part <= 1e-9:
+    whole, part = whole_and_part(samples)
+    ahead = np.roll(x, -whole)
+    if not part:
         return ahead
     turn = np.exp(-2j * math.pi * np.fft.rfftfreq(x.size))
     gain = 1.0 - part + part * turn
@@ -120,28 +117,23 @@ def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelS
     return inner.simulate(drive, before, time_step=step if inner.needs_time else None).y
 
 
-def slow_model(model: ActuatorModel, but: tuple[object, ...] = ()) -> ActuatorModel:
-    """Return a model without what lies behind its gears and points in time, and without ``but``."""
-    others = (model.dynamics, model.delay, *but)
-    return dataclasses.replace(
-        model, stages=tuple(stage for stage in model.stages if not any(stage is other for other in others))
-    )
+def slow_model(model: ActuatorModel) -> ActuatorModel:
+    """Return a model without what lies behind its gears and points in time."""
+    late = (model.dynamics, model.delay)
+    kept = tuple(stage for stage in model.stages if not any(stage is other for other in late))
+    return dataclasses.replace(model, stages=kept)
 
 
 def _periodic(model: ActuatorModel, before: ModelState, after: ModelState, seconds: float) -> ModelState:
     """Return the state after a pass, with the memory that further passes of the same drive would lead to."""
-    memory = after.backlash.memory
+    memory, begun, terms = after.backlash.memory, before.backlash.memory, model.backlash.relaxation
     if memory is None:
         return after  # no relaxation
-    terms = model.backlash.relaxation
-    if terms is not None:
-        begun = before.backlash.memory
-        if begun is not None:
-            kept = [math.exp(-seconds / tau) for tau in terms.tau]
-            memory = tuple(
-                (end - part * start) / -math.expm1(-seconds / tau)
-                for start, end, part, tau in zip(begun, memory, kept, terms.tau, strict=True)
-            )
+    if terms is not None and begun is not None:
+        memory = tuple(
+            (end - math.exp(-seconds / tau) * start) / -math.expm1(-seconds / tau)
+            for start, end, tau in zip(begun, memory, terms.tau, strict=True)
+        )
     return dataclasses.replace(after, backlash=BacklashState(after.backlash.bits, memory))
 
 
@@ -154,7 +146,7 @@ def settled_output(
 
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
     """Return the settled period of a repeated drive, and the state at its end."""
-    inner, lagging = slow_model(model, but=(model.drive_lag,)), None
+    inner, lagging = model.without_lag, None
     time_step = step if inner.needs_time else None
     begun = dataclasses.replace(looped_state(model, drive, step, state), drive_lag=None)
     if model.drive_lag is not None:

@@ -235,6 +235,10 @@ def _antiresonance(node: Node, key: str) -> Any:
     return _read(node.node(key), Antiresonance, MODE)
 
 
+def _antiresonance_values(section: Resonance) -> Json | None:
+    return _written(section.antiresonance, MODE) if section.antiresonance else None
+
+
 def _sections(node: Node, key: str) -> tuple[Section, ...]:
     """Return lags and resonances, these perhaps with an antiresonance."""
     given = node.values[key]
@@ -270,15 +274,7 @@ QUANTITY = (
     Field("max", Node.number, attribute="maximum"),
 )
 MODE = Field("frequency", Node.number), Field("damping", Node.number)
-RESONANCE = (
-    *MODE,
-    Field(
-        "antiresonance",
-        _antiresonance,
-        lambda section: section.antiresonance and _written(section.antiresonance, MODE),
-        optional=True,
-    ),
-)
+RESONANCE = (*MODE, Field("antiresonance", _antiresonance, _antiresonance_values, optional=True))
 LAG = Field("lag", Node.number, attribute="seconds"), Field("lead", Node.number, optional=True)
 CURVE = (
     Field("x0", Node.number),
@@ -572,13 +568,11 @@ def _bits_and_memory(node: Node, model: ActuatorModel) -> BacklashState:
 
 
 def _dynamics_values(state: ModelState) -> Json:
-    forward, inverse = state.dynamics, state.undoing
-    return {
-        "sections": None if forward is None else [list(one) for one in forward],
-        "inverse": None
-        if inverse is None
-        else {"time_step": inverse.time_step, "sections": [list(one) for one in inverse.states]},
-    }
+    values: Json = {"sections": state.dynamics and [list(one) for one in state.dynamics], "inverse": None}
+    if state.undoing is not None:
+        sections = [list(one) for one in state.undoing.states]
+        values["inverse"] = {"time_step": state.undoing.time_step, "sections": sections}
+    return values
 
 
 def _with_dynamics(state: ModelState, root: Node, model: ActuatorModel) -> ModelState:

@@ -21,23 +21,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.hysteresis import model_file
+from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import (
-    MODEL_FORMAT,
-    SET_FORMAT,
-    Node,
-    checked_version,
-    document_bytes,
-    load_document,
-    model_of,
-    model_values,
-)
-from dbo_cli.hysteresis.model_file import read_model as read_single_model
-
-Floats = NDArray[np.float64]
+from dbo_cli.hysteresis.model_file import MODEL_FORMAT, SET_FORMAT, Node
 
 MOST_CONDITION = 100.0
 """Of the matrix, in strokes of the channels: undoing it may make a model's error and the sensors' noise
@@ -214,7 +203,7 @@ class ModelSet(Mapping[str, ActuatorModel]):
         node = Node(self.file, f"models[{json.dumps(channel)}]", self._models.node(channel).values)
         if node.values.get("format") != MODEL_FORMAT:
             raise node.refuse("format", f'must be "{MODEL_FORMAT}"')
-        self._last = channel, model_of(checked_version(node))
+        self._last = channel, model_file.model_of(model_file.checked_version(node))
         return self._last[1]
 
     @functools.cached_property
@@ -251,14 +240,14 @@ def read_model(path: str) -> ActuatorModel:
     if separator and not os.path.exists(path):
         return read_set(file)[channel]
     if not os.path.isfile(path):
-        return read_single_model(path)
+        return model_file.read_model(path)
     found = os.stat(path)
     return _single(path, found.st_mtime_ns, found.st_size)
 
 
 @functools.lru_cache(maxsize=1)  # a thousand files are run over one model
 def _single(path: str, changed: int, size: int) -> ActuatorModel:
-    return read_single_model(path)
+    return model_file.read_model(path)
 
 
 def read_set(path: str) -> ModelSet:
@@ -278,7 +267,7 @@ def read_set(path: str) -> ModelSet:
 
 @functools.lru_cache(maxsize=1)
 def _parsed(path: str, changed: int, size: int) -> ModelSet:
-    root = load_document(path, SET_FORMAT, "model set", SET_VERSION)
+    root = model_file.load_document(path, SET_FORMAT, "model set", SET_VERSION)
     root.only(("format", "version", "models"), ("coupling",) if root.values["version"] > 1 else ())
     if not root.node("models").values:
         raise root.refuse("models", "holds no model")
@@ -306,11 +295,13 @@ def set_to_bytes(models: Mapping[str, ActuatorModel], coupling: Coupling | None 
     """
     if not models:
         raise ModelError("a set of no models would be written")
-    held = {channel: model_values(model) for channel, model in models.items()}
+    held = {channel: model_file.model_values(model) for channel, model in models.items()}
     if coupling is None:
-        return document_bytes({"format": SET_FORMAT, "version": 1, "models": held})
+        return model_file.document_bytes({"format": SET_FORMAT, "version": 1, "models": held})
     shown = coupling.of(list(models)).values()
-    return document_bytes({"format": SET_FORMAT, "version": SET_VERSION, "models": held, "coupling": shown})
+    return model_file.document_bytes(
+        {"format": SET_FORMAT, "version": SET_VERSION, "models": held, "coupling": shown}
+    )
 
 
 def shortened(channels: list[str]) -> str:

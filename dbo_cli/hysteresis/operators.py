@@ -124,6 +124,14 @@ def equal_run(gears: Floats) -> int:
     return run if run * len(gears) < 2**32 else 1  # the kernel divides by a 32-bit multiplication
 
 
+def checked_steps(time_step: float | ArrayLike) -> Floats:
+    """Return time steps (s) as an array; InputError where one is negative or not a number."""
+    steps = np.asarray(time_step, dtype=np.float64).reshape(-1)
+    for k in np.flatnonzero(~(steps >= 0.0))[:1]:
+        raise InputError(f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards")
+    return steps
+
+
 @dataclass(frozen=True)
 class Relaxation:
     """Lag and creep beside the gears: sum_j gain_j L_j, each L_j a first-order lag of the voltage.
@@ -171,10 +179,7 @@ class Relaxation:
         InputError
             A time step is negative or not a number.
         """
-        steps = np.asarray(time_step, dtype=np.float64).reshape(-1)
-        if not np.all(steps >= 0.0):
-            k = int(np.flatnonzero(~(steps >= 0.0))[0])
-            raise InputError(f"time step {k + 1}: {float(steps[k])!r} s; time must not go backwards")
+        steps = checked_steps(time_step)
         few, which = np.array(sorted(set(steps[:_LOOKED_AT].tolist()))), None
         if few.size <= _FEW < steps.size:
             which = np.minimum(np.searchsorted(few, steps), few.size - 1)
@@ -506,18 +511,8 @@ class DiscreteBacklashOperator:
         words = self._words(state)
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
-        kernel.CHOSEN.backlash_engagement(
-            self.gears,
-            self.n,
-            self.equal_run,
-            self.x0,
-            outside != "hold",
-            words,
-            x,
-            rows,
-            crossed,
-            group_size,
-        )
+        table = self.gears, self.n, self.equal_run, self.x0, outside != "hold"
+        kernel.CHOSEN.backlash_engagement(*table, words, x, rows, crossed, group_size)
         return rows, BacklashState(self._bits(words), state.memory)
 
 

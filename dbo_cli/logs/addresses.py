@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from dbo_cli.errors import UsageError
 
@@ -49,6 +50,7 @@ class Address:
 
     ``path`` is ``-`` for a standard stream, ``group`` what stands after ``::``; ``format`` was asked for
     beside the name, and ``kind`` is ``text`` or ``hdf5`` by either, or None where only the content can tell.
+    ``table`` holds the columns of a log that is in memory already (``channels.HeldTable``).
     """
 
     text: str
@@ -56,6 +58,7 @@ class Address:
     group: str | None
     kind: str | None
     format: str | None = None
+    table: Any = field(default=None, compare=False, repr=False)
 
     @property
     def is_stream(self) -> bool:

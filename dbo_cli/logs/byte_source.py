@@ -9,11 +9,11 @@ import os
 import stat
 import sys
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import IO, Any, cast
 
-from dbo_cli.errors import DboError, InputError, UsageError
+from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.libraries import GAVE_UP
 from dbo_cli.logs.reading_options import ReadingOptions
@@ -150,12 +150,6 @@ class Request:
         except errors as problem:
             self.watch.check()
             raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
-
-    def no_columns(self, held: Iterable[str], remedy: str = "") -> InputError:
-        """Return the error for a file without columns of numbers; ``held`` is what it has instead."""
-        return InputError(
-            f"{self.place}: no columns of numbers: it holds {', '.join(held) or 'nothing'}{remedy}"
-        )
 
 
 def brief(problem: BaseException) -> str:
@@ -344,21 +338,14 @@ class ByteSource:
         if encoding is None:
             encoding = next((name for mark, name in _UTF16.items() if start.startswith(mark)), None)
         if encoding is None and b"\0" in start:
-            if len(start) >= 4 and not any(start[1:40:2]):
-                encoding = "utf-16-le"
-            elif len(start) >= 4 and not any(start[0:40:2]):
-                encoding = "utf-16-be"
-            else:
-                raise InputError(
-                    f"{self.name}: this is a binary file, not a text log: export it as CSV or HDF5"
-                )
+            halves = (("utf-16-le", start[1:40:2]), ("utf-16-be", start[0:40:2]))
+            encoding = next((name for name, half in halves if len(start) >= 4 and not any(half)), None)
+            if encoding is None:
+                problem = "this is a binary file, not a text log: export it as CSV or HDF5"
+                raise InputError(f"{self.name}: {problem}")
         if encoding is None:
             return None
-        try:
-            "".encode(encoding)  # refuses codecs that are no text encodings, too
-            decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
-        except LookupError:
-            raise UsageError(f"`encoding` {encoding}: there is no such text encoding") from None
+        decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
         return lambda data: decoder.decode(data).encode("utf-8")
 
 

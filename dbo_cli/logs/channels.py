@@ -14,14 +14,12 @@ from dataclasses import dataclass, field, replace
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.byte_source import Request
-from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.columns import column_label, list_columns
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, column_label, list_columns
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
-from dbo_cli.logs.signal_log import file_sha256
-from dbo_cli.logs.tables import HeldTable, ReadLog, open_table
+from dbo_cli.logs.signal_log import file_sha256, open_table
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.time_column import find_time_column
+from dbo_cli.logs.time_column import FoundTime, find_time_column
 
 PLACE = re.compile(r"\{(?:channel)?\}")
 _LISTED = 5  # channels that a message names at most
@@ -75,12 +73,14 @@ def channels_of(
     found = {option: _matches(place, columns, option, one, taken) for option, one in patterns.items()}
     names = list(dict.fromkeys(channel for one in found.values() for channel in one))
     for option, one in found.items():
-        missing = [channel for channel in names if channel not in one]
-        if missing:
+        first, *others = [channel for channel in names if channel not in one] or [""]
+        if first:
             counts = ", ".join(f"`{key}` {len(found[key]):,}" for key in found)
+            shown = [*others[: _LISTED - 1], *(["…"] if len(others) >= _LISTED else [])]
+            more = f" nor for {', '.join(shown)} ({len(others) + 1:,} channels)" if others else ""
             raise InputError(
-                f"{place}: no column '{column_of(patterns[option], missing[0])}' (`{option}`) for channel"
-                f" '{missing[0]}'{_and_more(missing)} (columns found: {counts})"
+                f"{place}: no column '{column_of(patterns[option], first)}' (`{option}`) for channel"
+                f" '{first}'{more} (columns found: {counts})"
             )
     return {channel: {option: one[channel] for option, one in found.items()} for channel in names}
 
@@ -113,11 +113,63 @@ def _matches(
     raise InputError(f"{place}: `{option}` '{pattern}' matches no column: {list_columns(columns)}")
 
 
-def _and_more(channels: Sequence[str]) -> str:
-    if len(channels) == 1:
-        return ""
-    more = ", …" if len(channels) > _LISTED else ""
-    return f" nor for {', '.join(channels[1:_LISTED])}{more} ({len(channels):,} channels)"
+@dataclass(kw_only=True)
+class HeldTable(Table):
+    """Some columns of a table in memory.
+
+    Attributes
+    ----------
+    place, columns, described
+        As the table that was read has them; only the columns that are held.
+    block
+        All rows; the values by column number, as text.
+    found_time
+        The time column, found among all columns of the log.
+    clock
+        The rate (Hz) and the first row's time (s) that the file states, or the refusal.
+    digest
+        Of the file.
+    """
+
+    place: str
+    columns: list[ColumnInfo]
+    described: str
+    block: SampleBlock
+    found_time: FoundTime
+    clock: tuple[float | None, float] | InputError
+    digest: str | None
+    remarks: tuple[str, ...] = ()
+    rows: Rows = ALL_ROWS
+    notes: list[str] = field(default_factory=list)
+
+    def opened(self, options: ReadingOptions) -> HeldTable:
+        """Return a table to read from, whose notes and clock are its own."""
+        found = self.found_time
+        if found.clock is not None:
+            found = found._replace(clock=replace(found.clock, notes=list(found.clock.notes)))
+        return replace(self, rows=options.rows, found_time=found, notes=list(self.remarks))
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Return the sample rate (Hz) that the file states, and the first row's time (s)."""
+        if isinstance(self.clock, InputError):
+            raise self.clock
+        return self.clock
+
+    def describe(self) -> str:
+        """Describe in one line how the log is written."""
+        return self.described
+
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+        """Return the rows asked for as one block; none of them is bad."""
+        values = {role: self.block.values[str(pick.number)] for role, pick in picks.items()}
+        block = replace(self.block, values=values).within(self.rows)
+        if len(block):
+            yield block
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of what was read."""
+        return self.digest
 
 
 @dataclass
@@ -154,9 +206,8 @@ class ChannelReader:
     def __post_init__(self) -> None:
         """Open the log and find its channels."""
         if any("::" in one for one in (*self.patterns.values(), self.options.time or "")):
-            raise UsageError(
-                "a pattern of columns takes all of them, and the time, from one log: no FILE::COLUMN"
-            )
+            all_of_one = "takes all of them, and the time, from one log: no FILE::COLUMN"
+            raise UsageError(f"a pattern of columns {all_of_one}")
         self._table = self._open()
         self._first_notes = list(self._table.notes)
         try:
@@ -186,7 +237,7 @@ class ChannelReader:
         else:
             self._table.notes[:] = self._first_notes
             table = self._read([channel])[channel]
-        return self.address if table is None else ReadLog.of(self.address, table)
+        return self.address if table is None else replace(self.address, table=table)
 
     def _open(self) -> Table:
         address = self.address.or_format(self.options.format)
@@ -221,11 +272,8 @@ class ChannelReader:
         if not parts:
             return dict.fromkeys(channels)
         block = joined(parts)
-        held = dict(block.values) | (
-            {}
-            if clock is None
-            else {str(one.number): block.values[role] for role, one in clock.picks.items()}
-        )
+        timed = {} if clock is None else clock.picks
+        held = dict(block.values) | {str(one.number): block.values[role] for role, one in timed.items()}
         return {channel: self._table_of(channel, replace(block, values=held)) for channel in channels}
 
     def _table_of(self, channel: str, block: SampleBlock) -> HeldTable:
@@ -234,14 +282,14 @@ class ChannelReader:
         own = [*time.values(), *self.channels[channel].values()]
         values = {str(one.number): block.values[str(one.number)] for one in own}
         return HeldTable(
-            self._table.place,
-            own,
-            self._table.describe(),
-            replace(block, values=values),
-            self._time,
-            self._clock(channel),
-            self._hashed(),
-            tuple(self._table.notes),
+            place=self._table.place,
+            columns=own,
+            described=self._table.describe(),
+            block=replace(block, values=values),
+            found_time=self._time,
+            clock=self._clock(channel),
+            digest=self._hashed(),
+            remarks=tuple(self._table.notes),
         )
 
     def _clock(self, channel: str) -> tuple[float | None, float] | InputError:

@@ -226,17 +226,16 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
     InputError
         There is no time, or it stands still or goes backwards, at the line named.
     """
-    start: float | None = None
+    start = None
     carried: list[SampleBlock] = []
     done = read = 0
     for block in filter(len, blocks):
         piece = joined([*carried, block])
         if piece.time is None:
-            raise InputError(
-                f"{place}: there is no time to resample along (`time` COLUMN or `sample_rate` HZ)"
-            )
+            remedy = "`time` COLUMN or `sample_rate` HZ"
+            raise InputError(f"{place}: there is no time to resample along ({remedy})")
         start = float(piece.time[0]) if start is None else start
-        _require_rising(place, piece)
+        _require_rising(place, piece, piece.time)
         carried = [piece.part(len(piece) - 1, len(piece))]
         read += len(block)
         reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
@@ -245,25 +244,17 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
                 f"{place}: `resample` {rate:g} makes {reached:,} rows of {read:,}: give a lower rate"
             )
         for first in range(done, reached, _NEW_ROWS):
-            yield _interpolated(piece, start, rate, first, min(reached, first + _NEW_ROWS))
+            time = start + np.arange(first, min(reached, first + _NEW_ROWS)) / rate
+            values = {role: np.interp(time, piece.time, known) for role, known in piece.values.items()}
+            yield SampleBlock(range(first + 1, first + len(time) + 1), None, time, values)
         done = max(done, reached)
 
 
-def _require_rising(place: str, block: SampleBlock) -> None:
-    assert block.time is not None
-    stuck = np.flatnonzero(np.diff(block.time) <= 0.0)
+def _require_rising(place: str, block: SampleBlock, time: FloatArray) -> None:
+    stuck = np.flatnonzero(np.diff(time) <= 0.0)
     if len(stuck):
         index = int(stuck[0]) + 1
         where = f"row {block.rows[index]}" if block.lines is None else f"line {block.lines[index]}"
-        jump = f"from {_stamp(block.time[index - 1])} s to {_stamp(block.time[index])} s"
-        raise InputError(
-            f"{place}: time does not advance at {where} ({jump}), so it cannot be resampled (cut the log "
-            "with `rows` A:B)"
-        )
-
-
-def _interpolated(block: SampleBlock, start: float, rate: float, first: int, last: int) -> SampleBlock:
-    assert block.time is not None
-    time = start + np.arange(first, last) / rate
-    values = {role: np.interp(time, block.time, values) for role, values in block.values.items()}
-    return SampleBlock(range(first + 1, last + 1), None, time, values)
+        jump = f"from {_stamp(time[index - 1])} s to {_stamp(time[index])} s"
+        cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
+        raise InputError(f"{place}: time does not advance at {where} ({jump}), {cannot}")

@@ -6,25 +6,18 @@ A reader of a format finds the columns, their units, scales and the clock; every
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
 from dbo_cli.logs.columns import column_info, column_label
+from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.reading_options import remedy_for
-from dbo_cli.logs.sample_block import (
-    ColumnInfo,
-    FloatArray,
-    SampleBlock,
-    Table,
-    are_measured,
-    dropped_note,
-)
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, Table, are_measured, dropped_note
 from dbo_cli.logs.stated_clock import Statement, agreed_rate, read_statements
 
 Fetch = Callable[[int, int], Any]
@@ -103,9 +96,9 @@ def from_first_row(source: ColumnSource, unit: str) -> ColumnSource:
         if not first:
             first.append(int(np.asarray(source.fetch(0, 1))[0]))
         counts = np.asarray(source.fetch(start, stop))
-        return (counts.astype(np.int64) if counts.dtype.kind in "iu" else counts) - first[0]
+        return ((counts.astype(np.int64) if counts.dtype.kind in "iu" else counts) - first[0]) / per_second
 
-    return replace(source, fetch=lambda start, stop: fetch(start, stop) / per_second, unit="s")
+    return replace(source, fetch=fetch, unit="s")
 
 
 def array_source(label: str, values: Any, unit: str | None = None) -> ColumnSource:
@@ -136,22 +129,21 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
             bad.append(index)
     if 2 * len(bad) >= len(values):
         return None
-    odd = (
-        f"column '{name}' is not a number in record {bad[0] + 1}: {values[bad[0]]!r} (leave it out)"
-        if bad
-        else ""
-    )
-    return ColumnSource(name, len(values), lambda start, stop: numbers[start:stop], unit, problem=odd)
+    odd = [
+        f"column '{name}' is not a number in record {k + 1}: {values[k]!r} (leave it out)" for k in bad[:1]
+    ]
+    return replace(array_source(name, numbers, unit), problem="".join(odd))
 
 
-def matrix_sources(name: str, array: Any, column: str = "{name}[{number}]") -> list[ColumnSource]:
+def matrix_sources(name: str, array: Any) -> list[ColumnSource]:
     """Make columns of a vector or a matrix, whose longer axis is time; none of what holds no numbers."""
     if array.dtype.kind not in "fiub" or array.ndim not in (1, 2) or not array.size:
         return []
     if array.ndim == 1:
         return [array_source(name, array)]
     table = array if array.shape[0] >= array.shape[1] else array.T
-    labels = [column.format(name=name, number=index) for index in range(1, table.shape[1] + 1)]
+    width = table.shape[1]
+    labels = [f"{name}[{number}]" for number in range(1, width + 1)] if width > 1 else [name]
     return [array_source(label, table[:, index]) for index, label in enumerate(labels)]
 
 
@@ -239,6 +231,13 @@ class ColumnTable(Table):
         Called once the log is no longer needed.
     damaged
         The errors that the format's library raises for a damaged file while it is read.
+    held, remedy
+        What the file holds instead, where there is no column of numbers, and what to do about it.
+
+    Raises
+    ------
+    InputError
+        There is no column of numbers.
     """
 
     request: Request
@@ -249,10 +248,15 @@ class ColumnTable(Table):
     where: str = ""
     at_close: Callable[[], object] | None = None
     damaged: tuple[type[BaseException], ...] = (OSError, RuntimeError, TypeError, ValueError)
+    held: Iterable[str] = ()
+    remedy: str = ""
 
     def __post_init__(self) -> None:
         """Describe each column by the last part of its label and the unit that the file gives."""
         self.place = self.request.place
+        if not self.sources:
+            instead = ", ".join(self.held) or "nothing"
+            raise InputError(f"{self.place}: no columns of numbers: it holds {instead}{self.remedy}")
         self.notes: list[str] = []
         self.columns = [
             replace(column_info(one.label.rsplit("/", 1)[-1], number, one.unit), name=one.label)
@@ -261,10 +265,9 @@ class ColumnTable(Table):
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""
-        plural = "s" if len(self.sources) != 1 else ""
         stated = [one for one in self.clock if one.rate]
         rate = f", {stated[0].rate:g} samples a second" if stated else ""
-        return f"{self.place}: {self.kind}, {len(self.sources)} column{plural}{self.where}{rate}"
+        return f"{self.place}: {self.kind}, {counted(len(self.sources), 'column')}{self.where}{rate}"
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) that the file states for these columns, and the first row's time (s).
@@ -305,10 +308,15 @@ class ColumnTable(Table):
         end = length if options.rows[1] is None else min(length, options.rows[1])
         dropped, first = 0, ""
         for start in range(options.rows[0] - 1, end, options.block_rows):
-            block = self._block(list(picks), sources, start, min(end, start + options.block_rows))
-            good = np.logical_and.reduce([are_measured(array) for array in block.values.values()])
+            stop = min(end, start + options.block_rows)
+            with self.request.reading(self.kind, self.damaged):
+                arrays = [source.read(start, stop) for source in sources]
+            values = dict(zip(picks, arrays, strict=True))
+            block = SampleBlock(range(start + 1, stop + 1), None, None, values)
+            good = np.array([are_measured(array) for array in block.values.values()])
             if not good.all():
-                bad = np.array([_bad(block.values[role], pick) for role, pick in picks.items()])
+                blank = [p.may_be_blank & np.isnan(block.values[role]) for role, p in picks.items()]
+                bad = ~(good | np.array(blank))
                 rows = np.flatnonzero(bad.any(axis=0))
                 if len(rows):
                     message = self._complaint(picks, block, int(rows[0]), int(np.argmax(bad[:, rows[0]])))
@@ -316,8 +324,9 @@ class ColumnTable(Table):
                         rest = bad.shape[1] - 1 - int(rows[0])
                         raise InputError(f"{message} {remedy_for(len(rows) - 1, rest)}")
                     dropped, first = dropped + len(rows), first or message
-                kept = {role: array[good] for role, array in block.values.items()}
-                block = SampleBlock(np.asarray(block.rows)[good], None, None, kept)
+                whole = good.all(axis=0)
+                kept = {role: array[whole] for role, array in block.values.items()}
+                block = SampleBlock(np.asarray(block.rows)[whole], None, None, kept)
             yield block
         if dropped:
             self.notes.append(dropped_note(first, dropped))
@@ -326,11 +335,6 @@ class ColumnTable(Table):
         """Close the file."""
         if self.at_close is not None:
             self.at_close()
-
-    def _block(self, roles: list[str], sources: list[ColumnSource], start: int, stop: int) -> SampleBlock:
-        with self.request.reading(self.kind, self.damaged):
-            arrays = {role: source.read(start, stop) for role, source in zip(roles, sources, strict=True)}
-        return SampleBlock(range(start + 1, stop + 1), None, None, arrays)
 
     def _common_length(self, sources: Sequence[ColumnSource]) -> int:
         lengths = [source.length for source in sources]
@@ -343,9 +347,3 @@ class ColumnTable(Table):
         role, pick = list(picks.items())[column]
         value = repr(str(float(block.values[role][index])))
         return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"
-
-
-def _bad(values: FloatArray, pick: ColumnInfo) -> NDArray[np.bool_]:
-    """Tell which values of a column are refused: NaN is none where the column may be blank."""
-    bad = ~are_measured(values)
-    return bad & ~np.isnan(values) if pick.may_be_blank else bad

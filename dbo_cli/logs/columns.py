@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
 
@@ -86,6 +86,122 @@ class ColumnWish:
     may_be_blank: bool = False
 
 
+# --- the names under which columns are looked for, role by role (docs/instruments.md lists them) -----
+#
+# A name counts where it is a column's whole name or, failing that, one of its words; a letter only as the
+# whole name. Of what is found this way, columns are left out whose unit measures something else, or that a
+# word such as ``target`` gives another role.
+
+TIME_NAMES = ("time", "t", "x_value", "zeit")  # x_value: what LabVIEW writes
+# Names below are those of the manuals and files in docs/instruments.md, in the languages of their software.
+MORE_TIME_NAMES = (
+    "timestamp", "time_stamp", "timestamps", "elapsed", "seconds", "millis", "micros", "milliseconds",
+    "microseconds", "nanoseconds", "msec", "usec", "datetime", "zeitstempel", "uhrzeit", "temps", "tiempo",
+    "tempo", "date", "datum", "datenum", "tijd", "tid", "czas", "čas", "cas", "время", "时间", "時間",
+    "x-axis", "utc", "ts", "epoch",
+)  # fmt: skip
+
+
+_ORDERS = frozenset(
+    ("desired", "target", "setpoint", "commanded", "wanted", "demand", "demanded", "reference", "soll",
+     "sollwert", "sollposition", "consigne", "command", "nominal", "trajectory")
+)  # fmt: skip
+_PLACES = frozenset(("length", "angle", "voltage", "share", "count"))  # a sensor may well give volts
+
+VOLTAGE = ColumnWish(
+    None,
+    ("voltage", "drive", "command", "u", "v", "volt", "volts", "spannung", "steuerspannung", "piezospannung",
+     "stellspannung", "voltaje", "tensione", "tensão", "tensao", "spanning", "spänning",
+     "napięcie", "napiecie", "napětí", "напряжение", "电压", "電圧", "vpiezo", "upiezo", "vdrive", "vpzt"),
+    kinds=frozenset(("voltage", "share", "count")),
+    contrary=frozenset(("sensor", "position", "displacement", "feedback", "photodiode", "interferometer",
+                        "supply")),
+    by_unit=("tension", "piezo", "pzt", "control", "vin", "uin", "ch"),
+    channel_kinds=frozenset(("voltage",)),
+)  # fmt: skip
+DISPLACEMENT = ColumnWish(
+    None,
+    ("displacement", "position", "measured", "sensor", "y", "disp", "pos", "weg", "auslenkung",
+     "verschiebung", "hub", "istposition", "deplacement", "déplacement", "desplazamiento", "spostamento",
+     "posición", "posizione", "verplaatsing", "przemieszczenie", "перемещение", "位移", "変位", "deflection",
+     "stroke", "elongation", "interferometer", "encoder", "capacitive", "lvdt"),
+    letters=("x", "z"),
+    kinds=_PLACES,
+    contrary=_ORDERS,
+    by_unit=("actual", "current", "ist", "istwert", "feedback", "readback", "laser", "ldv", "vibrometer",
+             "meas", "travel", "ch"),
+    channel_kinds=frozenset(("length", "angle")),
+)  # fmt: skip
+DESIRED = ColumnWish(
+    None,
+    ("desired", "reference", "setpoint", "target", "trajectory", "wanted", "ref", "soll", "sollwert",
+     "sollposition", "sollweg", "consigne", "demand", "commanded"),
+    kinds=_PLACES,
+    by_unit=("command",),
+    channel_kinds=frozenset(("length", "angle")),
+)  # fmt: skip
+TRAJECTORY = replace(
+    DISPLACEMENT,
+    guesses=(*DISPLACEMENT.guesses, *DESIRED.guesses),
+    contrary=frozenset(),
+    by_unit=(*DESIRED.by_unit, *DISPLACEMENT.by_unit),
+    preferred=DESIRED.guesses,
+)
+ROLES = {
+    "voltage": VOLTAGE, "displacement": DISPLACEMENT, "measured": DISPLACEMENT, "desired": DESIRED,
+    "trajectory": TRAJECTORY,
+}  # fmt: skip
+
+
+def wish(
+    role: str,
+    selector: str | None = None,
+    *,
+    option: str = "column",
+    quantity: str | None = None,
+    unit: str | None = None,
+    required: bool = True,
+    may_be_blank: bool = False,
+) -> ColumnWish:
+    """Wish for the column of a role.
+
+    Parameters
+    ----------
+    role
+        ``voltage``, ``displacement``, ``measured``, ``desired``, ``trajectory`` (a displacement that may be
+        called desired), or a quantity with no names but its own.
+    selector
+        What the user named, or None to guess.
+    option
+        The parameter that messages name.
+    quantity, unit
+        What a model calls the quantity, and its unit: a column in a unit of that kind is not left out.
+    required
+        Whether its absence is an error.
+    may_be_blank
+        Whether rows without a value are left out.
+    """
+    own, kind = (quantity or role).lower(), kind_of_unit(unit)
+    known = ROLES.get(role)
+    if known is None:
+        kinds = None if kind is None else frozenset((kind,))
+        return ColumnWish(selector, (own,), required, option, kinds=kinds, may_be_blank=may_be_blank)
+    others = frozenset(name for other in ROLES.values() for name in other.guesses)
+    return replace(
+        known,
+        selector=selector,
+        guesses=(own, *(name for name in known.guesses if name != own)) if quantity else known.guesses,
+        required=required,
+        option=option,
+        kinds=(known.kinds or frozenset()) | ({kind} if kind else set()),
+        foreign=others - frozenset(known.guesses),
+        may_be_blank=may_be_blank,
+    )
+
+
+# --- headers -----------------------------------------------------------------------------------------
+
+
 def split_header(header: str) -> tuple[str, str | None]:
     """Split a header cell into its quantity and its normalised unit (or None)."""
     text = " ".join(header.split())
@@ -145,7 +261,7 @@ def column_label(column: ColumnInfo) -> str:
 def list_columns(columns: Sequence[ColumnInfo]) -> str:
     """List the columns of a log for an error message, shortened when there are many."""
     if not any(column.quantity for column in columns):
-        return f"it has {len(columns)} column{'s' if len(columns) != 1 else ''} without names"
+        return f"it has {counted(len(columns), 'column')} without names"
     shown = [f"{one.number} {one.name}" if one.quantity else str(one.number) for one in columns[:_LISTED]]
     more = f", … ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
@@ -177,8 +293,8 @@ def find_column(place: str, columns: Sequence[ColumnInfo], selector: str, option
         if number < 1:
             raise UsageError(f"`{option}` {selector}: columns are counted from 1")
         if number > len(columns):
-            plural = "s" if len(columns) != 1 else ""
-            raise InputError(f"{place}: there is no column {number}: it has {len(columns)} column{plural}")
+            has = counted(len(columns), "column")
+            raise InputError(f"{place}: there is no column {number}: it has {has}")
         return columns[number - 1]
     wanted = cleaned(selector)
     named = [(one, " ".join(one.name.split()), one.quantity) for one in columns if one.quantity]
@@ -272,12 +388,12 @@ def _is_sure(column: ColumnInfo, wish: ColumnWish) -> bool:
 def _misspelled(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
     """Find the columns of which a word is a long name but for one letter."""
     names = [name for name in wish.guesses if len(name) >= 4]
-    found = []
-    for column in columns:
+
+    def is_slip(column: ColumnInfo) -> bool:
         words = {*_words(column.quantity), *re.findall(r"[^\W_]+", column.quantity.lower())} - wish.foreign
-        if any(_one_letter_off(word, name) for word in words for name in names):
-            found.append(column)
-    return found
+        return any(_one_letter_off(word, name) for word in words for name in names)
+
+    return [column for column in columns if is_slip(column)]
 
 
 def _suspects(

@@ -17,6 +17,11 @@ def shortened(text: str) -> str:
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
+def counted(count: int, noun: str) -> str:
+    """Return so many of something: ``1 cell``, ``3 cells``."""
+    return f"{count} {noun}{'s' if count != 1 else ''}"
+
+
 def decoded(data: bytes) -> str:
     """Turn bytes of unknown origin into text: UTF-8, or else the Western code page of old instruments."""
     try:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import codecs
 import dataclasses
 import math
 import numbers
+import re
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import FORMATS
@@ -118,8 +118,11 @@ class ReadingOptions:
                 raise UsageError(f"`{name}`: holds a byte that is no character in this terminal's encoding")
         self.delimiter_character  # noqa: B018
         self.decimal_sign  # noqa: B018
-        if self.encoding is not None:
-            check_encoding(self.encoding)
+        try:
+            # refuses codecs that are no text encodings, too
+            "".encode("utf-8" if self.encoding is None else self.encoding)
+        except (LookupError, ValueError):
+            raise UsageError(f"`encoding` {self.encoding}: there is no such text encoding") from None
 
     def _check_time(self) -> None:
         """Refuse rates and units of time that are none, or that exclude each other."""
@@ -149,11 +152,8 @@ class ReadingOptions:
 
     def chosen(self) -> dict[str, object]:
         """Return what the user gave, under its parameter's name; how many rows are held changes nothing."""
-        given: dict[str, object] = {}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if value != field.default and field.name != "block_rows":
-                given[field.name] = value
+        own = [field for field in dataclasses.fields(self) if field.name != "block_rows"]
+        given = {one.name: value for one in own if (value := getattr(self, one.name)) != one.default}
         if "rows" in given:
             first, last = self.rows
             given["rows"] = f"{first if first > 1 else ''}:{'' if last is None else last}"
@@ -215,28 +215,15 @@ def parse_rows(given: object) -> Rows:
     UsageError
         It is not of that form, or B is before A.
     """
+    rows = given
     if isinstance(given, str):
-        first, separator, last = given.strip().partition(":")
-        numbers = [part for part in (first, last) if part]
-        written = all(part.isdecimal() and part.isascii() and len(part) < 19 for part in numbers)
-        rows: object = (int(first or 1), int(last) if last else None) if separator and written else None
-    else:
-        rows = given
-    if (
-        not isinstance(rows, tuple | list)
-        or len(rows) != 2
-        or not all(type(number) is int for number in (rows[0], rows[1] or 1))
-    ):
+        found = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", given.strip())
+        rows = None if found is None else (int(found[1] or 1), int(found[2]) if found[2] else None)
+    pair: Any = rows if isinstance(rows, tuple | list) and len(rows) == 2 else ("", "")
+    if not all(type(number) is int for number in (pair[0], pair[1] or 1)):
         raise UsageError(f"`rows` {given}: give A:B, data rows counted from 1, both ends included")
-    if rows[0] < 1 or (rows[1] is not None and rows[1] < rows[0]):
-        text = given if isinstance(given, str) else f"{rows[0]}:{'' if rows[1] is None else rows[1]}"
+    first, last = pair
+    if first < 1 or (last is not None and last < first):
+        text = given if isinstance(given, str) else f"{first}:{'' if last is None else last}"
         raise UsageError(f"`rows` {text}: rows are counted from 1, and the last is not before the first")
-    return rows[0], rows[1]
-
-
-def check_encoding(name: str) -> None:
-    """Refuse an encoding that does not exist (UsageError)."""
-    try:
-        codecs.lookup(name)
-    except (LookupError, ValueError):
-        raise UsageError(f"`encoding` {name}: there is no such text encoding") from None
+    return first, last

@@ -1,31 +1,388 @@
 """Recorded logs and trajectories: one way to read them, whatever their format.
 
-with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as log:
-    for block in log.blocks():
-        block.time, block.values["voltage"]
+What a file is called matters less than what it is: its first bytes choose the reader, and a library is
+imported only then. A column of another file (``FILE::COLUMN``) stands beside those of the first. Rows belong
+together by number. Where both files have clocks, they must agree; where only one has, or none, the files must
+be equally long::
+
+    with open_log("run.csv", {"voltage": ColumnWish(None, ("voltage", "drive"))}) as log:
+        for block in log.blocks():
+            block.time, block.values["voltage"]
 """
 
 from __future__ import annotations
 
+import importlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from types import TracebackType
+import re
+from bisect import bisect_right
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, without_folder
-from dbo_cli.logs.byte_source import Request
-from dbo_cli.logs.clock import TimeCheck, resampled
+from dbo_cli.logs.byte_source import BINARY, ZIP, Request
+from dbo_cli.logs.clock import JITTER, TimeCheck, median_step, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
-from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table, joined
 from dbo_cli.logs.sources import Source
-from dbo_cli.logs.tables import HeldTable, join_files, open_table
-from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column
+from dbo_cli.logs.text.text_table import TextTable
+from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
+
+_HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab"
+_EXCEL = "binary.library_files.open_excel"
+_ZIP_ENDINGS = {".npz": "binary.arrays.open_npz"} | dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".ods"), _EXCEL)
+_USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
+
+
+def open_table(request: Request) -> Table:
+    """Open a log with the reader that its first bytes (or its name) ask for.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a library that reads it is not installed.
+    """
+    address = request.address
+    if address.table is not None:
+        held: Table = address.table.opened(request.options)
+        return held
+    reader = _reader_by_content(address) or (_HDF5 if address.kind == "hdf5" else "")
+    if not reader:
+        table = TextTable(request)
+        return _side_by_side(request, table) or table
+    module, _, function = reader.rpartition(".")
+    read = getattr(importlib.import_module(f"dbo_cli.logs.{module}"), function)
+    opened: Table = read(request)
+    return opened
+
+
+def _side_by_side(request: Request, table: TextTable) -> Table | None:
+    """Read a table of a data base that has several rows a sample; None for any other.
+
+    Raises
+    ------
+    InputError
+        It is one, and comes through a pipe.
+    """
+    names = {name.strip("_").lower() for name in table.dialect.headers}
+    if not (table.dialect.sparse or "value" in names):
+        return None
+    from dbo_cli.logs.text.whole_texts import SIGNALS, side_by_side
+
+    found, close = None, True
+    try:
+        if table.source.is_regular:
+            found = side_by_side(request, table.dialect)
+        elif names & set(SIGNALS) and not request.named:
+            raise InputError(f"{table.place}: a row for each value: give it as a file, not through a pipe")
+        close = found is not None
+    finally:
+        if close:
+            table.close()
+    return found
+
+
+def _reader_by_content(address: Address) -> str:
+    """Return the module and function that read a file of such content; nothing for text and streams.
+
+    Raises
+    ------
+    InputError
+        It is what this program wrote and no log.
+    """
+    if address.is_stream or not (os.path.isfile(address.path) and os.access(address.path, os.R_OK)):
+        return ""
+    lower = address.path.lower()
+    with open(address.path, "rb") as file:
+        head = file.read(2056)
+    own = re.match(rb'\{\s*"format":\s*"dbo-(model|model-set|state|report)"', head)
+    if own is not None:
+        remedy = "; a report takes a model as `model`" if own[1] == b"model" else ""
+        kind = own[1].decode()
+        raise InputError(f"{address.text}: this is a {kind}, not a log (give a recording{remedy})")
+    if head.startswith(ZIP):
+        return _ZIP_ENDINGS.get(os.path.splitext(lower)[1], "")
+    if any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in _USER_BLOCKS):
+        return _HDF5
+    known = (reader for start, (_, reader) in BINARY.items() if head.startswith(start))
+    return next(known, _MATLAB if lower.endswith(".mat") and _is_matlab_4(head) else "")
+
+
+def _is_matlab_4(head: bytes) -> bool:
+    """Check the five whole numbers that begin every matrix of a MATLAB v4 file."""
+    for order in ("little", "big"):
+        numbers = [int.from_bytes(head[at : at + 4], order, signed=True) for at in range(0, 20, 4)]
+        kind, rows, columns, imaginary, name = numbers
+        if 0 <= kind < 5000 and min(rows, columns) >= 0 and imaginary in (0, 1) and 0 < name < 512:
+            return len(head) >= 20
+    return False
+
+
+# --- several files as one -------------------------------------------------------------------------
+
+_CLOCK = "the clock of file "  # the role of a file's seconds while clocks are compared
+
+
+@dataclass
+class _File:
+    """One of the files: the columns wanted of it, and its clock if it has one to compare."""
+
+    table: Table
+    columns: dict[int, ColumnInfo]  # number in the joined log to column in the file
+    clock: TimeColumn | None = None
+
+
+def _join_files(
+    table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions
+) -> tuple[Table, dict[str, ColumnWish], ReadingOptions, list[str]]:
+    """Open the other files that wishes name, and put their columns behind those of the first.
+
+    Returns all columns as one table (the first file itself where there is no other), wishes and options with
+    the columns of other files by their numbers in it, and the addresses of the other files.
+
+    Parameters
+    ----------
+    table
+        The first file.
+    want
+        Role to wish; those of the form ``FILE::COLUMN`` are replaced by column numbers of the joined log.
+    options
+        How all files are to be read; ``time`` names a column of the first, or of another file.
+
+    Raises
+    ------
+    InputError
+        A file or a column is absent.
+    """
+    others: dict[str, _File] = {}
+    columns = list(table.columns)
+    wishes = dict(want)
+    there = replace(options, format=None, time=None)
+
+    def number_of(wish: ColumnWish) -> str | None:
+        named = other_file(wish.selector)
+        if named is None:
+            _refuse_missing(table, wish)
+            return wish.selector
+        address, selector = named
+        if address not in others:
+            others[address] = _File(open_table(Request(parse_address(address), there, [selector])), {})
+        file = others[address]
+        _append(columns, file, find_column(file.table.place, file.table.columns, selector, wish.option))
+        return f"number={len(columns)}"
+
+    try:
+        for role, wish in want.items():
+            wishes[role] = replace(wish, selector=number_of(wish))
+        if options.time is not None:
+            options = replace(options, time=number_of(ColumnWish(options.time, option="time")))
+        _find_clocks(table, columns, list(others.values()), options)
+    except BaseException:
+        for other in others.values():
+            other.table.close()
+        raise
+    if others:
+        first = _File(table, {column.number: column for column in table.columns})
+        table = _JoinedTable(table.place, columns, table.notes, [first, *others.values()], options)
+    return table, wishes, options, list(others)
+
+
+def _append(columns: list[ColumnInfo], other: _File, found: ColumnInfo) -> None:
+    columns.append(replace(found, name=f"{other.table.place}::{found.name}", number=len(columns) + 1))
+    other.columns[len(columns)] = found
+
+
+def _find_clocks(
+    table: Table, columns: list[ColumnInfo], others: Sequence[_File], options: ReadingOptions
+) -> None:
+    """Find the other files' clocks; where the first file has none, another's becomes that of the log."""
+    if options.sample_rate is not None:
+        return  # the clocks are replaced
+    mine = columns if options.time is not None else list(table.columns)
+    own = find_time_column(table.place, list(mine), options, [])
+    for other in others:
+        wanted = list(other.columns.values())
+        plain = replace(options, time=None)
+        other.clock = find_time_column(other.table.place, other.table.columns, plain, wanted).clock
+        if own.clock is None and other.clock is not None:
+            for found in other.clock.picks.values():
+                _append(columns, other, found)
+            own = find_time_column(table.place, columns, options, [])
+
+
+def _refuse_missing(table: Table, wish: ColumnWish) -> None:
+    """State that a file is missing where ``FILE::COLUMN`` was meant."""
+    path, mark, _ = (wish.selector or "").partition("::")
+    if mark and all(wish.selector not in (column.name, column.quantity) for column in table.columns):
+        takes = f"`{wish.option}` FILE::COLUMN takes a column of another file"
+        raise InputError(f"{path}: no such file ({takes})")
+
+
+@dataclass
+class _JoinedTable(Table):
+    """Several files as one; the first has the place and takes the notes."""
+
+    place: str
+    columns: list[ColumnInfo]
+    notes: list[str]
+    files: Sequence[_File]
+    options: ReadingOptions
+    _step: float = 0.0
+
+    def describe(self) -> str:
+        """Describe in one line how each file is written."""
+        return "; ".join(file.table.describe() for file in self.files)
+
+    def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
+        """Return the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
+
+        Raises
+        ------
+        InputError
+            They do not agree.
+        """
+        first, *others = self.files
+        rate, start = first.table.even_clock([one for one in columns if one.number in first.columns])
+        for other in others:
+            rate_there, start_there = other.table.even_clock(list(other.columns.values()))
+            if rate is None:
+                rate, start = rate_there, start_there
+            elif rate_there is not None and (abs(rate_there - rate) > 1e-6 * rate or start_there != start):
+                raise InputError(
+                    f"{self.place} has {rate:g} samples a second from {start:g} s on, {other.table.place} "
+                    f"{rate_there:g} from {start_there:g} s on (`sample_rate` HZ takes them row by row)"
+                )
+        return rate, start
+
+    def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
+        """Read the wanted columns of all files in blocks; a row dropped in one is dropped in all.
+
+        Raises
+        ------
+        InputError
+            The files are not equally long, or their clocks do not agree.
+        """
+        first, *others = self.files
+        timed = TIME in picks and picks[TIME].number in first.columns  # else there is nothing to compare
+        if timed:
+            column = first.columns[picks[TIME].number]
+            first.clock = time_column(self.place, column, list(first.table.columns), self.options.time_unit)
+        streams = []
+        for file in self.files:
+            own = {}
+            for role, pick in picks.items():
+                if pick.number in file.columns:
+                    own[role] = replace(file.columns[pick.number], may_be_blank=pick.may_be_blank)
+            clock = file.clock if timed else None
+            extra = {} if clock is None or file is first else dict(clock.picks)
+            if own or extra:
+                found = file.table.blocks(own | extra)
+                role = _CLOCK if file is first else _CLOCK + file.table.place
+                seconds = found if clock is None else _with_seconds(clock, found, role, extra)
+                streams.append((file.table.place, seconds))
+        for block in _in_step(streams, self.options.skip_bad, self.notes):
+            yield self._checked(block)
+        for other in others:
+            self.notes.extend(other.table.notes)
+
+    def _checked(self, block: SampleBlock) -> SampleBlock:
+        """Refuse a block whose clocks disagree (InputError); give it back without the compared clocks."""
+        clocks = {role: array for role, array in block.values.items() if role.startswith(_CLOCK)}
+        here = clocks.pop(_CLOCK, None)
+        if here is None:
+            return block
+        if self._step == 0.0 and len(here) > 1:
+            self._step = median_step(np.abs(np.diff(here)))
+        for role, there in clocks.items():
+            apart = np.flatnonzero(~(np.abs(here - there) <= JITTER * self._step))
+            if len(apart):
+                index = int(apart[0])
+                raise InputError(
+                    f"{self.place}: row {block.rows[index]}: its time {here[index]:.6g} s is "
+                    f"{there[index]:.6g} s in {role.removeprefix(_CLOCK)} (bring both to one clock; "
+                    "`sample_rate` HZ takes them row by row)"
+                )
+        values = {role: array for role, array in block.values.items() if not role.startswith(_CLOCK)}
+        return replace(block, values=values)
+
+    def close(self) -> None:
+        """Close all files."""
+        for file in self.files:
+            file.table.close()
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of the first file, where it was asked for."""
+        return self.files[0].table.sha256
+
+
+def _with_seconds(
+    clock: TimeColumn, blocks: Iterator[SampleBlock], role: str, extra: Mapping[str, ColumnInfo]
+) -> Iterator[SampleBlock]:
+    """Add the seconds of a file's clock under a role; the columns in ``extra`` were read for that alone."""
+    for block in clock.held_back(blocks):
+        seconds = clock.seconds(dict(block.values))
+        values = {name: array for name, array in block.values.items() if name not in extra}
+        yield replace(block, values=values | {role: seconds})
+
+
+def _in_step(
+    files: Sequence[tuple[str, Iterator[SampleBlock]]], skip_bad: bool, notes: list[str]
+) -> Iterator[SampleBlock]:
+    """Merge blocks of several files by row number.
+
+    Raises
+    ------
+    InputError
+        The files are not equally long (with ``skip_bad`` that is a note).
+    """
+    streams = [filter(len, blocks) for _, blocks in files]  # a block may be empty
+    pending = [next(stream, None) for stream in streams]
+    last = [0] * len(streams)
+    while all(pending):
+        blocks = [block for block in pending if block is not None]
+        upto = min(int(block.rows[-1]) for block in blocks)
+        cuts = [bisect_right(block.rows, upto) for block in blocks]
+        yield _merged([block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)])
+        last = [int(block.rows[-1]) for block in blocks]
+        rests = [block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)]
+        pending = [rest if len(rest) else next(one, None) for rest, one in zip(rests, streams, strict=True)]
+    if not any(pending):
+        return
+    for number, block in enumerate(pending):
+        for rest in [block, *streams[number]] if block is not None else []:  # how far are they apart?
+            last[number] = int(rest.rows[-1])
+    counts = ", ".join(f"{name} {count}" for (name, _), count in zip(files, last, strict=True))
+    if not skip_bad:
+        raise InputError(f"the files are not equally long: {counts} rows (`rows` A:B cuts all of them)")
+    notes.append(f"the files do not end at the same row: {counts}: the rows beyond the shortest are left out")
+
+
+def _merged(parts: list[SampleBlock]) -> SampleBlock:
+    """Put parts of several files beside each other; rows that one of them lacks are left out."""
+    first, *others = parts
+    common = np.asarray(first.rows)
+    for part in others:
+        if len(part) != len(common) or not np.array_equal(part.rows, common):
+            common = np.intersect1d(common, np.asarray(part.rows), assume_unique=True)
+    values: dict[str, FloatArray] = {}
+    for part in parts:
+        kept = slice(None) if len(part) == len(common) else np.isin(np.asarray(part.rows), common)
+        values |= {role: array[kept] for role, array in part.values.items()}
+    if len(common) == len(first):
+        return replace(first, values=values)
+    lines = None if first.lines is None else np.asarray(first.lines)[np.isin(np.asarray(first.rows), common)]
+    return SampleBlock(common, lines, None, values)
+
+
+# --- the log -----------------------------------------------------------------------------------------
 
 
 class SignalLog(Source):
@@ -48,33 +405,35 @@ class SignalLog(Source):
         self,
         address: Address,
         table: Table,
-        columns: dict[str, ColumnInfo],
-        clock: TimeColumn | None,
-        sample_rate: float | None,
+        want: Mapping[str, ColumnWish],
         options: ReadingOptions,
-        scales: Mapping[str, Scale],
-        start_time: float,
-        others: Sequence[str],
+        others: Sequence[str] = (),
     ) -> None:
-        gaps = options.skip_bad or any(column.may_be_blank for column in columns.values())
-        super().__init__(
-            table.place,
-            columns,
-            clock is not None or sample_rate is not None,
-            options.resample or (None if gaps else sample_rate),
-            options.resample or sample_rate,
-        )
-        self._address, self._others = address, others
-        self._table, self._options = table, options
-        self._picks, self._scales = columns, scales
-        scaled = {role: scale.applied_to(self.name, columns[role]) for role, scale in scales.items()}
-        self._factors = {role: factor for role, (factor, _) in scaled.items()}
-        self.columns |= {role: column for role, (_, column) in scaled.items()}
-        self._clock, self._start_time = clock, start_time
-        self.time = None if clock is None else clock.column
-        self.sample_rate = sample_rate
+        """Choose columns and clock of an opened table; ``others`` are the addresses of files joined to it."""
+        place, there = table.place, table.columns
+        chosen = [one for one in want.values() if one.selector is not None]
+        named = [find_column(place, there, one.selector or "", one.option) for one in chosen]
+        found: FoundTime = table.found_time or find_time_column(place, there, options, named)
+        clock, rate, start = found.clock, options.sample_rate, 0.0
+        if clock is None and options.time_unit is not None:
+            raise InputError(f"{place}: no column is recognised as the time (`time` COLUMN names it)")
+        timed = clock is not None or rate is not None
+        picks = choose_columns(place, there, want, found.taken, timed, table.notes)
+        if rate is None and clock is None:
+            rate, start = table.even_clock(picks.values())
+        gaps = options.skip_bad or any(column.may_be_blank for column in picks.values())
+        even, timed = None if gaps else rate, clock is not None or rate is not None
+        super().__init__(place, picks, timed, options.resample or even, options.resample or rate)
+        self._scales = _scales_by_role(options, want, picks)
+        for role, scale in self._scales.items():
+            self._factors[role], self.columns[role] = scale.applied_to(self.name, picks[role])
+        table.notes.extend(found.notes)
         self.notes = table.notes
-        self.warnings = [text for one in columns.values() if (text := _doubtful_unit(self.name, one))]
+        self.warnings = [text for one in picks.values() if (text := _doubtful_unit(self.name, one))]
+        self._address, self._others, self._options = address, others, options
+        self._table, self._picks, self._clock, self._start_time = table, picks, clock, start
+        self.time = None if clock is None else clock.column
+        self.sample_rate = rate
         self.rows_read = 0
         self._check: TimeCheck | None = None
         self._times: tuple[float, float] | None = None  # s, of the first and the last sample
@@ -83,9 +442,7 @@ class SignalLog(Source):
         """Use the log as a context manager that closes it."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *problem: object) -> None:
         """Close the log."""
         self.close()
 
@@ -279,34 +636,14 @@ def open_log(
     else:
         target = parse_address(address, options.format)
     table = open_table(Request(target, options, named, live, digest))
-    others: list[str] = []
     try:
+        others: list[str] = []
         if any("::" in one for one in selectors):
-            table, want, options, others = join_files(table, want, options)
-        found = table.found_time if isinstance(table, HeldTable) else _find_time(table, want, options)
-        if found.clock is None and options.time_unit is not None:
-            raise InputError(f"{table.place}: no column is recognised as the time (`time` COLUMN names it)")
-        timed = found.clock is not None or options.sample_rate is not None
-        columns = choose_columns(table.place, table.columns, want, found.taken, timed, table.notes)
-        rate, start = options.sample_rate, 0.0
-        if rate is None and found.clock is None:
-            rate, start = table.even_clock(columns.values())
-        scales = _scales_by_role(options, want, columns)
-        table.notes.extend(found.notes)
-        return SignalLog(target, table, columns, found.clock, rate, options, scales, start, others)
+            table, want, options, others = _join_files(table, want, options)
+        return SignalLog(target, table, want, options, others)
     except BaseException:
         table.close()
         raise
-
-
-def _find_time(table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions) -> FoundTime:
-    """Find the time column among those that the user did not name for other roles."""
-    named = [
-        find_column(table.place, table.columns, wish.selector, wish.option)
-        for wish in want.values()
-        if wish.selector is not None
-    ]
-    return find_time_column(table.place, table.columns, options, named)
 
 
 def _scales_by_role(

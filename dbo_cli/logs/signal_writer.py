@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -11,11 +12,10 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
-from dbo_cli.logs.output_files import is_replaceable
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, opened
+from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ class SignalWriter(Protocol):
         """Append rows."""
 
 
+@dataclass
 class TextWriter:
     """Appends rows of delimited text to a binary stream.
 
@@ -40,31 +41,27 @@ class TextWriter:
     arrays must not change after they were handed in.
     """
 
-    def __init__(
-        self,
-        stream: IO[bytes],
-        columns: Sequence[OutColumn],
-        delimiter: str,
-        flush: bool,
-        behind: bool,
-        comment: str = "",
-    ) -> None:
-        self._stream = stream
-        self._delimiter = delimiter
-        self._flush = flush
-        self._may_lag = behind
-        self._pool: ThreadPoolExecutor | None = None
-        self._running: Future[None] | None = None
-        self._columns, self._headers = columns, unique_headers(columns)
-        cells = [header_cell(header, delimiter) for header in self._headers]
-        stream.write((comment + delimiter.join(cells) + "\n").encode())
-        if flush:
-            stream.flush()
+    stream: IO[bytes]
+    columns: Sequence[OutColumn]
+    delimiter: str
+    flush: bool
+    behind: bool
+    comment: str = ""
+    _pool: ThreadPoolExecutor | None = None
+    _running: Future[None] | None = None
+
+    def __post_init__(self) -> None:
+        """Write the header."""
+        self._headers = unique_headers(self.columns)
+        cells = [header_cell(header, self.delimiter) for header in self._headers]
+        self.stream.write((self.comment + self.delimiter.join(cells) + "\n").encode())
+        if self.flush:
+            self.stream.flush()
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
         self.finish()
-        if self._may_lag and np.size(arrays[0]) >= _WORTH_A_THREAD:
+        if self.behind and np.size(arrays[0]) >= _WORTH_A_THREAD:
             if self._pool is None:
                 from concurrent.futures import ThreadPoolExecutor
 
@@ -72,8 +69,8 @@ class TextWriter:
             self._running = self._pool.submit(self._append, arrays)
             return
         self._append(arrays)
-        if self._flush:
-            self._stream.flush()
+        if self.flush:
+            self.stream.flush()
 
     def finish(self) -> None:
         """Wait until the rows so far are handed to the stream.
@@ -94,10 +91,10 @@ class TextWriter:
 
     def _append(self, arrays: Sequence[ArrayLike]) -> None:
         if np.size(arrays[0]):
-            require_finite(self._columns, self._headers, arrays)
+            require_finite(self.columns, self._headers, arrays)
             for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
                 rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
-                self._stream.write(rows_as_text(rows, self._delimiter))
+                self.stream.write(rows_as_text(rows, self.delimiter))
 
 
 class _Keeper:
@@ -169,19 +166,16 @@ def signal_writer(
         return
     with _text_stream(target) as stream:
         behind = not flush and is_replaceable(target.path)
-        comment = _comment(attributes or {}) if commented else ""
+        comment = ""
+        if commented:  # where the output comes from
+            stated = (f"{key}: {value}" for key, value in (attributes or {}).items())
+            comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
         writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
         try:
             yield writer
             writer.finish()
         finally:
             writer.close()
-
-
-def _comment(attributes: Mapping[str, str | float]) -> str:
-    """Return the comment line that says where a text output comes from."""
-    parts = [program_version_string(), *(f"{key}: {value}" for key, value in attributes.items())]
-    return f"# {cleaned('; '.join(parts))}\n"
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_c
 from dbo_cli.logs.reading_options import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
 from dbo_cli.logs.time_column import find_time_column
-from dbo_cli.logs.units import ONE, UnitFactor, match_units
+from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
 from dbo_cli.remarks import Remarks
 
 if TYPE_CHECKING:
@@ -73,19 +73,44 @@ class Source:
             raise InputError(f"{self.name}: {self.no_time.format(why=why)}")
 
     def convert(self, role: str, wanted: str | None, taker: str) -> None:
-        """Hand a role's samples out in another unit from now on, with a note (see ``match_units``).
+        """Hand a role's samples out in another unit from now on, with a note.
+
+        Parameters
+        ----------
+        role
+            Whose samples.
+        wanted
+            The unit that is worked in, or None where it is not known.
+        taker
+            Who works in it, for messages: ``model.json takes voltage``.
 
         Raises
         ------
         InputError
-            The units measure unlike things.
+            The units measure unlike things, or one of them is not known.
         """
-        match = match_units(self.name, self.columns[role], wanted, taker)
-        self.notes.extend([match.note] if match.note else [])
-        self.warnings.extend([match.warning] if match.warning and self.warns_of_units else [])
-        if not match.factor.is_one:
+        own = self.columns[role].unit
+        called = f"{self.name}: column '{self.columns[role].name}'"
+        factor = unit_factor(own, wanted)
+        if own == wanted:
+            return
+        if own is None or wanted is None:
+            unlike = (
+                f"has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
+                "(name the unit in the header, or convert with `scale`)"
+                if own is None
+                else f"is in {own}, but {taker} without a unit: the figures are used as they are "
+                "(convert with `scale` if they are not alike)"
+            )
+            self.warnings.extend([f"{called} {unlike}"] if self.warns_of_units else [])
+            return
+        if factor is None:
+            remedy = f"`scale` ROLE=FACTOR{wanted}/{own} converts it"
+            raise InputError(f"{called} is in {own}, but {taker} in {wanted} ({remedy})")
+        self.notes.append(f"{called} is converted from {own} to {wanted}")
+        if factor != ONE:
             self.columns[role] = dataclasses.replace(self.columns[role], unit=wanted)
-            self._factors[role] = self._factors.get(role, ONE).times(*match.factor)
+            self._factors[role] = self._factors.get(role, ONE).times(*factor)
 
     def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return samples by role in the units that they are to be handed out in."""

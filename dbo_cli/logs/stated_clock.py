@@ -269,22 +269,18 @@ def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -
         A statement cannot be read, or two disagree; ``sample_rate`` is the remedy.
     """
     found = list(dict.fromkeys(statements))
-    for one in found:
+    for one in sorted(found, key=lambda one: one.rate is not None):  # what cannot be read goes first
         if one.rate is None:
             raise InputError(f"{place}: {one.problem} (`sample_rate` HZ gives the rate instead)")
-    if not found:
-        return None
-    first = found[0]
-    assert first.rate is not None
-    for one in found[1:]:
-        assert one.rate is not None
-        if abs(one.rate - first.rate) > _SAME * first.rate:
+        rate = found[0].rate or 0.0
+        if abs(one.rate - rate) > _SAME * rate:
             raise InputError(
-                f"{place}: two sample rates are stated, {first.text} and {one.text}: which one holds? "
+                f"{place}: two sample rates are stated, {found[0].text} and {one.text}: which one holds? "
                 "(`sample_rate` HZ decides)"
             )
-    certain = [one for one in found if not one.assumed]
-    chosen = certain[0] if certain else first
+    if not found:
+        return None
+    chosen = next((one for one in found if not one.assumed), found[0])
     if chosen.assumed:
         notes.append(f"{place}: {chosen.text} has no unit: {chosen.assumed} is assumed")
     return chosen.rate

@@ -16,8 +16,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import TimeCheck
-from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
-from dbo_cli.logs.columns import any_of, find_column, guess_columns
+from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, any_of, find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
 from dbo_cli.logs.stated_clock import FACTORS, HHMMSS, StatedTime, is_other_kind, stated_time, time_unit
@@ -97,13 +96,10 @@ class TimeColumn:
     date: ColumnInfo | None
     stated: StatedTime
     given: bool  # by the user, so that nothing is doubted
-    part: UnitFactor | None = (
-        None  # s in one count of ``date``, where that is not a date but a part of a second
-    )
+    part: UnitFactor | None = None  # s in one count of ``date``, where that is a part of a second
     described: str = ""
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
-    _decided: bool = False
     _last: float | None = None
     _carried: float = 0.0
     _whole: bool = True
@@ -374,10 +370,9 @@ def find_time_column(
         return FoundTime(None, found if len(found) == 1 else [], notes)
     if len(found) > 1:
         same = len({column.name for column in found}) < len(found)
-        names = any_of(
-            [f"{column.number} '{column.name}'" if same else f"'{column.name}'" for column in found]
-        )
-        raise InputError(f"{place}: which column is the time, {names}? (choose with `time` NAME or NUMBER)")
+        names = [f"{one.number} '{one.name}'" if same else f"'{one.name}'" for one in found]
+        asked = f"which column is the time, {any_of(names)}?"
+        raise InputError(f"{place}: {asked} (choose with `time` NAME or NUMBER)")
     if not found:
         return FoundTime(None, [], [])
     clock = time_column(place, found[0], columns, options.time_unit)
@@ -386,19 +381,18 @@ def find_time_column(
 
 def _part_beside(column: ColumnInfo, columns: Sequence[ColumnInfo]) -> tuple[ColumnInfo, str] | None:
     """Find the parts of a second beside a column of seconds (``sec``, ``nanosec``), and their unit."""
-    first, _, last = _last_word(column.name)
+    first, last = _last_word(column.name)
     if last not in _SECONDS:
         return None
-    beside = [
-        (one, time_unit(_last_word(one.name)[2])) for one in columns if _last_word(one.name)[0] == first
-    ]
-    found = [(one, unit) for one, unit in beside if unit in ("ms", "us", "ns") and one.written == "numbers"]
+    counted = [(one, *_last_word(one.name)) for one in columns if one.written == "numbers"]
+    beside = [(one, time_unit(word) or "") for one, start, word in counted if start == first]
+    found = [(one, unit) for one, unit in beside if unit in ("ms", "us", "ns")]
     return found[0] if len(found) == 1 else None
 
 
-def _last_word(name: str) -> tuple[str, str, str]:
-    found = re.fullmatch(r"(.*?)([._/ ]?)([a-z]+)", name.strip().lower(), re.DOTALL)
-    return (found[1], found[2], found[3]) if found is not None else (name, "", "")
+def _last_word(name: str) -> tuple[str, str]:
+    found = re.fullmatch(r"(.*?)[._/ ]?([a-z]+)", name.strip().lower(), re.DOTALL)
+    return (found[1], found[2]) if found is not None else (name, "")
 
 
 def _time_candidates(columns: list[ColumnInfo]) -> list[ColumnInfo]:

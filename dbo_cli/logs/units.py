@@ -1,7 +1,7 @@
 """Units: how they are spelled, what they measure, and how one becomes another.
 
 A unit is carried, never guessed.  SI prefixes of one unit are converted, unlike units are not:
-``unit_factor`` gives the number, and ``match_units`` the note for the user.
+``unit_factor`` gives the number.
 """
 
 from __future__ import annotations
@@ -88,11 +88,6 @@ class UnitFactor(NamedTuple):
     denominator: int = 1
 
     @property
-    def is_one(self) -> bool:
-        """Whether nothing changes."""
-        return self.numerator == self.denominator
-
-    @property
     def inverse(self) -> UnitFactor:
         """The way back."""
         return UnitFactor(self.denominator, self.numerator)
@@ -153,55 +148,6 @@ def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
     if here is None or there is None or here[0] != there[0]:
         return None
     return UnitFactor(here[1], here[2]).times(there[2], there[1])
-
-
-class UnitMatch(NamedTuple):
-    """How a column is brought into the unit that is wanted, and the messages for the user."""
-
-    factor: UnitFactor = ONE
-    note: str | None = None
-    warning: str | None = None
-
-
-def match_units(place: str, column: ColumnInfo, wanted: str | None, taker: str) -> UnitMatch:
-    """Bring a column into the unit that its user works in.
-
-    Parameters
-    ----------
-    place
-        The log's name, for messages.
-    column
-        The column as the log describes it.
-    wanted
-        The unit that is worked in, or None where it is not known.
-    taker
-        Who works in it, for messages: ``model.json takes voltage``.
-
-    Raises
-    ------
-    InputError
-        The units measure unlike things, or one of them is not known.
-    """
-    called = f"{place}: column '{column.name}'"
-    if column.unit == wanted:
-        return UnitMatch()
-    if column.unit is None:
-        return UnitMatch(
-            warning=f"{called} has no unit, but {taker} in {wanted}: its figures are taken as {wanted} "
-            "(name the unit in the header, or convert with `scale`)"
-        )
-    if wanted is None:
-        return UnitMatch(
-            warning=f"{called} is in {column.unit}, but {taker} without a unit: the figures are used as they "
-            "are (convert with `scale` if they are not alike)"
-        )
-    factor = unit_factor(column.unit, wanted)
-    if factor is None:
-        raise InputError(
-            f"{called} is in {column.unit}, but {taker} in {wanted} "
-            f"(`scale` ROLE=FACTOR{wanted}/{column.unit} converts it)"
-        )
-    return UnitMatch(factor, note=f"{called} is converted from {column.unit} to {wanted}")
 
 
 @dataclass(frozen=True)

@@ -14,25 +14,15 @@ from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import ScaleStage, Stage, through
 from dbo_cli.hysteresis.delay import DelayStage
-from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel
+from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
 from dbo_cli.hysteresis.model_file import Node
-from dbo_cli.hysteresis.model_state import (
-    START_NAMES,
-    DriveLimits,
-    ModelState,
-    OutsideError,
-    Simulated,
-    StartName,
-)
-from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Outside
+from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
+from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Floats, Outside
 from dbo_cli.relatives.plays import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
-
-Floats = NDArray[np.float64]
 
 
 class RelativeModel(ActuatorModel):
@@ -99,10 +89,7 @@ class RelativeModel(ActuatorModel):
         return float(through(forward.head_inverse, np.array([1.0]))[0])
 
     def start(
-        self,
-        first_input: float,
-        state: StartName | ModelState = "auto",
-        limits: DriveLimits | None = None,
+        self, first_input: float, state: StartName | ModelState = "auto", limits: DriveLimits | None = None
     ) -> ModelState:
         """Return the state before the first sample; see ``ActuatorModel.start``.
 
@@ -114,14 +101,14 @@ class RelativeModel(ActuatorModel):
             raise ModelError(f"no initial state is called {state!r}; there are: {', '.join(START_NAMES)}")
         operator = self.plays
         if state in ("empty", "full"):
-            return ModelState(_held(operator.after(operator.low if state == "empty" else 1.0)))
+            return ModelState(_standing(operator.after(operator.low if state == "empty" else 1.0)))
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
             if limits is not None:
-                bound = self._bounds(limits, None)
-                value = min(max(value, bound.low), bound.high)
-        return ModelState(_held(operator.settled(value)))
+                bound = self.inner_limits(limits)
+                value = min(max(value, bound.v_min), bound.v_max)
+        return ModelState(_standing(operator.settled(value)))
 
     def start_compensation(
         self, first_desired: float, state: StartName | ModelState, limits: DriveLimits
@@ -141,75 +128,53 @@ class RelativeModel(ActuatorModel):
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
-        still = np.zeros(1) if operator.by_rate.size else NOTHING
-        ends = [operator.run(np.array([value]), operator.after(end), still)[0] for end in (operator.low, 1.0)]
-        low, high = (float(through(forward.tail, end)[0]) for end in ends)
-        return abs(high - low)
-
-    def simulate(
-        self,
-        x: ArrayLike,
-        state: ModelState,
-        *,
-        time_step: float | ArrayLike | None = None,
-        outside: Outside = "extend",
-        limits: DriveLimits | None = None,
-    ) -> Simulated:
-        """Return the output for one block; see ``ActuatorModel.simulate``."""
-        if limits is not None:
-            self.require("inverse")
-        given: Floats = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        counts = self._with_uncovered(given, Counts())
-        if outside == "error" and counts.outside:
-            first = counts.first_outside
-            raise OutsideError(first, float(given[first]), *self._covered)
-        held = np.clip(given, *self._covered) if outside == "hold" else given
-        signal = self._before_backlash(held)
-        steps = self._steps(time_step, signal.size, state, limits)
-        y, after, clipped = self._plays_block(signal, state, steps, limits)
-        for stage in self.tail:
-            y = stage.run(y)
-        if limits is not None:
-            y = np.clip(y, limits.v_min, limits.v_max)  # rounding on the way back through the scale
-            counts = counts._replace(clipped=clipped[0], first_clipped=clipped[1])
-        if self.direction == "forward" and steps is not None:
-            y, after = self._lagging(y, after, steps, state)
-        return Simulated(y, after, *counts)
+        ends = [operator.slow_output(value, operator.after(end)) for end in (operator.low, 1.0)]
+        low, high = through(forward.tail, np.array(ends)).tolist()
+        return float(abs(high - low))
 
     @cached_property
     def _covered(self) -> tuple[float, float]:
         return self.input.minimum, self.input.maximum
 
-    def _plays_block(
-        self, signal: Floats, state: ModelState, steps: float | Floats | None, limits: DriveLimits | None
-    ) -> tuple[Floats, ModelState, tuple[int, int]]:
+    def _held(self, x: Floats) -> Floats:
+        ends = through(self.head, np.array(self._covered))
+        return np.clip(x, ends.min(), ends.max())
+
+    def inner_limits(self, limits: DriveLimits) -> DriveLimits:
+        """Return limits on the drive as the plays of an inverse model give it."""
+        ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
+        per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)
+        slew = None if limits.max_slew is None else limits.max_slew * per_volt
+        return DriveLimits(float(ends.min()), float(ends.max()), slew)
+
+    def _backlash_block(
+        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
+    ) -> tuple[Floats, ModelState, Counts, float]:
         """Pass a block through the plays, in the model's direction."""
-        if signal.size == 0:
-            return signal, state, (0, 0)
+        if x.size == 0:
+            return x, state, Counts(), 0.0
         operator, before = self.plays, state.backlash
         if not isinstance(before, PlayState) or len(before.plays) != operator.n:
             raise ModelError("state: is not one of this model's plays")
         plays, clipped = np.array(before.plays), (0, 0)
         if self.direction == "forward":
-            share = self._share(signal, plays[0] if state.drive is not None else None, steps, 1.0)
-            y, plays = operator.run(signal, plays, share)
-            after = _held(plays)
+            share = self._share(x, plays[0] if state.drive is not None else None, steps, 1.0)
+            y, plays = operator.run(x, plays, share)
+            after = _standing(plays)
         elif operator.kind == "plays" and limits is None:
             closed = operator.closed_inverse
             states = np.array(before.inverse_plays) if before.inverse_plays else closed.states_of(plays)
-            y, states = closed.run(signal, states)
+            y, states = closed.run(x, states)
             after = PlayState(0, None, tuple(closed.plays_of(states).tolist()), tuple(states.tolist()))
         else:
             low, high = operator.ends
-            share = self._share(signal, before.wanted, steps, (high - low) / (1.0 - operator.low))
-            bounds = None if limits is None else self._bounds(limits, steps)
-            y, plays, clipped = operator.solve(signal, plays, share, bounds, state.drive)
-            after = dataclasses.replace(_held(plays), wanted=float(signal[-1]))
-        return y, dataclasses.replace(state, backlash=after, drive=after.plays[0], time=None), clipped
+            share = self._share(x, before.wanted, steps, (high - low) / (1.0 - operator.low))
+            y, plays, clipped = operator.solve(x, plays, share, _bounds(limits, steps), state.drive)
+            after = dataclasses.replace(_standing(plays), wanted=float(x[-1]))
+        moved = dataclasses.replace(state, backlash=after, drive=after.plays[0], time=None)
+        return y, moved, Counts(0, 0, *clipped), 0.0
 
-    def _share(
-        self, signal: Floats, last: float | None, steps: float | Floats | None, slope: float
-    ) -> Floats:
+    def _share(self, signal: Floats, last: float | None, steps: Steps | None, slope: float) -> Floats:
         """Return the share of ``by_rate`` in every sample: the rate over the fastest one, at most 1.
 
         An inverse knows the rate of what is wanted, and takes the drive's for that over the loop's ``slope``.
@@ -223,28 +188,24 @@ class RelativeModel(ActuatorModel):
         share = np.divide(change, reach, out=np.zeros(signal.size), where=reach > 0.0)
         return np.minimum(share, 1.0)
 
-    def _bounds(self, limits: DriveLimits, steps: float | Floats | None) -> Bounds:
-        """Limits on the drive as the plays of an inverse model give it."""
-        ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
-        per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)
-        low, high = float(ends.min()), float(ends.max())
-        step = None
-        if limits.max_slew is not None and steps is not None:
-            step = limits.max_slew * per_volt * np.asarray(steps, dtype=np.float64)
-        return Bounds(low, high, NEGLIGIBLE * (high - low), step)
+
+def _bounds(limits: DriveLimits | None, steps: Steps | None) -> Bounds | None:
+    """Return what the drive may do in each sample."""
+    if limits is None:
+        return None
+    step = None
+    if limits.max_slew is not None and steps is not None:
+        step = limits.max_slew * np.asarray(steps, dtype=np.float64)
+    return Bounds(limits.v_min, limits.v_max, NEGLIGIBLE * (limits.v_max - limits.v_min), step)
 
 
-def _held(plays: Floats) -> PlayState:
+def _standing(plays: Floats) -> PlayState:
     return PlayState(0, None, tuple(plays.tolist()))
 
 
 def _plays(node: Node) -> Stage:
     kind: Kind = node.text("type")  # type: ignore[assignment]
-    more: tuple[str, ...] = ()
-    if kind == "rate-plays":
-        more = ("by_rate", "fastest")
-    elif kind == "one-sided-plays":
-        more = ("cubic", "linear")
+    more = {"rate-plays": ("by_rate", "fastest"), "one-sided-plays": ("cubic", "linear")}.get(kind, ())
     node.only(("type", "radii", "weights", *more))
     lists = {key: node.numbers(key) for key in ("radii", "weights", "by_rate") if key in node.values}
     numbers = {key: node.number(key) for key in ("fastest", "cubic", "linear") if key in node.values}
@@ -258,13 +219,10 @@ READERS = dict.fromkeys(KINDS, _plays)
 def read_places(node: Node, model: RelativeModel) -> BacklashState:
     """Return what the plays of a model remember."""
     node.only(("places", "inverse_places", "wanted"))
-    found = []
-    for key in ("places", "inverse_places"):
-        values = None if node.values[key] is None and key != "places" else node.numbers(key)
+    places = tuple(node.numbers("places"))
+    inverse = None if node.values["inverse_places"] is None else tuple(node.numbers("inverse_places"))
+    for key, values in (("places", places), ("inverse_places", inverse)):
         if values is not None and len(values) != model.plays.n:
             raise node.refuse(key, f"has {len(values)} entries where the model has {model.plays.n} plays")
-        found.append(values)
     wanted = None if node.values["wanted"] is None else node.number("wanted")
-    places, inverse = found
-    assert places is not None
-    return PlayState(0, None, tuple(places), None if inverse is None else tuple(inverse), wanted)
+    return PlayState(0, None, places, inverse, wanted)

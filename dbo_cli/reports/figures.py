@@ -164,26 +164,22 @@ class _LogView:
         _against_time(axes, self._figure_data.against_time("desired"), style.SOLID, label=first)
         measured = self._figure_data.against_time("measured")
         _against_time(axes, measured, style.DASHED, self._offset, label=second)
-        axes.set(xlabel=self._time(), ylabel=self._length(self._quantity))
-        mark_curves(axes)
+        finish(axes, self._time(), self._length(self._quantity))
 
     def error(self, axes: Axes) -> None:
         rmse = self._figures.rmse
         band = f"± RMSE {digits(rmse)} {shown_unit(self._report.unit)}".rstrip()
         axes.axhspan(-rmse, rmse, color=style.FILL, alpha=0.35, linewidth=0.0, label=band)
         _against_time(axes, self._figure_data.against_time("error"), style.ALONE, self._offset)
-        axes.set(xlabel=self._time(), ylabel=self._length("Error"))
-        mark_curves(axes)
+        finish(axes, self._time(), self._length("Error"))
 
     def output(self, axes: Axes) -> None:
         first, second = self._report.options.labels
         ends = [self._figures.desired_min, self._figures.desired_max]
         axes.plot(ends, ends, label="identity", zorder=3, **style.DOTTED)
         self._curve(axes, "desired", "measured", style.DASHED | {"linestyle": "-"}, second, self._offset)
-        what = self._quantity.lower()
-        axes.set(xlabel=self._length(f"{first.capitalize()} {what}"))
-        axes.set(ylabel=self._length(f"{second.capitalize()} {what}"))
-        mark_curves(axes)
+        x, y = (self._length(f"{name.capitalize()} {self._quantity.lower()}") for name in (first, second))
+        finish(axes, x, y)
 
     def loop(self, axes: Axes) -> None:
         first, second = self._report.options.labels
@@ -192,9 +188,7 @@ class _LogView:
         self._curve(axes, "drive", "measured", look, second, self._offset)
         if modelled:
             self._curve(axes, "drive", "desired", style.SOLID | {"linewidth": 0.9}, first, 0.0)
-        axes.set(xlabel=axis_label("Drive voltage", self._figure_data.drive_unit))
-        axes.set(ylabel=self._length(self._quantity))
-        mark_curves(axes)
+        finish(axes, axis_label("Drive voltage", self._figure_data.drive_unit), self._length(self._quantity))
 
     def histogram(self, axes: Axes) -> None:
         values, counts = self._figure_data.distribution.values()
@@ -215,8 +209,7 @@ class _LogView:
     def spectrum(self, axes: Axes) -> None:
         period = self._figures.sample_period
         curve = self._figure_data.spectrum.density(period or 1.0)
-        if curve is None:
-            return
+        assert curve is not None
         floor = curve.y.max() * 1e-9 if curve.y.max() > 0.0 else 1e-30
         axes.loglog(curve.x, np.maximum(curve.y, floor), **style.ALONE)
         label_decades(axes.xaxis, axes.yaxis)
@@ -308,6 +301,12 @@ def mark_curves(
     )
 
 
+def finish(axes: Axes, x: str, y: str, columns: int = 3) -> None:
+    """Name both axes, and the curves that have a label."""
+    axes.set(xlabel=x, ylabel=y)
+    mark_curves(axes, columns=columns)
+
+
 def legend_head(curves: int, columns: int) -> float:
     """Return the inches that a legend of more than one line needs above a figure."""
     return LEGEND_LINE * (math.ceil(curves / columns) - 1)
@@ -325,11 +324,8 @@ def plots_of_channels(report: Report) -> list[Plot]:
     figures = [report.logs[k].figures for k in order]
     rmse = np.array([one.rmse for one in figures])
     percent = np.array([one.nrmse_percent for one in figures], dtype=np.float64)  # None becomes NaN
-    found: dict[str, tuple[Floats, str]] = {
-        "percent": (percent, "% of range"),
-        "rmse": (rmse, report.unit or ""),
-    }
-    found = {key: one for key, one in found.items() if np.isfinite(one[0]).any()}
+    both = {"percent": (percent, "% of range"), "rmse": (rmse, report.unit or "")}
+    found = {key: one for key, one in both.items() if np.isfinite(one[0]).any()}
     words = "Number of channels against their RMSE, {}; median and worst are marked."
     plots = []
     for key, (values, unit) in found.items():
@@ -378,8 +374,7 @@ def _histogram(names: list[str], values: Floats, unit: str, axes: Axes) -> None:
     label = f"worst: {short_name(names[worst], 20)}, {_amount(high, unit)}"
     axes.axvline(high, label=label, **style.DASHED)
     axes.locator_params(axis="y", integer=True)
-    axes.set(xlabel=axis_label("RMSE", unit), ylabel="Channels")
-    mark_curves(axes)
+    finish(axes, axis_label("RMSE", unit), "Channels")
 
 
 def _bars(names: list[str], values: Floats, unit: str, head: str, axes: Axes) -> None:

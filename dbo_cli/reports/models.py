@@ -21,7 +21,7 @@ from dbo_cli.hysteresis.model import ActuatorModel, Quantity
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.figures import axis_label, label_decades, legend_head, mark_curves, shown_unit
+from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head, shown_unit
 from dbo_cli.reports.page import drawn_figures, filled, page_of, table
 from dbo_cli.reports.renderers import csv_text, digits, json_text, no_formula, wrapped
 from dbo_cli.reports.renderers import table as text_table
@@ -50,17 +50,18 @@ def plots_of_model(model: ActuatorModel) -> list[Plot]:
         return [Plot("loop", f"The loop of the model with {model.size}", words, style.TALL, paint)]
     gears = model.backlash
     place = next(i for i, stage in enumerate(model.stages) if stage is gears)
-    drawn = _Gears(
-        gears,
-        _quantity(model.input) if place == 0 else "Input of the gears",
-        _quantity(model.output) if place == len(model.stages) - 1 else "Output of the gears",
-        model.input.unit if place == 0 else None,
+    first, last = place == 0, place == len(model.stages) - 1
+    labels = (
+        _quantity(model.input) if first else "Input of the gears",
+        _quantity(model.output) if last else "Output of the gears",
     )
+    travelled = axis_label("Input travelled since the turn", model.input.unit if first else None)
+    paint_loop, paint_slopes = partial(_paint_gears, gears, labels), partial(_paint_slopes, gears, travelled)
     loop = f"Output against input of the backlash operator of {gears.n} gears, up and back down."
     slopes = "Slope of each gear, one step as wide as the gear, in the order they engage after a turn."
     plots = [
-        Plot("gears", f"The loop of the {gears.n} gears", loop, style.TALL, drawn.loop),
-        Plot("slopes", "Slope of the gears against their width", slopes, style.WIDE, drawn.slopes),
+        Plot("gears", f"The loop of the {gears.n} gears", loop, style.TALL, paint_loop),
+        Plot("slopes", "Slope of the gears against their width", slopes, style.WIDE, paint_slopes),
     ]
     usual = "after" if model.direction == "forward" else "before"
     for number, stage in enumerate(model.stages):
@@ -77,40 +78,34 @@ def _quantity(quantity: Quantity) -> str:
     return axis_label(quantity.quantity.capitalize(), quantity.unit)
 
 
+def _corners(operator: DiscreteBacklashOperator | DiscretePointOperator) -> tuple[Floats, Floats]:
+    """Return where the gears or segments begin and the last one ends."""
+    x = operator.x0 + np.concatenate([[0.0], np.cumsum(operator.dx)])
+    return x, operator.y0 + np.concatenate([[0.0], np.cumsum(operator.dy)])
+
+
 def loop_of(operator: DiscreteBacklashOperator) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the major loop, (2) and (3): x and y of the corners on the way up, then on the way down.
 
     Both ways start with gear 0: after a turn at either end it is the first that engages.
     """
-    x = operator.x0 + np.concatenate([[0.0], np.cumsum(operator.dx)])
-    y = operator.y0 + np.concatenate([[0.0], np.cumsum(operator.dy)])
+    x, y = _corners(operator)
     return x, y, x[-1] - (x - x[0]), y[-1] - (y - y[0])
 
 
-@dataclass(frozen=True)
-class _Gears:
-    """Paint gears, with the labels of their axes."""
+def _paint_gears(gears: DiscreteBacklashOperator, labels: tuple[str, str], axes: Axes) -> None:
+    up_x, up_y, down_x, down_y = loop_of(gears)
+    marks = {"marker": "o", "markersize": 3.2} if gears.n <= FEW else {}
+    axes.plot(up_x, up_y, label="up", **(style.SOLID | marks))
+    axes.plot(down_x, down_y, label="down", **(style.DASHED | marks))
+    finish(axes, *labels)
 
-    gears: DiscreteBacklashOperator
-    input: str
-    output: str
-    unit: str | None
 
-    def loop(self, axes: Axes) -> None:
-        up_x, up_y, down_x, down_y = loop_of(self.gears)
-        marks = {"marker": "o", "markersize": 3.2} if self.gears.n <= FEW else {}
-        axes.plot(up_x, up_y, label="up", **(style.SOLID | marks))
-        axes.plot(down_x, down_y, label="down", **(style.DASHED | marks))
-        axes.set(xlabel=self.input, ylabel=self.output)
-        mark_curves(axes)
-
-    def slopes(self, axes: Axes) -> None:
-        edges = np.concatenate([[0.0], np.cumsum(self.gears.dx)])
-        slopes = self.gears.dy / self.gears.dx
-        axes.stairs(slopes, edges, baseline=None, color=style.FIRST, linewidth=1.3)
-        axes.set_ylim(0.0, 1.06 * float(slopes.max()))
-        travelled = axis_label("Input travelled since the turn", self.unit)
-        axes.set(xlabel=travelled, ylabel="Slope ΔY/ΔX of the gear")
+def _paint_slopes(gears: DiscreteBacklashOperator, travelled: str, axes: Axes) -> None:
+    edges, slopes = np.concatenate([[0.0], np.cumsum(gears.dx)]), gears.dy / gears.dx
+    axes.stairs(slopes, edges, baseline=None, color=style.FIRST, linewidth=1.3)
+    axes.set_ylim(0.0, 1.06 * float(slopes.max()))
+    axes.set(xlabel=travelled, ylabel="Slope ΔY/ΔX of the gear")
 
 
 def _bode_plots(model: ActuatorModel) -> list[Plot]:
@@ -179,8 +174,7 @@ def _paint_bode(model: ActuatorModel, what: str, axes: Axes) -> None:
     if isinstance(trusted, int | float) and trusted > 0.0:
         axes.axvline(trusted, label="trusted up to", **style.DOTTED)
     label_decades(*([axes.xaxis, axes.yaxis] if what == "Gain" else [axes.xaxis]))
-    axes.set(xlabel="Frequency (Hz)", ylabel=what if what == "Gain" else "Phase (degrees)")
-    mark_curves(axes)
+    finish(axes, "Frequency (Hz)", what if what == "Gain" else "Phase (degrees)")
 
 
 def slow_loop(model: ActuatorModel, count: int = 1001) -> tuple[Floats, Floats, Floats]:
@@ -198,18 +192,15 @@ def _paint_slow_loop(model: ActuatorModel, axes: Axes) -> None:
     drive, rising, falling = slow_loop(model)
     axes.plot(drive, rising, label="up", **style.SOLID)
     axes.plot(drive, falling, label="down", **style.DASHED)
-    axes.set(xlabel=_quantity(model.input), ylabel=_quantity(model.output))
-    mark_curves(axes)
+    finish(axes, _quantity(model.input), _quantity(model.output))
 
 
 def _paint_points(stage: DiscretePointOperator, axes: Axes) -> None:
-    x = stage.x0 + np.concatenate([[0.0], np.cumsum(stage.dx)])
-    y = stage.y0 + np.concatenate([[0.0], np.cumsum(stage.dy)])
+    x, y = _corners(stage)
     axes.plot([x[0], x[-1]], [y[0], y[-1]], label="straight line", **style.DOTTED)
     marks = {"marker": "o", "markersize": 4.0} if stage.m <= FEW else {}
     axes.plot(x, y, label="points", **(style.SOLID | marks))
-    axes.set(xlabel="Input of the points", ylabel="Output of the points")
-    mark_curves(axes)
+    finish(axes, "Input of the points", "Output of the points")
 
 
 @dataclass(frozen=True)
@@ -327,9 +318,9 @@ def _paint_cost(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
         assert row.inverse_ns is not None and y is not None
         axes.plot([row.inverse_ns], [y], label=row.name, color=look["color"], linestyle="none", marker="o")
     axes.margins(0.08)
-    axes.set(xscale="log", yscale="log", xlabel="Inverse (ns a sample)", ylabel=axis_label(error, shown.unit))
+    axes.set(xscale="log", yscale="log")
     label_decades(axes.xaxis, axes.yaxis)
-    mark_curves(axes, columns=LEGEND_COLUMNS)
+    finish(axes, "Inverse (ns a sample)", axis_label(error, shown.unit), LEGEND_COLUMNS)
 
 
 def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
@@ -343,9 +334,7 @@ def _paint_loops(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
         look = style.SEVERAL[number % len(style.SEVERAL)]
         around = np.concatenate((rising - taken, (falling - taken)[::-1]))
         pattern = {"linestyle": (0, (3.2, 1.4))} if number % 2 else {}
-        axes.plot(
-            np.concatenate((drive, drive[::-1])), around - around.mean(), label=row.name, **(look | pattern)
-        )
-        axes.set(xlabel=axis_label("Drive voltage", row.model.input.unit))
-    axes.set(ylabel=axis_label("Displacement less a line", shown.unit))
-    mark_curves(axes, columns=LEGEND_COLUMNS)
+        there_and_back = np.concatenate((drive, drive[::-1]))
+        axes.plot(there_and_back, around - around.mean(), label=row.name, **(look | pattern))
+        drive_label = axis_label("Drive voltage", row.model.input.unit)
+    finish(axes, drive_label, axis_label("Displacement less a line", shown.unit), LEGEND_COLUMNS)

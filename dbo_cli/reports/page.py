@@ -10,16 +10,9 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from dbo_cli.reports import renderers
 from dbo_cli.reports.drawing import Plot, draw
 from dbo_cli.reports.figures import shown_unit
-from dbo_cli.reports.renderers import (
-    Column,
-    headline,
-    log_tables,
-    segment_table,
-    segment_words,
-    settings_line,
-)
 from dbo_cli.reports.report import Report
 
 UNBROKEN = 28  # letters of a name that stay together: nine columns beside it fit into 1,000 pixels
@@ -52,12 +45,12 @@ def to_html(
         Heading of the page, and who made it (program and version), for the footer.
     """
     report = replace(report, unit=shown_unit(report.unit) or None)
-    found = " ".join(map(breakable, headline(report).split()))
-    errors, left = log_tables(report)
+    found = " ".join(map(breakable, renderers.headline(report).split()))
+    errors, left = renderers.log_tables(report)
     together = drawn_figures(comparison_plots, "all")
     parts = [f"<h1>{escape(title)}</h1>", f'<p class="headline">{found}.</p>']
     parts += [
-        f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
+        f"<p>{escape(renderers.settings_line(report).replace(' - ', ' − ', 1))}.</p>",
         *([] if any(plots) else [together]),
         _table(errors, report.logs),
     ]
@@ -75,8 +68,8 @@ def to_html(
             continue
         parts.append(f"<section><h2>{breakable(log.name)}</h2>{drawn_figures(figures, f'l{number}')}")
         if log.segments:
-            parts.append(f"<h3>{escape(segment_words(report).capitalize())}</h3>")
-            parts.append(_table(segment_table(report), log.segments))
+            parts.append(f"<h3>{escape(renderers.segment_words(report).capitalize())}</h3>")
+            parts.append(_table(renderers.segment_table(report), log.segments))
         parts.append("</section>")
     if model_plots:
         parts.append(f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>")
@@ -95,7 +88,7 @@ def filled(name: str, **values: str) -> str:
     return Template(Path(__file__).with_name(name).read_text("utf-8")).substitute(values)
 
 
-def _table(columns: Sequence[Column], parts: Sequence[Any], chief: int = 2) -> str:
+def _table(columns: Sequence[renderers.Column], parts: Sequence[Any], chief: int = 2) -> str:
     shown = [column for column in columns if column.long]
     return table([column.long for column in shown], [[c.cell(part) for c in shown] for part in parts], chief)
 

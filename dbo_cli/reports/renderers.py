@@ -25,7 +25,7 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
     ``logs``, ``notes`` and, where given, ``provenance``. Each log: ``name``, ``samples``, ``rmse``,
     ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``, ``max_abs_row``
     (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no larger),
-    ``loop_width`` (signed, see ``loop_and_lag.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
+    ``loop_width`` (signed, see ``figures_of_merit.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
     ``lag_left_s``, ``phase_left_degrees``, ``desired_min``, ``desired_max``, ``lag_samples`` (taken out
     beforehand), ``lag_s``, ``offset_removed`` (subtracted from the error), ``sample_period_s``,
     ``not_finite`` (rows left out), ``ratio_to_first`` (of the RMSE), ``loop_noise`` (what noise alone would
@@ -166,19 +166,14 @@ def segment_words(report: Report) -> str:
 
 def _errors(report: Report, places: int) -> list[Column]:
     unit = _unit(report, " ({})")
-    removed = report.options.remove_offset
-    mean = "offset" if removed else "mean"
-
-    def mean_of(part: Any) -> str:
-        return digits(part.figures.offset if removed else part.figures.mean, places)
-
+    mean = "offset" if report.options.remove_offset else "mean"
     return [
         Column("RMSE", f"RMSE{unit}", lambda part: digits(part.figures.rmse, places)),
         Column("% range", "% of range", lambda part: digits(part.figures.nrmse_percent, places)),
         Column("95 %", f"95 % below{unit}", lambda part: digits(part.figures.p95_abs, places)),
         Column("largest", f"Largest{unit}", lambda part: digits(part.figures.max_abs, places)),
         Column("", "at row", lambda part: str(part.figures.max_abs_row)),
-        Column(mean, f"{mean.capitalize()}{unit}", mean_of),
+        Column(mean, f"{mean.capitalize()}{unit}", lambda part: digits(getattr(part.figures, mean), places)),
     ]
 
 

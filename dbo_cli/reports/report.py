@@ -21,8 +21,7 @@ import numpy as np
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import Rows
-from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics
-from dbo_cli.reports.loop_and_lag import monotone_ends
+from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.sample_pairs import (
     BeforeZero,

@@ -196,11 +196,11 @@ class TrajectoryMatch:
             found = True
             yield pair
         if not found:
+            if not self.by_time:
+                raise InputError(f"{self.name}: no row to compare with {self.trajectory_name}")
             raise InputError(
                 f"{self.name}: no sample lies within the times of {self.trajectory_name}"
                 " (where their clocks differ, `match` them by rows)"
-                if self.by_time
-                else f"{self.name}: no row to compare with {self.trajectory_name}"
             )
 
     def notes(self) -> list[str]:
@@ -438,14 +438,14 @@ class Dwells:
         for block in blocks:
             if not len(block):
                 continue
-            time = block.time
-            if time is None and self._rate is None:
+            if block.time is not None:
+                time = block.time
+            elif self._rate is not None:
+                time = block.row_numbers() / self._rate
+            else:
                 raise InputError(
                     f"{self._name}: no time is given, and `dwell` depends on it (`time` or `sample_rate` HZ)"
                 )
-            if time is None and self._rate is not None:
-                time = block.row_numbers() / self._rate
-            assert time is not None
             new = block.desired != np.concatenate([[level], block.desired[:-1]])  # a blank is never held
             begun = np.maximum.accumulate(np.where(new, np.arange(len(block)), -1))
             start = np.where(begun >= 0, time[begun], since)
@@ -461,7 +461,5 @@ class Dwells:
 
     def note(self) -> str:
         """Return how many pairs counted."""
-        return (
-            f"{self._name}: {self.kept:,} of {self.read:,} rows count, at which what is desired has been "
-            f"held for {self._seconds:g} s"
-        )
+        rows = f"{self.kept:,} of {self.read:,} rows"
+        return f"{self._name}: {rows} count, at which what is desired has been held for {self._seconds:g} s"

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import hashlib
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,11 +15,11 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set
 from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.channels import is_pattern
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.sources import ArraySource, is_file, is_log, is_table, table_source
-from dbo_cli.remarks import DboWarning, Remarks
+from dbo_cli.logs.sources import ArraySource, is_file, is_log
+from dbo_cli.remarks import DboWarning
 from dbo_cli.runs.model import Model, record_of
 from dbo_cli.runs.model import read_model as read_single_model
 from dbo_cli.runs.roles import recording_wishes, short_names
@@ -29,9 +27,7 @@ from dbo_cli.runs.roles import recording_wishes, short_names
 if TYPE_CHECKING:
     import pandas
 
-    from dbo_cli.hysteresis.model import ActuatorModel
-    from dbo_cli.runs.identifying import RecordedLog
-    from dbo_cli.runs.tracking import TrackingOptions, TrackingReport, TrackingRun
+    from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 
 __all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
 
@@ -170,29 +166,27 @@ def identify(
         The options contradict each other or the logs.
     """
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import IdentifyRun, arguments_of, chosen_of, identify_recordings
+    from dbo_cli.runs.identifying import IdentifyRun, identify_recordings
 
-    asked = record_of(IdentificationOptions, options, "is no parameter of identify")
+    fixed = record_of(IdentificationOptions, options, "is no parameter of identify")
     by_name = voltage is not None or isinstance(displacement, str)
     columns = (voltage, displacement) if by_name else (None, None)
-    reading = ReadingOptions(time=time if isinstance(time, str) else None, sample_rate=sample_rate)
-    run = IdentifyRun(
-        _listed(log), _listed(validate), reading, asked, columns[0], columns[1], prior, shared_shape, coupling
-    )
+    logs = _addressed(log)
+    if displacement is not None and not by_name:
+        units = {"voltage": voltage_unit, "displacement": displacement_unit}
+        logs = [ArraySource({"voltage": log, "displacement": displacement}, time, sample_rate, units=units)]
+    reading = ReadingOptions(time=str(time) if isinstance(time, str | int) else None, sample_rate=sample_rate)
+    words = (logs, _addressed(validate), reading, fixed, columns[0], columns[1])
+    asked = IdentifyRun(*words, prior, shared_shape, coupling, time)
     if any(map(is_pattern, columns)):
         from dbo_cli.runs.model_set import identify_set
 
-        return identify_set(run, functools.partial(_read_channel, time), jobs)
-    run.refuse_channels_options()
+        return identify_set(asked, jobs)
+    asked.refuse_channels_options()
     kept = None if prior is None else _model(prior).actuator
-    units = {"voltage": voltage_unit, "displacement": displacement_unit}
-    arrays = displacement is not None and not by_name
-    given = [(log, displacement)] if arrays else [(one,) for one in run.logs]
-    logs = [_recorded(one, time, sample_rate, kept, units, columns) for one in given]
-    checks = [_recorded((one,), time, sample_rate, kept, columns=columns) for one in run.validation]
-    chosen = chosen_of(asked) | ({"prior": os.path.basename(str(prior))} if is_file(prior) else {})
-    arguments = arguments_of(_names(logs), _names(checks), chosen)
-    found = identify_recordings(logs, asked, checks, arguments, kept)
+    fitted, checks = asked.read(prior=kept)
+    arguments = asked.arguments({}, os.fspath(prior) if is_file(prior) else None)
+    found = identify_recordings(fitted, fixed, checks, arguments, kept)
     for text in found.remarks.warnings:
         warnings.warn(text, DboWarning, stacklevel=2)
     return Model(found.model, found.summary, found.remarks)
@@ -298,65 +292,39 @@ def report(
     logs = [] if measured is not None else _logs(wanted)
     asked = _tracking_options(options, logs, voltage, time)
     predicting = None if model is None else _model(model).actuator
-    from dbo_cli.runs.tracking import TrackingRun
+    from dbo_cli.runs.reporting import TrackingRun, add_log
 
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
     options["sample_rate"] = sample_rate
     column = str(time) if isinstance(time, str | int) else None
     reading = _reading(column, options.pop("rows", None), options)
-    arrays: dict[str, Any] = {}
     if not logs:
+        if measured is None:
+            raise InputError(
+                "what was measured is missing: give two arrays, or a table or file with both columns"
+            )
         arrays = {"desired" if predicting is None else "voltage": wanted, "measured": measured}
         arrays |= {} if voltage is None or predicting is not None else {"voltage": voltage}
-    _compare(tracking, logs, arrays, asked, reading, time, unit, name)
-    return tracking.result()
-
-
-def _compare(
-    tracking: TrackingRun,
-    logs: Sequence[Any],
-    arrays: dict[str, Any],
-    asked: TrackingOptions,
-    reading: ReadingOptions,
-    time: Any,
-    unit: str | None,
-    name: str,
-) -> None:
-    """Compare tables and files, or arrays by role where there are none of these."""
-    from dbo_cli.runs.reporting import add_file, rows_to_score
-
-    if not logs and arrays["measured"] is None:
-        raise InputError(
-            "what was measured is missing: give two arrays, or a table or file with both columns"
-        )
-    with_model, rate = tracking.model is not None, reading.sample_rate
-    own, score = rows_to_score(reading, asked.lag, from_first=with_model)
-    sweep = asked.count_sweep or reading.rows != ALL_ROWS
-    files = {number: parse_address(one) for number, one in enumerate(logs, 1) if is_file(one)}
-    names = short_names(list(files.values()))
-    for number, one in enumerate(logs or [arrays], 1):
-        if number in files:
-            add_file(tracking, files[number], reading, asked, names.get(files[number]))
-            continue
-        if logs:
-            source = table_source(one, asked.wishes(with_model), time, rate, own.rows)
-        else:
-            units = {"desired": unit, "measured": unit}
-            source = ArraySource(one, time, rate, rows=own.rows, units=units)
+        units = {"desired": unit, "measured": unit}
+        logs = [ArraySource(arrays, time, reading.sample_rate, units=units)]
+    names = short_names(logs)
+    for number, one in enumerate(logs, 1):
         called = name if len(logs) < 2 else f"{name} {number}"
-        tracking.add(source, called, score_rows=score, count_sweep=sweep)
+        shown = names.get(one) if isinstance(one, Address) else called
+        add_log(tracking, one, reading, asked, shown, time=time)
+    return tracking.result()
 
 
 def _tracking_options(
     options: dict[str, Any], logs: Sequence[Any], voltage: Any, time: Any
 ) -> TrackingOptions:
     """Take what belongs to ``TrackingOptions`` out of the options of ``report``; the others remain."""
-    from dbo_cli.runs.tracking import TrackingOptions
+    from dbo_cli.runs.reporting import TrackingOptions
 
     known = {field.name for field in dataclasses.fields(TrackingOptions)}
     asked = {key: options.pop(key) for key in known & options.keys()}
     if asked.get("trajectory") is not None:
-        if not logs or not all(map(is_file, logs)):
+        if not logs or not all(isinstance(one, Address) for one in logs):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
         asked["trajectory"] = parse_address(asked["trajectory"])
     for role, given in {"voltage": voltage, "time": time}.items():
@@ -376,71 +344,10 @@ def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> Rea
 
 def _logs(given: Any) -> list[Any]:
     """Return the tables and files that were given, one or a list of them; none of anything else."""
-    if is_log(given):
-        return [given]
-    return list(given) if isinstance(given, list | tuple) and all(map(is_log, given)) else []
+    several = isinstance(given, list | tuple) and all(map(is_log, given))
+    return _addressed(given) if is_log(given) or several else []
 
 
-def _listed(logs: Any) -> Sequence[Any]:
-    return [logs] if is_log(logs) else list(logs)
-
-
-def _names(logs: Sequence[RecordedLog]) -> list[str]:
-    return [str(one.record["name"]) for one in logs]
-
-
-def _read_channel(
-    time: Any,
-    logs: Sequence[Any],
-    validation: Sequence[Any],
-    reading: ReadingOptions,
-    columns: Mapping[str, str],
-    prior: str | ActuatorModel | None,
-) -> tuple[list[RecordedLog], list[RecordedLog]]:
-    """Read one channel of tables and files, in whichever process."""
-    kept = _model(prior).actuator if isinstance(prior, str) else prior
-    own = columns["voltage"], columns["displacement"]
-
-    def read(log: Any) -> RecordedLog:
-        return _recorded((log,), time, reading.sample_rate, kept, columns=own)
-
-    return list(map(read, logs)), list(map(read, validation))
-
-
-def _recorded(
-    signals: Sequence[Any],
-    time: Any,
-    sample_rate: float | None,
-    prior: ActuatorModel | None,
-    units: Mapping[str, str | None] = {},
-    columns: tuple[str | None, str | None] = (None, None),
-) -> RecordedLog:
-    """Return a table, a file, or voltage and displacement, ready to be identified from (see ``prior``)."""
-    from dbo_cli.runs.identifying import RecordedLog, bring_to_prior, read_recordings, recording_of
-
-    log = signals[0]
-    if len(signals) > 1:
-        arrays = {"voltage": log, "displacement": signals[1]}
-        source = ArraySource(arrays, time, sample_rate, units=units)
-    elif is_file(log) or isinstance(log, Address):
-        options = ReadingOptions(time=time, sample_rate=sample_rate)
-        return read_recordings([parse_address(log)], [], options, *columns, prior=prior)[0][0]
-    elif is_table(log):
-        source = table_source(log, recording_wishes(*columns), time, sample_rate)
-    else:
-        raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
-    bring_to_prior(source, prior)
-    record, remarks = _record(source), Remarks(list(source.notes))
-    if len(signals) == 1:  # what ``read_log`` left in the table
-        record = log.attrs.get("provenance") or record
-        remarks = Remarks(**{key: list(log.attrs.get(key, [])) for key in ("notes", "warnings", "read")})
-    return RecordedLog(recording_of(source, record["name"]), record, remarks)
-
-
-def _record(source: ArraySource) -> dict[str, Any]:
-    """Return what a model keeps of arrays it was identified from: a digest of their numbers."""
-    digest = hashlib.sha256()
-    for values in source.values.values():
-        digest.update(values.astype("<f8").tobytes())
-    count = next(iter(source.values.values())).size
-    return {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}
+def _addressed(logs: Any) -> list[Any]:
+    """Return logs, one or a list of them, the names of files taken apart."""
+    return [parse_address(one) if is_file(one) else one for one in ([logs] if is_log(logs) else logs)]

@@ -13,13 +13,13 @@ import numpy as np
 
 from dbo_cli.errors import DboError, FitError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
 from dbo_cli.logs.addresses import Address, Given, check_document
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.reading_options import ALL_ROWS
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.tables import ReadLog
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.channels import (
@@ -27,23 +27,23 @@ from dbo_cli.runs.channels import (
     Columns,
     address_of,
     make_folder_of,
+    matrix_of,
     models_by_channel,
     opened_readers,
 )
-from dbo_cli.runs.coupled import Recordings, recordings_apart
 from dbo_cli.runs.identifying import (
     Identified,
     IdentifyRun,
     RecordedLog,
+    Recordings,
     identify_recordings,
-    read_recordings,
 )
 from dbo_cli.runs.jobs import (
+    Failed,
     Outcome,
     Work,
     check_names,
     each_file,
-    good_ones,
     named,
     of_file,
     run_jobs,
@@ -81,7 +81,7 @@ def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener:
     check_document(output, "a model", "json")
     if CHANNEL not in output.text:
         check_outputs([output], inputs)
-    outcome, found, channels = Outcome(), {}, ChannelFits(asked, columns, read_channel, listener)
+    outcome, found, channels = Outcome(), {}, ChannelFits(asked, columns, listener)
     work = dataclasses.replace(work, all_needed=asked.coupling)
     for channel, one in channels.models(work, outcome):
         found[channel] = one
@@ -135,8 +135,6 @@ class ChannelFits:
     ----------
     asked, columns
         What is asked for, and the patterns.
-    read : callable
-        Reads one channel: logs, validation, how they are read, its columns, and a prior or None.
     coupling
         How the channels show in each other, once that is found.
     apart
@@ -145,7 +143,6 @@ class ChannelFits:
 
     asked: IdentifyRun
     columns: Columns
-    read: Callable[..., Recordings]
     listener: Listener = SILENT
     coupling: Coupling | None = None
     apart: Mapping[str, Recordings] = dataclasses.field(default_factory=dict)
@@ -188,9 +185,7 @@ class ChannelFits:
                         functools.partial(_identified, recordings(channel), options, arguments, prior),
                     )
 
-            done = run_jobs(jobs(), work.processes)
-            for one in good_ones(done, work, "channel", outcome, len(channels), self.listener):
-                assert one.value is not None
+            for one in outcome.good(jobs(), work, "channel", len(channels), self.listener):
                 yield one.name, one.value
         for twins in self._seen.values():
             if len(twins) > 1:
@@ -207,11 +202,15 @@ class ChannelFits:
             return functools.partial(_as_it_is, self.apart[channel])
         fit, judged = ([one.log(channel) for one in some] for some in (readers, checks))
         number = readers[0].channels[channel]["displacement"].number
-        if isinstance(fit[0], ReadLog) and fit[0].table is not None:
+        if isinstance(fit[0], Address) and fit[0].table is not None:
             digest = hashlib.sha256(fit[0].table.block.values[str(number)].tobytes()).digest()
             self._seen.setdefault(digest, {})[channel] = None
-        own = self.columns.of_channel(channel)
-        return functools.partial(self.read, fit, judged, self.asked.reading, own, prior)
+        columns = self.columns.of_channel(channel)
+        own = dataclasses.replace(
+            self.asked, logs=fit, validation=judged, voltage=columns["voltage"],
+            displacement=columns["displacement"], prior=None,
+        )  # fmt: skip
+        return functools.partial(own.read, prior=prior)
 
 
 def _priors(prior: Any, channels: Sequence[str]) -> Callable[[str], str | ActuatorModel | None]:
@@ -221,19 +220,6 @@ def _priors(prior: Any, channels: Sequence[str]) -> Callable[[str], str | Actuat
     if isinstance(prior, Mapping):
         return lambda channel: prior[channel].actuator
     return models_by_channel(os.fspath(prior), channels)
-
-
-def read_channel(
-    logs: Sequence[Address],
-    validation: Sequence[Address],
-    reading: ReadingOptions,
-    columns: Mapping[str, str],
-    prior: str | ActuatorModel | None,
-) -> Recordings:
-    """Read what one channel is fitted to and judged on, in the units of a prior."""
-    kept = read_model(prior) if isinstance(prior, str) else prior
-    words = (logs, validation, reading, columns["voltage"], columns["displacement"])
-    return read_recordings(*words, prior=kept)
 
 
 def _recorded(
@@ -251,6 +237,49 @@ def _recorded(
 
 def _as_it_is(recorded: Recordings) -> Recordings:
     return recorded
+
+
+def recordings_apart(
+    recorded: Mapping[str, Recordings],
+) -> tuple[Coupling, dict[str, Recordings]]:
+    """Find the coupling in the recordings of all channels; return them without it.
+
+    Parameters
+    ----------
+    recorded
+        By channel.
+
+    Raises
+    ------
+    InputError
+        The channels of a log have different rows.
+    FitError, ModelError
+        The logs do not tell the coupling, or it cannot be undone.
+    """
+    channels = list(recorded)
+    logs = [list(of_all) for of_all in zip(*(fit for fit, _ in recorded.values()), strict=True)]
+    checks = [list(of_all) for of_all in zip(*(check for _, check in recorded.values()), strict=True)]
+    coupling = find_coupling(channels, [_frames(channels, one) for one in logs])
+    for one in [*logs, *checks]:
+        own = coupling.apart(
+            matrix_of(channels, [log.recording.displacement for log in one], one[0].recording.name)
+        )
+        for place, log in enumerate(one):
+            changed = dataclasses.replace(log.recording, displacement=np.ascontiguousarray(own[:, place]))
+            one[place] = dataclasses.replace(log, recording=changed)
+    return coupling, {
+        channel: ([one[k] for one in logs], [one[k] for one in checks]) for k, channel in enumerate(channels)
+    }
+
+
+def _frames(channels: Sequence[str], logs: Sequence[RecordedLog]) -> Frames:
+    first = logs[0].recording
+    seconds = first.seconds()
+    return Frames(
+        np.arange(float(len(first.voltage))) if seconds is None else seconds,
+        matrix_of(channels, [log.recording.voltage for log in logs], first.name),
+        matrix_of(channels, [log.recording.displacement for log in logs], first.name),
+    )
 
 
 def _identified(
@@ -367,9 +396,8 @@ def _fits(jobs: Mapping[str, Callable[[], Identified]], processes: int) -> dict[
     """Return what each job identified; the first failure ends it, and names its job."""
     fits: dict[str, Identified] = {}
     for done in run_jobs(jobs.items(), processes):
-        if done.problem is not None:
+        if isinstance(done, Failed):
             raise type(done.problem)(f"shared shape, {done.name}: {done.problem}")
-        assert done.value is not None
         fits[done.name] = done.value
     return fits
 

@@ -6,18 +6,20 @@ import contextlib
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.model_set import Coupling
+from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs.addresses import Address, Given, parse_output
-from dbo_cli.logs.channels import PLACE, column_of, is_matrix
+from dbo_cli.logs.channels import PLACE, ChannelReader, column_of, is_matrix
 from dbo_cli.logs.out_column import OutColumn
-from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.sample_block import FloatArray, joined
+from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import Listener, Remarks
@@ -28,13 +30,14 @@ from dbo_cli.runs.channels import (
     common_rows,
     in_name,
     make_folder_of,
+    matrix_of,
     models_by_channel,
     opened_readers,
     sum_up_remarks,
 )
-from dbo_cli.runs.coupled import coupling_of, logs_apart, put_together
 from dbo_cli.runs.files import Destination, SignalRun, check_order
-from dbo_cli.runs.jobs import Done, Outcome, Work, good_ones, run_jobs
+from dbo_cli.runs.jobs import Done, Outcome, Work
+from dbo_cli.runs.roles import bring_to, quantity_wish
 
 _ROWS = 1 << 12  # of a table of channels, written at a time
 
@@ -75,11 +78,9 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
             table = ChannelTable(destination, channels, pattern)
             if each_own:
                 make_folder_of(destination.output)
-            done = run_jobs(jobs(), work.processes)
-            good = good_ones(done, work, "channel", outcome, len(channels), listener)
+            good = outcome.good(jobs(), work, "channel", len(channels), listener)
             pads = not each_own and _may_pad(asked)
             for one in _together(good, coupling, pads, -2 if wanted else -1):
-                assert one.value is not None
                 remarks[one.name] = one.value
                 if each_own:
                     write_kept(one.outputs, destination.protect)
@@ -259,3 +260,63 @@ class ChannelTable:
                 )
             )  # fmt: skip
         self._matrices(self.channels.index(channel), arrays)
+
+
+# --- coupled channels: what is wanted is taken apart, what comes out put together ---
+
+
+def coupling_of(model_file: str, channels: Sequence[str], work: Work) -> Coupling | None:
+    """Return the coupling that a set holds, in the order of channels, of which none may be missing."""
+    found = read_set(model_file).coupling if is_set(model_file) else None
+    if found is not None and work.keep_going:
+        raise UsageError(
+            f"`keep_going`: the models of {model_file} are coupled: each is needed for the others"
+        )
+    return None if found is None else found.of(channels)
+
+
+def logs_apart(
+    reader: ChannelReader,
+    models: Callable[[str], str],
+    pattern: str,
+    reading: ReadingOptions,
+    coupling: Coupling,
+) -> dict[str, Address]:
+    """Return logs of what each channel has to do alone, so that the sensors show what is wanted of all."""
+    whole = dataclasses.replace(reading, rows=ALL_ROWS, resample=None, skip_bad=False)
+    logs, columns = {}, []
+    for channel in coupling.channels:
+        model = read_model(models(channel))
+        logs[channel] = reader.log(channel)
+        want = {
+            "wanted": quantity_wish(
+                model.output, column_of(pattern, channel), option="displacement", trajectory=True
+            )
+        }
+        with open_log(logs[channel], want, whole) as opened:
+            bring_to(opened, "wanted", model.output, models(channel))
+            columns.append(joined(list(opened.blocks())).values["wanted"])
+    own = coupling.apart(matrix_of(coupling.channels, columns, reader.address.text))
+    for place, (channel, log) in enumerate(logs.items()):
+        assert log.table is not None  # a bad row was refused above
+        table, number = log.table, reader.channels[channel]["displacement"].number
+        unit = read_model(models(channel)).output.unit
+        infos = [
+            dataclasses.replace(one, unit=unit) if one.number == number else one for one in table.columns
+        ]
+        block = dataclasses.replace(
+            table.block, values={**table.block.values, str(number): own[:, place].copy()}
+        )
+        logs[channel] = dataclasses.replace(log, table=dataclasses.replace(table, columns=infos, block=block))
+    return logs
+
+
+def put_together(outputs: Mapping[str, KeptOutputs], coupling: Coupling, result: int) -> None:
+    """Let one column of all channels' kept signals (``result``: its place) be what the sensors show."""
+    signals = [one.signals[0] for one in outputs.values()]
+    name = signals[0].address.text
+    shown = coupling.together(matrix_of(list(outputs), [one.arrays[result] for one in signals], name))
+    for place, (one, signal) in enumerate(zip(outputs.values(), signals, strict=True)):
+        arrays = list(signal.arrays)
+        arrays[result] = np.ascontiguousarray(shown[:, place])
+        one.signals[0] = dataclasses.replace(signal, arrays=tuple(arrays))

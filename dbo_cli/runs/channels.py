@@ -8,22 +8,24 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.hysteresis.model_set import is_set, read_set
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.channels import ChannelReader, channels_of, column_of, is_pattern
-from dbo_cli.logs.column_names import TIME_NAMES
-from dbo_cli.logs.columns import column_info
+from dbo_cli.logs.columns import TIME_NAMES, column_info
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import TABLE, is_file, is_table
-from dbo_cli.logs.whole_output import make_folder
+from dbo_cli.logs.whole_output import all_or_none, make_folder
 from dbo_cli.remarks import Remarks
 from dbo_cli.runs.jobs import named, sum_up
+
+if TYPE_CHECKING:
+    from dbo_cli.export import ExportSummary
 
 CHANNEL = "{channel}"
 
@@ -54,7 +56,7 @@ class Columns(NamedTuple):
         return {option: column_of(one, channel) for option, one in self.patterns.items()}
 
 
-def wants_channels(output: Address | None, *selectors: str | None) -> bool:
+def wants_channels(output: Address, *selectors: str | None) -> bool:
     """Tell whether columns are named by a pattern.
 
     Raises
@@ -64,7 +66,7 @@ def wants_channels(output: Address | None, *selectors: str | None) -> bool:
     """
     if any(map(is_pattern, selectors)):
         return True
-    if output is not None and CHANNEL in output.text:
+    if CHANNEL in output.text:
         raise UsageError(
             f"{output.text}: {CHANNEL} stands for a channel's name: name the columns by a pattern, 'V{{}}'"
         )
@@ -184,3 +186,44 @@ def sum_up_remarks(found: Mapping[str, Remarks], pattern: str, remarks: Remarks)
     first = next(iter(found.values()))
     remarks.read += [f"{line}; {len(found):,} channels: '{pattern}'" for line in first.read]
     sum_up(remarks, found, "channel")
+
+
+def matrix_of(channels: Sequence[str], columns: Sequence[FloatArray], name: str) -> FloatArray:
+    """Return a column a channel (InputError where their rows are not the same)."""
+    for channel, column in zip(channels, columns, strict=True):
+        if len(column) != len(columns[0]):
+            raise InputError(
+                f"channel {channel}: {name} has {len(column):,} good rows of it and {len(columns[0]):,} of "
+                f"channel {channels[0]}: coupled channels are needed in every row (take good `rows` A:B)"
+            )
+    return np.column_stack(columns)
+
+
+def export_models(
+    model_file: str, folder: str, remarks: Remarks, *, name: str, **options: Any
+) -> dict[str, ExportSummary]:
+    """Export a model, or a set: to one folder with one kernel, or (``{channel}``) to a folder of each model.
+
+    Raises
+    ------
+    UsageError
+        A channel's name makes no names of its own in C, or an option is not for sets.
+    """
+    from dbo_cli.export import export_model, export_set
+
+    if not is_set(model_file):
+        return {"": export_model(read_model(model_file), folder, name=name, **options)}
+    models = read_set(model_file)
+    if models.coupling is not None:
+        remarks.warn(
+            f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
+            "of all has to be multiplied by the inverse of the gains first (docs/model-file.md)"
+        )
+    if CHANNEL not in folder:
+        return export_set(models, folder, name=name, **options)
+    with all_or_none():
+        make_folder_of(parse_address(folder))
+        return {
+            channel: export_model(model, in_name(folder, channel), name=f"{name}_{channel}", **options)
+            for channel, model in models.items()
+        }

@@ -13,7 +13,7 @@ from dbo_cli.drives.options import Figure, limits_in, plain_in
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.clock import even_step
-from dbo_cli.logs.column_names import wish
+from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock, joined
 from dbo_cli.logs.signal_log import open_log

@@ -223,7 +223,8 @@ class SignalRun:
             if destination.save_state is not None and run.state is not None:
                 write_whole(destination.save_state, state_to_bytes(run.state, run.model))
             if destination.summary is not None:
-                done = summary_of(run, log.reading_record(), figures, destination.command)
+                read = read_record(log.name, log.reading_record())
+                done = summary_of(destination.command, read, figures, run.remarks(), run)
                 write_summary(destination.summary, [done])
         remarks = run.remarks()
         if destination.live:
@@ -273,35 +274,20 @@ def _attributes(run: ModelRun, log: SignalLog, command: str) -> dict[str, str | 
     return attributes
 
 
-def summary_of(run: ModelRun, read: Mapping[str, Any], figures: DriveFigures, command: str) -> dict[str, Any]:
-    """Return what a run did as plain values (``dbo-summary``); voltages and lengths in the model's units."""
-    remarks, expected, percent, clipped, asked = run.remarks(), None, None, 0, dict[str, Any]()
+def summary_of(
+    command: str,
+    read: Mapping[str, Any] | None,
+    figures: DriveFigures,
+    remarks: Remarks,
+    run: ModelRun | None = None,
+) -> dict[str, Any]:
+    """Return what was done as plain values (``dbo-summary``); voltages and lengths in the model's units."""
+    expected, percent, clipped, asked = None, None, 0, dict[str, Any]()
     if isinstance(run, Compensation):
         if run.settle is not None:
             asked["settling"] = [one._asdict() for one in run.step_times()]
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
-    return _summary(
-        command, read_record(run.source.name, read), figures, remarks, clipped, expected, percent, **asked
-    )
-
-
-def read_record(name: str, read: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a summary says of a file that was read."""
-    return {"file": name, **{key: read[key] for key in ("rows", "seconds", "columns") if key in read}}
-
-
-def _summary(
-    command: str,
-    read: Mapping[str, Any] | None,
-    figures: DriveFigures,
-    remarks: Remarks,
-    clipped: int = 0,
-    expected: float | None = None,
-    percent: float | None = None,
-    **asked: Any,
-) -> dict[str, Any]:
-    """Return what was done as plain values (``dbo-summary``)."""
     return {
         "format": "dbo-summary",
         "version": 1,
@@ -319,13 +305,18 @@ def _summary(
     }
 
 
+def read_record(name: str, read: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a summary says of a file that was read."""
+    return {"file": name, **{key: read[key] for key in ("rows", "seconds", "columns") if key in read}}
+
+
 def summary_of_values(
     command: str, read: Mapping[str, Any] | None, values: Floats, remarks: Remarks
 ) -> dict[str, Any]:
     """Return what was done as plain values, of a signal at hand."""
     figures = DriveFigures()
     figures.see(values, None)
-    return _summary(command, read, figures, remarks)
+    return summary_of(command, read, figures, remarks)
 
 
 def write_summary(output: Address, done: Sequence[Mapping[str, Any]]) -> None:

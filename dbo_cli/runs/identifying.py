@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,7 +20,6 @@ from dbo_cli.logs.addresses import (
     Address,
     check_document,
     check_format,
-    parse_address,
     selected_files,
     without_folder,
 )
@@ -26,12 +27,12 @@ from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
-from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import Source, is_table, remarks_of
+from dbo_cli.logs.signal_log import SignalLog
+from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import bring_to, recording_wishes, short_names
+from dbo_cli.runs.roles import bring_to, opened, recording_wishes, short_names
 from dbo_cli.version import program_version_string
 
 
@@ -42,6 +43,10 @@ class RecordedLog:
     recording: Recording
     record: Mapping[str, Any]
     remarks: Remarks = field(default_factory=Remarks)
+
+
+Recordings = tuple[Sequence[RecordedLog], Sequence[RecordedLog]]
+"""Of one actuator: what is fitted, and what its model is judged on."""
 
 
 @dataclass(frozen=True)
@@ -70,48 +75,6 @@ def recording_of(source: Source, name: str | None = None, listener: Listener = S
         voltage_unit=source.columns["voltage"].unit,
         displacement_unit=source.columns["displacement"].unit,
     )
-
-
-def bring_to_prior(source: Source, prior: ActuatorModel | None) -> None:
-    """Take a recording in the units of a prior, where there is one (InputError: of unlike units)."""
-    if prior is not None:
-        bring_to(source, "voltage", prior.input, "the prior")
-        bring_to(source, "displacement", prior.output, "the prior")
-
-
-def read_recordings(
-    logs: Sequence[Address],
-    validation: Sequence[Address],
-    reading: ReadingOptions,
-    voltage: str | None = None,
-    displacement: str | None = None,
-    listener: Listener = SILENT,
-    prior: ActuatorModel | None = None,
-) -> tuple[list[RecordedLog], list[RecordedLog]]:
-    """Read the logs to identify from and those to validate on; ``reading.rows`` are the first ones' alone."""
-    names = short_names([*logs, *validation])
-    units: dict[str, str | None] = {}
-
-    def read(address: Address, options: ReadingOptions) -> RecordedLog:
-        wishes = recording_wishes(voltage, displacement)
-        with open_log(address, wishes, options, digest=True) as log:
-            listener.opened(log.describe())
-            taken = log.columns["displacement"]
-            if is_order(taken, wishes["displacement"]):
-                log.warnings.append(
-                    f"{log.name}: column '{taken.name}' is what was wanted, by its name, not what was "
-                    "measured: what is identified is how the drive was computed, not the actuator"
-                )
-            bring_to_prior(log, prior)
-            for role, unit in units.items():
-                log.convert(role, unit, "the first log is")
-            recording = recording_of(log, names.get(address), listener)
-            units.update({role: column.unit for role, column in log.columns.items()})
-            record = dict(log.record()) | {"read": log.reading_record()}
-            return RecordedLog(recording, record, remarks_of(log))
-
-    whole = dataclasses.replace(reading, rows=ALL_ROWS)
-    return [read(one, reading) for one in logs], [read(one, whole) for one in validation]
 
 
 def identify_recordings(
@@ -211,7 +174,7 @@ class IdentifyRun:
     Attributes
     ----------
     logs, validation
-        Addresses (from Python tables, too) of what is fitted, and of what the model is judged on.
+        Addresses of what is fitted, and of what the model is judged on; from Python tables and arrays, too.
     reading
         How logs are read; its rows are not those of the validation's.
     options
@@ -222,6 +185,8 @@ class IdentifyRun:
         The file of a model whose shape is kept; from Python a mapping of models by channel, too.
     shared_shape, coupling
         Of channels: one loop shape for all; how much each shows in the others.
+    time
+        From Python: the column or the seconds of tables.
     """
 
     logs: Sequence[Any]
@@ -233,6 +198,7 @@ class IdentifyRun:
     prior: Any = None
     shared_shape: bool = False
     coupling: bool = False
+    time: Any = None
 
     def refuse_channels_options(self) -> None:
         """Refuse what is for channels where no pattern names them (UsageError)."""
@@ -250,6 +216,38 @@ class IdentifyRun:
         given, more = (list(map(_name_of, some)) for some in (self.logs, self.validation if checked else ()))
         return arguments_of(given, more, chosen)
 
+    def read(self, listener: Listener = SILENT, prior: str | ActuatorModel | None = None) -> Recordings:
+        """Read what is fitted and what is judged on, in the units of a prior, else of the first log."""
+        kept = read_model(prior) if isinstance(prior, str) else prior
+        names = short_names([*self.logs, *self.validation])
+        units: dict[str, str | None] = {}
+        wishes = recording_wishes(self.voltage, self.displacement)
+
+        def read(log: Any, reading: ReadingOptions) -> RecordedLog:
+            opened_log = opened(log, wishes, reading, listener, time=self.time, digest=True)
+            with closing(opened_log) as source:
+                taken = source.columns["displacement"]
+                if isinstance(source, SignalLog) and is_order(taken, wishes["displacement"]):
+                    source.warnings.append(
+                        f"{source.name}: column '{taken.name}' is what was wanted, by its name, not what was "
+                        "measured: what is identified is how the drive was computed, not the actuator"
+                    )
+                if kept is not None:
+                    bring_to(source, "voltage", kept.input, "the prior")
+                    bring_to(source, "displacement", kept.output, "the prior")
+                for role, unit in units.items():
+                    source.convert(role, unit, "the first log is")
+                named = names.get(log) if isinstance(log, Address) else _name_of(log)
+                recording = recording_of(source, named, listener)
+                units.update({role: column.unit for role, column in source.columns.items()})
+                remarks = remarks_of(source)
+                if is_table(log):  # what ``read_log`` left in it
+                    remarks.add(Remarks(**{kind: list(log.attrs.get(kind, [])) for kind in vars(remarks)}))
+                return RecordedLog(recording, _record_of(source, log), remarks)
+
+        whole = dataclasses.replace(self.reading, rows=ALL_ROWS)
+        return [read(one, self.reading) for one in self.logs], [read(one, whole) for one in self.validation]
+
     def run(self, output: Address, listener: Listener = SILENT) -> Identified:
         """Identify a model of one actuator from logs and write it."""
         check_document(output, "a model", "json")
@@ -259,8 +257,7 @@ class IdentifyRun:
         check_output(output, [*inputs, *beside, *known])
         check_format(self.reading.format, inputs)
         kept = None if self.prior is None else read_model(self.prior)
-        words = (self.logs, self.validation, self.reading, self.voltage, self.displacement)
-        fitted, checks = read_recordings(*words, listener, kept)
+        fitted, checks = self.read(listener, kept)
         columns = {"voltage": self.voltage, "displacement": self.displacement}
         arguments = self.arguments({key: one for key, one in columns.items() if one is not None}, self.prior)
         rows = sum(len(log.recording.voltage) for log in fitted)
@@ -277,4 +274,17 @@ def _name_of(log: Any) -> str:
     """Return what a log is called where its model says how it was identified."""
     if is_table(log):
         return str((log.attrs.get("provenance") or {}).get("name", "arrays"))
-    return parse_address(log).text
+    return log.text if isinstance(log, Address) else "arrays"
+
+
+def _record_of(source: Source, log: Any) -> Mapping[str, Any]:
+    """Return what a model keeps of a log that was read; of arrays a digest of their numbers."""
+    if isinstance(source, SignalLog):
+        return dict(source.record()) | {"read": source.reading_record()}
+    assert isinstance(source, ArraySource)
+    known: Mapping[str, Any] | None = log.attrs.get("provenance") if is_table(log) else None
+    digest = hashlib.sha256()
+    for values in source.values.values():
+        digest.update(values.astype("<f8").tobytes())
+    count = next(iter(source.values.values())).size
+    return known or {"name": "arrays", "sha256": digest.hexdigest(), "rows": count}

@@ -55,12 +55,19 @@ class Work:
 
 @dataclass(frozen=True)
 class Done(Generic[Value]):
-    """What came of a job: its value and outputs, or the error that ended it."""
+    """What came of a job that went well: its value and outputs."""
 
     name: str
-    value: Value | None
+    value: Value
     outputs: KeptOutputs
-    problem: DboError | None = None
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The error that ended a job."""
+
+    name: str
+    problem: DboError
 
 
 @dataclass
@@ -75,8 +82,56 @@ class Outcome:
         if self.failure is not None:
             raise self.failure
 
+    def good(
+        self,
+        jobs: Jobs[Value],
+        work: Work,
+        noun: str,
+        count: int,
+        listener: Listener = SILENT,
+        keep: bool = True,
+    ) -> Iterator[Done[Value]]:
+        """Give the jobs that went well; the failures become warnings and the failure, or end it all.
 
-def run_jobs(jobs: Jobs[Value], processes: int = 1, keep: bool = True) -> Iterator[Done[Value]]:
+        Parameters
+        ----------
+        jobs, work, keep
+            What is to be done and how (see ``run_jobs``), and whether to go on where one failed.
+        noun
+            What a job is: ``channel`` or ``file``.
+        count
+            How many jobs there are.
+
+        Raises
+        ------
+        DboError
+            The first failure, where it is not to be gone on or where all failed.
+        """
+        failed: dict[str, DboError] = {}
+        for number, one in enumerate(run_jobs(jobs, work.processes, keep), start=1):
+            listener.finished()
+            if isinstance(one, Done):
+                yield one
+            else:
+                failed[one.name] = one.problem
+                text = str(one.problem)
+                if noun != "file" or not text.startswith(one.name):
+                    text = f"{noun} {one.name}: {text}"
+                if not work.keep_going:
+                    remedy = "" if work.all_needed else f" (`keep_going` writes the other {noun}s)"
+                    raise type(one.problem)(text + remedy)
+                self.remarks.warn(text)
+            if number < count:
+                listener.working(f"{noun} {number + 1:,} of {count:,}")
+        if failed:
+            # What the others gave is written: exit code 1, whatever ended the ones that failed.
+            fate = "nothing is written" if len(failed) == count else "the others are written"
+            self.failure = DboError(
+                f"{len(failed):,} of {count:,} {noun}s failed ({named(list(failed))}): {fate}"
+            )
+
+
+def run_jobs(jobs: Jobs[Value], processes: int = 1, keep: bool = True) -> Iterator[Done[Value] | Failed]:
     """Run jobs and give what came of them in their order; of several processes, each takes the next job.
 
     Without ``keep`` each job writes its outputs itself. Calls must pickle where there is more than one
@@ -92,7 +147,7 @@ def run_jobs(jobs: Jobs[Value], processes: int = 1, keep: bool = True) -> Iterat
     # Not forked: a library's threads (polars has some) would be missing in the copy, their locks held.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, initializer=_prepare_worker)
-    running: deque[Future[Done[Value]]] = deque()
+    running: deque[Future[Done[Value] | Failed]] = deque()
     try:
         for name, call in jobs:
             running.append(pool.submit(run_job, name, call, keep))
@@ -113,64 +168,14 @@ def _prepare_worker() -> None:
     warnings.simplefilter("ignore")
 
 
-def run_job(name: str, call: Callable[[], Value], keep: bool) -> Done[Value]:
+def run_job(name: str, call: Callable[[], Value], keep: bool) -> Done[Value] | Failed:
     """Run one job, its outputs kept or written."""
     with kept_outputs() if keep else contextlib.nullcontext(KeptOutputs()) as outputs:
         try:
             return Done(name, call(), outputs)
         except DboError as problem:
             kind = next(base for base in _BASES if isinstance(problem, base))
-            return Done(name, None, KeptOutputs(), kind(str(problem)))
-
-
-def good_ones(
-    done: Iterable[Done[Value]],
-    work: Work,
-    noun: str,
-    outcome: Outcome,
-    count: int,
-    listener: Listener = SILENT,
-) -> Iterator[Done[Value]]:
-    """Give the jobs that went well; the failures become warnings and the outcome's error, or end it all.
-
-    Parameters
-    ----------
-    done, work
-        What came of the jobs, and whether to go on where one failed.
-    noun
-        What a job is: ``channel`` or ``file``.
-    outcome
-        Gets what is to be said at the end.
-    count
-        How many jobs there are.
-
-    Raises
-    ------
-    DboError
-        The first failure, where it is not to be gone on or where all failed.
-    """
-    failed: dict[str, DboError] = {}
-    for number, one in enumerate(done, start=1):
-        listener.finished()
-        if one.problem is None:
-            yield one
-        else:
-            failed[one.name] = one.problem
-            text = str(one.problem)
-            if noun != "file" or not text.startswith(one.name):
-                text = f"{noun} {one.name}: {text}"
-            if not work.keep_going:
-                remedy = "" if work.all_needed else f" (`keep_going` writes the other {noun}s)"
-                raise type(one.problem)(text + remedy)
-            outcome.remarks.warn(text)
-        if number < count:
-            listener.working(f"{noun} {number + 1:,} of {count:,}")
-    if failed:
-        # What the others gave is written: exit code 1, whatever ended the ones that failed.
-        fate = "nothing is written" if len(failed) == count else "the others are written"
-        outcome.failure = DboError(
-            f"{len(failed):,} of {count:,} {noun}s failed ({named(list(failed))}): {fate}"
-        )
+            return Failed(name, kind(str(problem)))
 
 
 def summed_up(texts: Mapping[str, Sequence[str]], noun: str) -> list[str]:
@@ -283,12 +288,7 @@ def each_file(
     calls: Sequence[tuple[Address, Callable[[], Value]]], work: Work, listener: Listener
 ) -> tuple[dict[str, Value], Outcome]:
     """Run a call for each log; returns what came of those that went well, and the outcome of all."""
-    outcome = Outcome()
+    outcome, going = Outcome(), Work(work.processes, keep_going=True)
     jobs = ((log.text, call) for log, call in calls)
-    done = run_jobs(jobs, work.processes, keep=False)
-    going = Work(work.processes, keep_going=True)
-    found = {}
-    for one in good_ones(done, going, "file", outcome, len(calls), listener):
-        assert one.value is not None
-        found[one.name] = one.value
-    return found, outcome
+    done = outcome.good(jobs, going, "file", len(calls), listener, keep=False)
+    return {one.name: one.value for one in done}, outcome

@@ -110,13 +110,11 @@ def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listen
 
 def reported(asked: ReportRun, work: Work, listener: Listener) -> Written:
     """Report on logs side by side, or on the channels that a pattern names."""
-    options = asked.options
-    if _are_many([], asked.output, options.desired, options.measured, options.voltage):
-        from dbo_cli.runs.channel_reports import report_channels
+    from dbo_cli.runs.reporting import report_channels, report_logs
 
+    columns = (asked.options.desired, asked.options.measured, asked.options.voltage)
+    if _are_many([], asked.output, *columns):
         return report_channels(asked, work, listener)
-    from dbo_cli.runs.reporting import report_logs
-
     return report_logs(asked, listener)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning
 from dbo_cli.runs.channel_models import ChannelFits, patterns_of, refuse_two_shapes
 from dbo_cli.runs.channels import common_rows
-from dbo_cli.runs.coupled import Recordings
 from dbo_cli.runs.identifying import IdentifyRun
 from dbo_cli.runs.jobs import Outcome, Work, summed_up
 from dbo_cli.runs.model import Model
@@ -178,15 +177,15 @@ class ModelSet(Mapping[str, Model]):
         return matrix
 
 
-def identify_set(asked: IdentifyRun, read: Callable[..., Recordings], jobs: int) -> ModelSet:
-    """Identify a model of each channel that patterns of columns name; ``read`` is that of ``ChannelFits``.
+def identify_set(asked: IdentifyRun, jobs: int) -> ModelSet:
+    """Identify a model of each channel that patterns of columns name.
 
     Raises
     ------
     DboError
         As ``identify``, with the channel's name.
     """
-    channels = ChannelFits(asked, patterns_of(asked), read)
+    channels = ChannelFits(asked, patterns_of(asked))
     refuse_two_shapes(asked)
     found = dict(channels.models(Work(jobs, all_needed=True), Outcome()))
     models = {name: Model(one.model, one.summary, one.remarks) for name, one in found.items()}

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.logs.addresses import Address, check_format
-from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.relatives.judging import NAMES, compare
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import save
 from dbo_cli.reports.models import ModelTable
-from dbo_cli.runs.identifying import read_recordings
+from dbo_cli.runs.identifying import IdentifyRun
 from dbo_cli.runs.reporting import prepare_folder, report_form
 from dbo_cli.version import program_version_string
 
@@ -35,25 +33,17 @@ class TableOptions:
 
 @all_or_none()
 def compare_logs(
-    logs: Sequence[Address],
-    validation: Sequence[Address],
-    output: Address,
-    reading: ReadingOptions,
-    options: TableOptions,
-    *,
-    voltage: str | None = None,
-    displacement: str | None = None,
-    listener: Listener = SILENT,
+    asked: IdentifyRun, output: Address, options: TableOptions, listener: Listener = SILENT
 ) -> Remarks:
-    """Fit every model to the logs and write the table; ``reading.rows`` are those of ``logs`` alone."""
+    """Fit every model to the logs and write the table; ``asked.reading.rows`` are not the validation's."""
     form = report_form(output, options.form)
-    inputs = [*logs, *validation]
+    inputs = [*asked.logs, *asked.validation]
     check_output(output, inputs)
-    check_format(reading.format, inputs)
+    check_format(asked.reading.format, inputs)
     for folder in (options.figures, options.models_folder):
         if folder is not None:
             prepare_folder(folder)
-    fitted, checks = read_recordings(logs, validation, reading, voltage, displacement, listener)
+    fitted, checks = asked.read(listener)
     recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
     rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)
     unit = recordings[0].displacement_unit

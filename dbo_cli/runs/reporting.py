@@ -1,26 +1,355 @@
-"""Reports from logs to files: text, JSON, CSV or a page, and figures."""
+"""Reports: how well what was measured follows what was wanted, or a model what was measured.
+
+``TrackingRun`` compares sources, ``TrackingReport`` shows what came of it, ``report_logs`` reads and writes.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
+from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
-from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
+from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
+from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.reports.drawing import check_folder, refuse_picture
-from dbo_cli.reports.report import Report, check_limits
-from dbo_cli.reports.sample_pairs import rows_to_read
-from dbo_cli.runs.roles import short_names
-from dbo_cli.runs.tracking import TrackingOptions, TrackingRun, refuse_both, trajectory_wishes
+from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
+from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
+from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch, rows_to_read
+from dbo_cli.runs.channels import Columns, models_by_channel, opened_readers, sum_up_remarks
+from dbo_cli.runs.jobs import Outcome, Work, spread_line
+from dbo_cli.runs.roles import bring_to, opened, short_names
+from dbo_cli.version import program_version_string
+
+if TYPE_CHECKING:
+    import pandas
+
+    from dbo_cli.reports.thinned_curves import FigureData
+
+Match = Literal["auto", "time", "rows"]
+
+
+@dataclass(frozen=True)
+class TrackingOptions:
+    """What is asked of a report on logs.
+
+    Attributes
+    ----------
+    lag : int or "auto"
+        Samples by which measured is taken later than desired.
+    remove_offset : bool
+        Take the mean of the error off first.
+    segment : "cycles" or float, optional
+        Also report every cycle, or every so many seconds.
+    desired, measured, voltage : str, optional
+        The columns, guessed where not given.
+    model : str, optional
+        A model file: its prediction takes the place of the desired signal.
+    trajectory : str, optional
+        The file with the desired signal, if that is not in the logs.
+    match : {"auto", "time", "rows"}
+        How logs and trajectory belong together; auto: by time where both have one.
+    count_sweep : bool
+        Let a conditioning sweep (rows before time 0, where others follow) take part.
+    dwell : float, optional
+        Only rows at which the desired signal has been held for so many seconds count: pixels and stairs.
+    """
+
+    lag: int | Literal["auto"] = 0
+    remove_offset: bool = False
+    segment: float | Literal["cycles"] | None = None
+    desired: str | None = None
+    measured: str | None = None
+    voltage: str | None = None
+    model: str | None = None
+    trajectory: Address | None = None
+    match: Match = "auto"
+    count_sweep: bool = False
+    dwell: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a lag or a segment that is none (UsageError)."""
+        lag, segment = self.lag, self.segment
+        if lag != "auto" and (not isinstance(lag, int) or isinstance(lag, bool)):
+            raise UsageError(f"`lag` {lag}: neither a whole number of samples nor 'auto'")
+        if self.dwell is not None and not 0.0 <= self.dwell < float("inf"):
+            raise UsageError(f"`dwell` {self.dwell:g}: give seconds, 0 or more")
+        if segment not in (None, "cycles"):
+            if not isinstance(segment, int | float) or not 0.0 < segment < float("inf"):
+                given = segment if isinstance(segment, str) else f"{segment:g}"
+                raise UsageError(f"`segment` {given}: neither 'cycles' nor a number of seconds above 0")
+
+    def scoring(self, with_model: bool) -> ReportOptions:
+        """Return how signals are compared."""
+        labels = ("model" if with_model else "desired", "measured")
+        segment = float(self.segment) if isinstance(self.segment, int) else self.segment
+        if with_model and self.dwell is not None:
+            raise UsageError("`dwell` and `model` exclude each other: a model's prediction is held nowhere")
+        return ReportOptions(self.lag, self.remove_offset, segment, labels, self.dwell)
+
+    def wishes(self, with_model: bool) -> dict[str, ColumnWish]:
+        """Return the columns to be read of a log, as named or to be guessed."""
+        want = {"measured": wish("measured", self.measured, option="measured")}
+        if not with_model and self.trajectory is None:
+            want["desired"] = wish("desired", self.desired, option="desired", may_be_blank=True)
+        needed = with_model or self.voltage is not None
+        want["voltage"] = wish("voltage", self.voltage, required=needed, option="voltage")
+        return want
+
+
+def trajectory_wishes(desired: str | None) -> dict[str, ColumnWish]:
+    """Return the column of a trajectory in a file of its own: what was wanted, whatever it is called."""
+    return {"desired": wish("trajectory", desired, option="desired", may_be_blank=True)}
+
+
+@dataclass
+class TrackingRun:
+    """Sources compared one after the other, and what the report and its figures need of each.
+
+    Attributes
+    ----------
+    options
+        How signals are compared.
+    model, model_name
+        With a model, its prediction takes the place of the desired signal.
+    traced
+        Keep what figures are drawn from.
+    """
+
+    options: ReportOptions
+    model: ActuatorModel | None = None
+    model_name: str = "the model"
+    traced: bool = False
+    remarks: Remarks = field(default_factory=Remarks)
+    _merits: list[LogReport] = field(default_factory=list)
+    _units: list[tuple[str, str | None]] = field(default_factory=list)
+    _figure_data: list[FigureData] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Refuse a model that predicts no displacement."""
+        if self.model is not None:
+            self.model.require("forward", self.model_name)
+
+    def add(
+        self,
+        source: Source,
+        name: str | None = None,
+        listener: Listener = SILENT,
+        *,
+        score_rows: Rows | None = None,
+        count_sweep: bool = False,
+        trajectory: Source | None = None,
+        match: Match = "auto",
+    ) -> None:
+        """Compare one source, block by block.
+
+        Parameters
+        ----------
+        source
+            Role ``measured``; ``desired`` too, or ``voltage`` for a model to predict from.
+        name
+            What the report calls it.
+        listener
+            Called after every block.
+        score_rows
+            The rows that count, of all that the source gives (see ``reports.report.evaluate``).
+        count_sweep
+            Let rows before time 0 take part though others follow.
+        trajectory
+            Where the desired signal lies, if elsewhere: role ``desired``.
+        match
+            How the two belong together: by ``time``, by ``rows``, or by time where both have one (``auto``).
+        """
+        self._bring_to_one_unit(source, trajectory or source)
+        figure_data = self._new_figure_data(source) if self.traced else None
+        run = None if self.model is None else ModelRun(self.model, source)
+        joined = None if trajectory is None else self._joined(source, trajectory, match, listener)
+        log = evaluate(
+            name or source.name,
+            self._pairs(source, run, listener) if joined is None else joined.pairs(),
+            self.options,
+            sample_rate=source.stated_rate,
+            figure_data=figure_data,
+            score_rows=score_rows,
+            count_sweep=count_sweep,
+        )
+        if joined is not None:
+            log = dataclasses.replace(log, notes=(*joined.notes(), *log.notes))
+        self._merits.append(log)
+        listener.finished()
+        self.remarks.add(remarks_of(source) if run is None else run.remarks())
+
+    def result(self) -> TrackingReport:
+        """Return the report on all sources."""
+        report = Report.of(self._merits, self.options, common_unit(self._units))
+        return TrackingReport(report, tuple(self._figure_data), self.model, self.remarks)
+
+    def _bring_to_one_unit(self, source: Source, wanted: Source) -> None:
+        """Compare in one unit: the model's, else that of the first log's measurement.
+
+        ``wanted`` has the desired signal, where that lies elsewhere.
+        """
+        if self.model is not None:
+            unit = self.model.output.unit
+            bring_to(source, "voltage", self.model.input, self.model_name)
+            source.convert("measured", unit, f"{self.model_name} gives {self.model.output.quantity}")
+        else:
+            known = [unit for _, unit in self._units if unit is not None]
+            measured, desired = source.columns["measured"].unit, wanted.columns["desired"].unit
+            unit = known[0] if known else measured or desired
+            source.convert("measured", unit, "the comparison is")
+            wanted.convert("desired", unit, "the comparison is")
+        self._units.append((source.name, unit or source.columns["measured"].unit))
+
+    def _new_figure_data(self, source: Source) -> FigureData:
+        from dbo_cli.reports.thinned_curves import FigureData
+
+        drive = source.columns.get("voltage")
+        self._figure_data.append(FigureData(None if drive is None else drive.unit))
+        return self._figure_data[-1]
+
+    def _joined(
+        self, source: Source, trajectory: Source, match: Match, listener: Listener
+    ) -> TrajectoryMatch:
+        """Return the pairs of a recording and a trajectory (UsageError where a model predicts)."""
+        if self.model is not None:
+            refuse_both()
+        by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
+        if by_time:
+            for one in (source, trajectory):
+                one.require_time("`match` by time depends on it")
+        return TrajectoryMatch(
+            source.name, trajectory.name, counted(source, listener), trajectory.blocks(), by_time=by_time
+        )
+
+    def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
+        for block in counted(source, listener):
+            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]).y)
+
+
+def refuse_both() -> NoReturn:
+    """Refuse a trajectory beside a model (UsageError)."""
+    raise UsageError(
+        "`trajectory` and `model` exclude each other: compare with what was wanted, or with what the model"
+        " predicts"
+    )
+
+
+def counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
+    """Return the blocks of a source, each counted once it is done with."""
+    for block in source.blocks():
+        yield block
+        listener.progressed(len(block))
+
+
+@dataclass(frozen=True)
+class TrackingReport:
+    """A report, in every form; ``report`` holds the numbers.
+
+    Raises
+    ------
+    UsageError
+        A page or figures are asked for, and the comparison kept nothing to draw from.
+    """
+
+    report: Report
+    figure_data: tuple[FigureData, ...]
+    model: ActuatorModel | None
+    remarks: Remarks
+
+    @property
+    def rmse(self) -> float:
+        """RMSE of the (first) log, in the report's unit."""
+        return self.report.logs[0].figures.rmse
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Return one row a log under the keys of the JSON form, the log's name as index."""
+        return self.report.to_frame()
+
+    def to_text(self) -> str:
+        """Return the report as a text for a terminal."""
+        from dbo_cli.reports.renderers import to_text
+
+        return to_text(self.report)
+
+    def to_json(self) -> str:
+        """Return the report as JSON (``dbo-report``)."""
+        from dbo_cli.reports.renderers import to_json
+
+        return to_json(self.report)
+
+    def to_csv(self) -> str:
+        """Return the report as CSV, a line a log."""
+        from dbo_cli.reports.renderers import to_csv
+
+        return to_csv(self.report)
+
+    def to_html(self) -> str:
+        """Return the report as one self-contained page with its figures."""
+        from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
+        from dbo_cli.reports.models import plots_of_model
+        from dbo_cli.reports.page import to_html
+
+        return to_html(
+            self.report,
+            [plots_of_log(self.report, log, figure_data) for log, figure_data in self._drawn()],
+            comparison_plots=plots_of_comparison(self.report, self.figure_data),
+            model_plots=() if self.model is None else plots_of_model(self.model),
+            program=program_version_string(),
+        )
+
+    def rendered(self, form: str) -> bytes:
+        """Return the report in a form.
+
+        Parameters
+        ----------
+        form : {"text", "json", "csv", "html"}
+            Which one; as bytes of UTF-8.
+        """
+        return str(getattr(self, f"to_{form}")()).encode()
+
+    def figures(self, folder: str | Path) -> None:
+        """Draw every figure, PNG and SVG.
+
+        Parameters
+        ----------
+        folder
+            Where to; made where it is not there.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written to.
+        """
+        from dbo_cli.reports.drawing import check_folder, file_stems, save
+        from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
+        from dbo_cli.reports.models import plots_of_model
+
+        target = check_folder(str(folder))
+        stems = file_stems([log.name for log in self.report.logs])
+        for stem, (log, figure_data) in zip(stems, self._drawn(), strict=True):
+            save(plots_of_log(self.report, log, figure_data), target, stem, log.name)
+        save(plots_of_comparison(self.report, self.figure_data), target, "all-logs")
+        if self.model is not None:
+            save(plots_of_model(self.model), target, "model")
+
+    def _drawn(self) -> list[tuple[LogReport, FigureData]]:
+        if len(self.figure_data) != len(self.report.logs):
+            raise UsageError("nothing was kept to draw from: compare with `traced`")
+        return list(zip(self.report.logs, self.figure_data, strict=True))
+
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 
@@ -64,36 +393,44 @@ class ReportRun:
     form: str | None = None
     figures: str | None = None
 
+    def prepared(self) -> tuple[str, list[Given]]:
+        """Return the report's form and the inputs; what cannot be written is refused before the long work."""
+        options, chosen = self.options, report_form(self.output, self.form)
+        check_document(self.output, "a report", chosen)
+        files = [name for name in (options.model, options.trajectory) if name is not None]
+        inputs: list[Given] = [*self.logs, *files]
+        inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)
+        check_output(self.output, inputs)
+        if self.figures is not None:
+            prepare_folder(self.figures)
+        return chosen, inputs
+
+    def write(self, content: bytes, inputs: Sequence[Given]) -> None:
+        """Write the report; a reader who has seen enough of it does not do without the figures."""
+        try:
+            write_whole(self.output, content, protect=inputs)
+        except BrokenPipeError:
+            if self.figures is None:
+                raise
+
 
 @all_or_none()
 def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
-    logs, output, reading, options, figures = (
-        asked.logs, asked.output, asked.reading, asked.options, asked.figures
-    )  # fmt: skip
+    options, figures = asked.options, asked.figures
     if options.model is not None and options.trajectory is not None:
         refuse_both()
-    chosen = report_form(output, asked.form)
-    check_document(output, "a report", chosen)
-    inputs: list[Given] = [*logs, *(name for name in (options.model, options.trajectory) if name is not None)]
-    inputs += selected_files(options.desired, options.measured, options.voltage, reading.time)
-    check_output(output, inputs)
-    if figures is not None:
-        prepare_folder(figures)
+    chosen, inputs = asked.prepared()
     model = None if options.model is None else read_model(options.model)
     traced = figures is not None or chosen == "html"
     tracking = TrackingRun(options.scoring(model is not None), model, str(options.model), traced)
-    names = short_names(logs)
-    for address in logs:
-        add_file(tracking, address, reading, options, names.get(address), listener)
+    names = short_names(asked.logs)
+    for address in asked.logs:
+        add_log(tracking, address, asked.reading, options, names.get(address), listener)
     result = tracking.result()
     if figures is not None:
         result.figures(figures)
-    try:
-        write_whole(output, result.rendered(chosen), protect=inputs)
-    except BrokenPipeError:  # the reader has seen enough; the figures were asked for all the same
-        if figures is None:
-            raise
+    asked.write(result.rendered(chosen), inputs)
     return Written(result.report, chosen, result.remarks)
 
 
@@ -119,27 +456,27 @@ def prepare_folder(folder: str) -> None:
     check_folder(folder)
 
 
-def add_file(
+def add_log(
     tracking: TrackingRun,
-    address: Address,
+    log: Any,
     reading: ReadingOptions,
     options: TrackingOptions,
     name: str | None = None,
     listener: Listener = SILENT,
+    time: Any = None,
 ) -> None:
-    """Compare one log."""
+    """Compare one log; ``time`` is the column or the seconds of a table from Python."""
     with_model, trajectory = tracking.model is not None, options.trajectory
     from_first = with_model or trajectory is not None
     own, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
     with contextlib.ExitStack() as stack:
-        log = stack.enter_context(open_log(address, options.wishes(with_model), own))
-        listener.opened(log.describe())
-        wished = None
+        source, wished = opened(log, options.wishes(with_model), own, listener, time=time), None
+        stack.callback(source.close)
         if trajectory is not None:
             wished = stack.enter_context(open_trajectory(trajectory, options.desired, reading))
             listener.opened(wished.describe())
         tracking.add(
-            log,
+            source,
             name,
             listener,
             score_rows=score_rows,
@@ -190,3 +527,96 @@ def open_trajectory(address: Address, desired: str | None, reading: ReadingOptio
     log.close()
     timed = dataclasses.replace(own, sample_rate=reading.sample_rate)
     return open_log(address, trajectory_wishes(desired), timed)
+
+
+# --- channels: a line each, and how their errors are spread, as a line and as figures ---
+
+
+@all_or_none()
+def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written:
+    """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
+    logs, options = asked.logs, asked.options
+    if options.trajectory is not None:
+        raise UsageError(
+            "`trajectory` holds one desired signal: a pattern takes `desired` from the log itself"
+        )
+    wanted = None if options.model is not None else options.desired or ""
+    drive = (options.voltage or "") if options.model is not None else options.voltage
+    columns = Columns.of(desired=wanted, measured=options.measured or "", voltage=drive)
+    chosen, inputs = asked.prepared()
+    outcome = Outcome()
+    merits: list[LogReport] = []
+    units: list[tuple[str, str | None]] = []
+    texts: dict[str, Remarks] = {}
+    short = short_names(logs)
+    with opened_readers(logs, asked.reading, columns) as readers:
+        channels = list(readers[0].channels)
+        models = None if options.model is None else models_by_channel(options.model, channels)
+        if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
+            outcome.remarks.warn(
+                f"the models of {options.model} are coupled, and each is compared by itself: what the others "
+                "show is in the error (simulate takes the coupling into account)"
+            )
+
+        def jobs() -> Iterator[tuple[str, Callable[[], tuple[Report, Remarks]]]]:
+            for reader, address in zip(readers, logs, strict=True):
+                for channel in channels:
+                    name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
+                    own: dict[str, Any] = columns.of_channel(channel)
+                    own |= {"model": models(channel) if models else None}
+                    one = dataclasses.replace(options, **own)
+                    yield name, functools.partial(_reported, reader.log(channel), name, asked.reading, one)
+
+        count = len(channels) * len(logs)
+        for one in outcome.good(jobs(), work, "channel", count, listener):
+            found, texts[one.name] = one.value
+            merits += found.logs
+            units.append((one.name, found.unit))
+    report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
+    if merits:
+        _write(asked, report, chosen, inputs)
+    sum_up_remarks(texts, columns.patterns["measured"], outcome.remarks)
+    drawn = asked.figures is not None or chosen == "html"
+    outcome.remarks.notes += _summary(merits, columns if drawn and len(logs) == 1 else None)
+    return Written(report, chosen, outcome.remarks, outcome.failure)
+
+
+def _summary(merits: Sequence[LogReport], drawn: Columns | None) -> Iterator[str]:
+    """Return how the errors are spread, and how the figures of the worst are made where all were drawn."""
+    percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
+    if percents:
+        yield spread_line(percents, "channel", "RMSE of range", {})
+    if percents and drawn is not None:
+        worst = max(percents, key=percents.__getitem__)
+        own = ", ".join(f"`{option}` '{name}'" for option, name in drawn.of_channel(worst).items())
+        yield f"the figures are of all channels; for those of one name its columns: {own}"
+
+
+def _write(asked: ReportRun, report: Report, form: str, inputs: Sequence[Given]) -> None:
+    """Write the report; a page and figures show all channels together."""
+    plots: list[Plot] = []
+    if asked.figures is not None or form == "html":
+        from dbo_cli.reports.figures import plots_of_channels
+
+        plots = plots_of_channels(report)
+    if asked.figures is not None:
+        save(plots, Path(asked.figures), "channels")
+    if form == "html":
+        from dbo_cli.reports.page import to_html
+
+        none = [()] * len(report.logs)
+        page = to_html(report, none, comparison_plots=plots, program=program_version_string()).encode()
+    else:
+        page = TrackingReport(report, (), None, Remarks()).rendered(form)
+    asked.write(page, inputs)
+
+
+def _reported(
+    log: Address, name: str, reading: ReadingOptions, options: TrackingOptions
+) -> tuple[Report, Remarks]:
+    """Compare one channel, in whichever process."""
+    model = None if options.model is None else read_model(options.model)
+    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
+    add_log(tracking, log, reading, options, name)
+    result = tracking.result()
+    return result.report, result.remarks

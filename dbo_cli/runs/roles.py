@@ -8,18 +8,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dbo_cli.drives.learning import Tracked
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_state
 from dbo_cli.hysteresis.model_state import START_NAMES, ModelState, Quantity, StartName
 from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.column_names import wish
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.sources import ArraySource, Source, is_file, is_table, table_source
+from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
+from dbo_cli.remarks import SILENT, Listener
 
 
 def quantity_wish(
@@ -38,15 +38,50 @@ def recording_wishes(voltage: str | None, displacement: str | None) -> dict[str,
     }
 
 
-def short_names(addresses: Sequence[Address]) -> dict[Address, str]:
-    """Return the names of logs without their folders, where these differ."""
-    short = {one: cleaned(os.path.basename(one.text)) for one in addresses if not one.is_stream}
+def short_names(logs: Sequence[Any]) -> dict[Address, str]:
+    """Return the names of files without their folders, where these differ."""
+    files = [one for one in logs if isinstance(one, Address) and not one.is_stream]
+    short = {one: cleaned(os.path.basename(one.text)) for one in files}
     return short if len(set(short.values())) == len(short) else {}
 
 
 def bring_to(source: Source, role: str, wanted: Quantity, model: str) -> None:
     """Take a column in the model's unit: prefixes are converted, unlike units refused (InputError)."""
     source.convert(role, wanted.unit, f"{model} takes {wanted.quantity}")
+
+
+def opened(
+    log: Any,
+    want: Mapping[str, ColumnWish],
+    reading: ReadingOptions,
+    listener: Listener = SILENT,
+    *,
+    time: Any = None,
+    digest: bool = False,
+) -> Source:
+    """Return a log in whatever form it is given as a source of the columns wanted.
+
+    Parameters
+    ----------
+    log
+        An address or a file's name, a table, or arrays that are a source already.
+    want
+        Role to column.
+    reading, time
+        How it is read; of a table the column or the seconds of the time.
+    listener, digest
+        Is told how a file was understood, whose digest may be wanted.
+    """
+    if isinstance(log, ArraySource):
+        log.rows = reading.rows
+        return log
+    if is_table(log):
+        return table_source(log, want, time, reading.sample_rate, reading.rows)
+    if not is_file(log) and not isinstance(log, Address):
+        raise InputError("a log is a table or a file's name; give two arrays as voltage and displacement")
+    found = open_log(log, want, reading, digest=digest)
+    listener.opened(found.describe())
+    return found
 
 
 def source_of(
@@ -70,11 +105,10 @@ def source_of(
     name
         How messages call arrays.
     """
-    if is_file(signals[0]):
-        options = ReadingOptions(time=time, sample_rate=sample_rate, rows=rows)
-        return open_log(signals[0], want, options)
-    if is_table(signals[0]):
-        return table_source(signals[0], want, time, sample_rate, rows)
+    if is_log(signals[0]):
+        column = time if is_file(signals[0]) else None
+        reading = ReadingOptions(time=column, sample_rate=sample_rate, rows=rows)
+        return opened(signals[0], want, reading, time=time)
     called = [one.option for one in want.values()]
     given = dict(zip(called, signals, strict=True))
     arrays = ArraySource(given, time, sample_rate, name=name or f"`{called[0]}`", rows=rows)

@@ -13,7 +13,6 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
-from dbo_cli.logs.column_names import TIME_NAMES
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -27,6 +26,7 @@ from dbo_cli.logs.column_table import (
     with_unit,
     without_scalars,
 )
+from dbo_cli.logs.columns import TIME_NAMES
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 
@@ -61,9 +61,7 @@ def open_npy(request: Request) -> ColumnTable:
                 ) from None
             raise
         sources = list(_file_array_columns(request.address.path, array))
-    if not sources:
-        raise request.no_columns([_array_shape(array)])
-    return ColumnTable(request, "NumPy array", sources)
+    return ColumnTable(request, "NumPy array", sources, held=[_array_shape(array)])
 
 
 def open_npz(request: Request) -> ColumnTable:
@@ -86,11 +84,10 @@ def open_npz(request: Request) -> ColumnTable:
     sources = without_scalars(
         [one for name, array in readable.items() for one in _array_columns(name, array)]
     )
-    if not sources:
-        raise request.no_columns(f"{name} ({_array_shape(array)})" for name, array in arrays.items())
     single = {name: array.ravel()[0] for name, array in readable.items() if array.size == 1}
     stated = {name: value for name, value in single.items() if is_clock_name(name) or isinstance(value, str)}
-    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated))
+    held = (f"{name} ({_array_shape(array)})" for name, array in arrays.items())
+    return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated), held=held)
 
 
 def _member(archive: Any, name: str) -> Any:
@@ -106,8 +103,7 @@ def _member(archive: Any, name: str) -> Any:
 def _array_columns(name: str, array: Any) -> list[ColumnSource]:
     if array.dtype.names is not None and array.ndim == 1:
         return [array_source(f"{name}/{field}", array[field]) for field in _numbers_in(array.dtype)]
-    single = array.ndim == 2 and 1 in array.shape
-    return matrix_sources(name, array, "{name}" if single else "{name}[{number}]")
+    return matrix_sources(name, array)
 
 
 def _numbers_in(kind: Any) -> list[str]:
@@ -175,48 +171,45 @@ def open_matlab(request: Request) -> ColumnTable:
         except (IndexError, EOFError):
             raise ValueError("it ends early") from None
     variables = {name: value for name, value in stored.items() if not name.startswith("__")}
-    group, trail = _struct(place, variables, request.address.group)
-    sources, level = _columns(group), {"": (trail, group)}
+    trail = _struct(place, variables, request.address.group or "")
+    group, sources, level = trail[-1], _columns(trail[-1]), {"": trail}
     while not sources and level:  # the shallowest structs that have any
         level = {
-            f"{name}.{member}".lstrip("."): ([*above, value], value)
-            for name, (above, struct) in level.items()
-            for member, value in struct.items()
+            f"{name}.{member}".lstrip("."): [*above, value]
+            for name, above in level.items()
+            for member, value in above[-1].items()
             if isinstance(value, dict)
         }
-        inner = {name: found for name, (_, value) in level.items() if (found := _columns(value))}
+        inner = {name: found for name, above in level.items() if (found := _columns(above[-1]))}
         if len(inner) > 1:
             raise InputError(
                 f"{place}: columns in {len(inner)} structs, {', '.join(inner)}: which one? "
                 f"(write {request.address.path}::{next(iter(inner))})"
             )
         for name, found in inner.items():
-            trail, sources = level[name][0], found
+            trail, sources = level[name], found
     for path in request.named:
         if path not in group:
             sources += _by_path(variables, path)
-    if not sources:
-        objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
-        held = (f"{name} ({_shape(value)})" for name, value in group.items())
-        raise request.no_columns(held, MATLAB_OBJECTS if objects else "")
+    objects = "__function_workspace__" in stored or any(map(_is_object, variables.values()))
+    held = (f"{name} ({_shape(value)})" for name, value in group.items())
     clock = next((stated for level in reversed(trail) if (stated := _statements(level))), [])
     starts = [value for level in trail for name, value in level.items() if name.lower() in _START_NAMES]
     start = number_in(starts[-1]) if starts and np.ndim(starts[-1]) == 0 else None
-    return ColumnTable(request, "MATLAB", sources, clock=clock, start=start or 0.0)
+    remedy = MATLAB_OBJECTS if objects else ""
+    return ColumnTable(request, "MATLAB", sources, clock, start or 0.0, held=held, remedy=remedy)
 
 
-def _struct(
-    place: str, variables: dict[str, Any], path: str | None
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Go down to the struct that ``FILE::a.b`` names; the variables themselves without one."""
-    group, trail = variables, [variables]
-    for part in [part for part in (path or "").replace("/", ".").split(".") if part]:
-        value = group.get(part)
+def _struct(place: str, variables: dict[str, Any], path: str) -> list[dict[str, Any]]:
+    """Go down to the struct that ``FILE::a.b`` names; returns it behind all above, the variables first."""
+    trail = [variables]
+    for part in filter(None, path.replace("/", ".").split(".")):
+        value = trail[-1].get(part)
         if not isinstance(value, dict):
-            names = ", ".join(name for name, one in group.items() if isinstance(one, dict)) or "none"
+            names = ", ".join(name for name, one in trail[-1].items() if isinstance(one, dict)) or "none"
             raise InputError(f"{place}: there is no struct '{part}': the structs are: {names}")
-        group, trail = value, [*trail, value]
-    return group, trail
+        trail.append(value)
+    return trail
 
 
 def _columns(group: dict[str, Any]) -> list[ColumnSource]:
@@ -226,7 +219,12 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
     if _is_channel(group) and not _is_channel_list(group):  # Simulink's "structure with time"
         known = {source.label for source in sources}
         sources += [source for source in _channels("", group) if source.label not in known]
-    channels = {name: one for name, one in group.items() if isinstance(one, dict) and _is_signal(one)}
+    structs = {name: one for name, one in group.items() if isinstance(one, dict)}
+    channels = {
+        name: one
+        for name, one in structs.items()
+        if not _is_channel_list(one) and np.ndim(_first(one, _VALUES)) == 1
+    }
     if len(channels) > 1:
         sources += _with_their_times(channels)
     elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
@@ -242,10 +240,6 @@ def _below(group: dict[str, Any]) -> Iterator[ColumnSource]:
                 yield replace(one, label=f"{name}/{one.label}")
 
 
-def _is_signal(value: dict[str, Any]) -> bool:
-    return not _is_channel_list(value) and np.ndim(_first(value, _VALUES)) == 1
-
-
 def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSource]:
     """List structs that hold a signal each, and their times (once, where all have the same)."""
     times: dict[str, Any] = {}
@@ -253,9 +247,8 @@ def _with_their_times(channels: dict[str, dict[str, Any]]) -> Iterator[ColumnSou
         yield from _channels(name, {_LABELS[0]: name} | value)
         for key in (key for key in value if key.lower() in TIME_NAMES and np.ndim(value[key]) == 1):
             times[name] = value[key]
-    same = len(times) == len(channels) and all(
-        np.array_equal(one, next(iter(times.values()))) for one in times.values()
-    )
+    first: Any = next(iter(times.values()), None)
+    same = len(times) == len(channels) and all(np.array_equal(one, first) for one in times.values())
     for name in list(times)[:1] if same else times:
         yield array_source("time" if same else f"{name}/time", times[name])
 
@@ -271,11 +264,8 @@ def _is_channel(value: Any) -> bool:
 def _is_channel_list(value: Any) -> bool:
     """Recognise an array of structs with a name and values each (dSPACE's Y, Simulink's signals)."""
     items = value if isinstance(value, list | np.ndarray) else [value]
-    return (
-        (not isinstance(items, np.ndarray) or items.dtype == object)
-        and len(items) > 0
-        and all(_is_channel(one) and _first(one, _LABELS) for one in items)
-    )
+    structs = isinstance(items, list) or items.dtype == object
+    return structs and len(items) > 0 and all(_is_channel(one) and _first(one, _LABELS) for one in items)
 
 
 def _channels(name: str, value: Any) -> Iterator[ColumnSource]:
@@ -343,9 +333,8 @@ def open_netcdf(request: Request) -> ColumnTable:
         for name, variable in variables.items():
             if not variable.shape:
                 clock += read_statements(name, variable.data, variable._attributes.get("units"))
-    if not sources:
-        raise request.no_columns(f"{name} {variable.shape}" for name, variable in variables.items())
-    return ColumnTable(request, "netCDF", sources, clock=clock)
+    held = (f"{name} {variable.shape}" for name, variable in variables.items())
+    return ColumnTable(request, "netCDF", sources, clock=clock, held=held)
 
 
 def _variable(label: str, variable: Any) -> ColumnSource:

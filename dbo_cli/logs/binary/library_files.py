@@ -76,10 +76,9 @@ def _open_arrow(request: Request, kind: str, scan: Callable[..., Any]) -> Column
         if source is not None:
             unit = units.get(name) if isinstance(units, dict) else None
             sources.append(replace(source, unit=source.unit or (str(unit) if unit else None)))
-    if not sources:
-        raise request.no_columns(f"{name} ({stored})" for name, stored in schema.items())
     clock = statements_in(metadata) + statements_in(attributes)
-    return ColumnTable(request, kind, sources, clock=clock, damaged=damaged)
+    held = (f"{name} ({stored})" for name, stored in schema.items())
+    return ColumnTable(request, kind, sources, clock=clock, damaged=damaged, held=held)
 
 
 def _stretches(request: Request, kind: str, frame: Any, name: str) -> Fetch:
@@ -290,9 +289,8 @@ def open_uff(request: Request) -> ColumnTable:
         sources: list[ColumnSource] = []
         for one in functions:
             sources += _function_columns(one, {source.label for source in sources})
-    if not sources:
-        raise request.no_columns((f"data set {one['type']}" for one in sets), " (functions of time, 58)")
-    return ColumnTable(request, "UFF", sources)
+    held = (f"data set {one['type']}" for one in sets)
+    return ColumnTable(request, "UFF", sources, held=held, remedy=" (functions of time, 58)")
 
 
 def _function_columns(one: dict[str, Any], taken: set[str]) -> list[ColumnSource]:

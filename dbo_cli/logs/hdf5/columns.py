@@ -1,12 +1,15 @@
 """One HDF5 dataset as columns: names, units, scales, missing values and rates from its attributes.
 
-Then, as programs for experiments arrange them: PyMoDAQ's tree of data and axes, Labber's channels and traces,
-written after the files that ``pymodaq_data`` writes, and after public readers of Labber's log files.
+Then, as programs for experiments arrange them: PyMoDAQ's tree of data and axes, Labber's channels and
+traces (written after the files that ``pymodaq_data`` writes, and after public readers of Labber's log files),
+the tables of pandas.
 """
 
 from __future__ import annotations
 
+import io
 import json
+import pickle
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,6 +23,7 @@ from dbo_cli.logs.column_table import (
     ColumnSource,
     Fetch,
     array_source,
+    from_first_row,
     number_in,
     unpacked,
     without_scalars,
@@ -49,23 +53,21 @@ def is_group(node: Any) -> bool:
 
 def attribute(node: Any, *names: str) -> Any:
     """Give the first attribute of these names (case aside), or None."""
-    return _among(node, _attribute_names(node), *names)
+    there = _attribute_names(node)
+    found = next((there[name.lower()] for name in names if name.lower() in there), None)
+    return None if found is None else node.attrs[found]
 
 
 def _attribute_names(node: Any) -> dict[str, str]:
     return {str(name).lower(): name for name in node.attrs}
 
 
-def _among(node: Any, there: dict[str, str], *names: str) -> Any:
-    found = next((there[name.lower()] for name in names if name.lower() in there), None)
-    return None if found is None else node.attrs[found]
-
-
 def attribute_text(node: Any, *names: str) -> str:
     """Give an attribute as text, empty where it is absent or holds no text."""
-    value = attribute(node, *names)
-    if value is None or not isinstance(value, str | bytes | np.ndarray):
-        return ""
+    return _only_text(attribute(node, *names))
+
+
+def _only_text(value: Any) -> str:
     values = np.atleast_1d(value).ravel()
     return clean_text(values[0]) if values.size == 1 and isinstance(values[0], str | bytes) else ""
 
@@ -192,7 +194,7 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     there = _attribute_names(dataset)
 
     def number(name: str) -> float | None:
-        return number_in(_among(dataset, there, name), index)
+        return number_in(dataset.attrs.get(there.get(name.lower(), "")), index)
 
     unsigned = attribute_text(dataset, "_Unsigned").lower() == "true"
     filled = dataset.dtype.kind == "f" and dataset.fillvalue == NETCDF_FILL
@@ -217,9 +219,8 @@ def _scaled(source: ColumnSource, dataset: Any, index: int) -> ColumnSource:
     for name in _UNUSED_FACTORS:
         value = number(name)
         if value is not None and value != 1.0:
-            remarks.append(
-                f"column '{source.label}' has an attribute {name}, {value:g}, which is not applied"
-            )
+            unused = f"an attribute {name}, {value:g}, which is not applied"
+            remarks.append(f"column '{source.label}' has {unused}")
     return replace(source, remarks=tuple(remarks))
 
 
@@ -244,10 +245,9 @@ def stored_text(dataset: Any) -> str:
     """Read a short text: a string, or MATLAB's array of character codes."""
     if not is_dataset(dataset) or dataset.size is None or not 0 < dataset.size <= 100:
         return ""
-    values = np.atleast_1d(dataset[()]).ravel()
     if matlab_class(dataset) == "char":
-        return "".join(chr(int(code)) for code in values)
-    return clean_text(values[0]) if values.size == 1 and isinstance(values[0], str | bytes) else ""
+        return "".join(chr(int(code)) for code in np.ravel(dataset[()]))
+    return _only_text(dataset[()])
 
 
 # --- programs for experiments ---------------------------------------------------------------------
@@ -256,12 +256,15 @@ _SIGNALS = ("axis", "data", "data_enlargeable")  # what PyMoDAQ calls arrays, be
 _DEEPEST = 8  # levels of PyMoDAQ's tree, which has six: RawData/Scan000/Detector000/Data0D/CH00/EnlData00
 
 
-def laboratory_columns(group: Any) -> list[ColumnSource]:
-    """List the columns of a group of PyMoDAQ's, or of Labber's file; none of any other."""
+def program_columns(group: Any) -> list[ColumnSource]:
+    """List the columns of a group of pandas' or PyMoDAQ's, or of Labber's file; none of any other."""
+    if "pandas_type" in group.attrs:
+        return _pandas_columns(group)
     if all(name in group for name in ("Channels", "Log list", "Data")):
-        traces = list(_labber_traces(group))
-        return traces or list(_labber_steps(group))
-    return without_scalars(list(_pymodaq(group))) if "pymodaq_version" in group.file.attrs else []
+        return list(_labber_traces(group)) or list(_labber_steps(group))
+    if "pymodaq_version" in group.file.attrs:
+        return without_scalars(list(_pymodaq(group)))
+    return []
 
 
 def _pymodaq(group: Any, depth: int = 0) -> Iterator[ColumnSource]:
@@ -323,3 +326,103 @@ def _labber_traces(group: Any) -> Iterator[ColumnSource]:
 
 def _rows(values: Any) -> Any:
     return lambda start, stop: values[start:stop, 0, 0]
+
+
+# --- pandas, through PyTables: tables, with data columns or not, and blocks -------------------------
+
+
+def _pandas_columns(group: Any) -> list[ColumnSource]:
+    """Read what ``DataFrame.to_hdf`` writes, in either of its formats."""
+    kind = attribute_text(group, "pandas_type")
+    if kind in ("frame_table", "appendable_frame", "series_table") and is_dataset(group.get("table")):
+        return _pandas_table(group, group["table"])
+    if kind == "frame" and is_dataset(group.get("axis1")):
+        return _pandas_blocks(group)
+    if kind == "series" and is_dataset(group.get("values")):
+        return [
+            *_index(group.get("index")),
+            *columns_of(group["values"], attribute_text(group, "name") or "values"),
+        ]
+    return []
+
+
+def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
+    sources: list[ColumnSource] = []
+    info = _harmless(attribute(group, "info"))
+    for field in table.dtype.names:
+        if field == "index":
+            name = info.get("index", {}).get("index_name") if isinstance(info, dict) else None
+            for source in field_sources(table, field, clean_text(name or ""), None):
+                sources += _as_index(source, attribute_text(table, "index_kind"))
+            continue
+        names = [clean_text(name) for name in _harmless(attribute(table, f"{field}_kind")) or ()]
+        for source in field_sources(table, field, clean_text(field), names):
+            sources.append(_from_stamps(source, attribute_text(table, f"{field}_dtype")) or source)
+    return sources
+
+
+def _pandas_blocks(group: Any) -> list[ColumnSource]:
+    sources = _index(group["axis1"])
+    order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
+    found: dict[str, ColumnSource] = {}
+    for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
+        values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
+        if not (is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub"):
+            continue
+        if len(values.shape) != 2:
+            continue
+        for index, name in enumerate(map(clean_text, items[()].ravel())):
+            source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
+            found[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
+    return sources + [found[name] for name in map(clean_text, order) if name in found]
+
+
+def _index(axis: Any) -> list[ColumnSource]:
+    if not is_dataset(axis) or axis.dtype.kind not in "fiu" or len(axis.shape) != 1:
+        return []
+    name = attribute_text(axis, "name")
+    label = "" if name in ("N.", "") else _unpickled_text(name)
+    source = ColumnSource(label, axis.shape[0], slicer(axis, 0, 0))
+    return _as_index(source, attribute_text(axis, "kind"))
+
+
+def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
+    """Keep an index that means something: a name, stamps of time, fractions; not pandas' own row numbers."""
+    stamped = _from_stamps(source, kind)
+    if stamped is not None:
+        return [replace(stamped, label=source.label or "time")]
+    if source.label or kind == "float":
+        return [replace(source, label=source.label or "index")]
+    return []
+
+
+def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
+    """Turn dates (and durations) stored as counts into seconds from the first row on."""
+    found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
+    if found is None or not source.length:
+        return None
+    return from_first_row(source, found[1] or "ns")
+
+
+class _NoCode(pickle.Unpickler):
+    """Reads pickled lists, tuples, dicts, texts and numbers; anything that would run code is refused."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        raise pickle.UnpicklingError(f"{module}.{name}")
+
+
+def _harmless(value: Any) -> Any:
+    """Read the column names that PyTables pickles into attributes, without ever running what is in them."""
+    if value is None or not isinstance(value, bytes | np.bytes_):
+        return None
+    try:
+        return _NoCode(io.BytesIO(bytes(value))).load()
+    except Exception:
+        return None  # whatever is no plain list of names: the columns then go by numbers
+
+
+def _unpickled_text(name: str) -> str:
+    plain = _harmless(name.encode())
+    if isinstance(plain, str):
+        return clean_text(plain)
+    return "" if plain is None and name.endswith(".") else name

@@ -7,9 +7,7 @@ attributes mean is in ``hdf5.columns``.
 
 from __future__ import annotations
 
-import io
 import os
-import pickle
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,32 +18,29 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.byte_source import Request, brief
-from dbo_cli.logs.column_names import DISPLACEMENT, TIME_NAMES, VOLTAGE
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
     ColumnTable,
-    from_first_row,
     number_in,
     with_unit,
     without_scalars,
 )
-from dbo_cli.logs.columns import fits_pattern, split_header
+from dbo_cli.logs.columns import DISPLACEMENT, TIME_NAMES, VOLTAGE, fits_pattern, split_header
 from dbo_cli.logs.hdf5.columns import (
     attribute,
     attribute_text,
     columns_of,
-    field_sources,
     is_dataset,
     is_group,
-    laboratory_columns,
     matlab_class,
+    program_columns,
     scalar_statements,
-    slicer,
     statements_of,
     stored_text,
 )
 from dbo_cli.logs.plain_text import clean_text
+from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.stated_clock import Statement, is_clock_name
 
 # What h5py raises at damaged bytes.
@@ -166,20 +161,14 @@ def _nearest_clock(node: Any) -> list[Statement]:
 
 def _no_columns(file: Any, address: Address, tables: Sequence[tuple[Any, list[ColumnSource]]]) -> str:
     text = f"{address.text}: no columns of numbers in this group: {_list_groups(file)}"
-    whole = [
-        (
-            sum(
-                any(one.label.lower() in role.guesses for one in sources) for role in (VOLTAGE, DISPLACEMENT)
-            ),
-            clean_text(node.name),
-        )
-        for node, sources in tables
-        if sum(one.label.lower() not in TIME_NAMES for one in sources) > 1
-    ]
-    if whole:
-        names = [
-            name for roles, name in whole if roles == max(whole)[0]
-        ]  # what a camera wrote beside a drive
+    roles: dict[str, int] = {}
+    for node, sources in tables:
+        labels = {one.label.lower() for one in sources}
+        if sum(one.label.lower() not in TIME_NAMES for one in sources) > 1:
+            known = [bool(labels & set(role.guesses)) for role in (VOLTAGE, DISPLACEMENT)]
+            roles[clean_text(node.name)] = sum(known)
+    if roles:  # not what a camera wrote beside a drive
+        names = [name for name, count in roles.items() if count == max(roles.values())]
         of_many = f" for the first of {len(names)} tables" if len(names) > 1 else ""
         return f"{text} (write {address.path}::{names[0]}{of_many})"
     if tables:
@@ -235,9 +224,7 @@ def columns_in(group: Any) -> list[ColumnSource]:
             f"{clean_text(group.file.filename)}: /{path} has {len(group):,} members, more than {_MOST:,}: "
             f"name the datasets that are meant (`voltage` {name} `displacement` {name} `time` {name})"
         )
-    return (
-        pandas_columns(group) or laboratory_columns(group) or _plain_columns(group) or _logged_columns(group)
-    )
+    return program_columns(group) or _plain_columns(group) or _logged_columns(group)
 
 
 def tables_below(group: Any) -> list[tuple[Any, list[ColumnSource]]]:
@@ -277,10 +264,11 @@ def _plain_columns(group: Any) -> list[ColumnSource]:
         if not (node.size == 1 and is_clock_name(name)):
             sources += columns_of(node, name, stamps)
     there = set(group)
-    sources = [
-        with_unit(source, lambda name: stored_text(group.get(name)) if name in there else None)
-        for source in without_scalars(sources)
-    ]
+
+    def text(name: str) -> str | None:
+        return stored_text(group.get(name)) if name in there else None
+
+    sources = [with_unit(source, text) for source in without_scalars(sources)]
     if attribute_text(group, "NX_class") in ("NXdata", "NXlog"):
         sources = _nexus_scaled(group, sources)
     return [_in_seconds(group, source) for source in sources]
@@ -309,16 +297,13 @@ def _default_data(group: Any) -> Any:
 
 def _nexus_scaled(group: Any, sources: list[ColumnSource]) -> list[ColumnSource]:
     """Apply NeXus' ``NAME_scaling_factor`` and ``NAME_offset`` fields: (value + offset) · factor."""
-    helpers = {
-        f"{source.label}{end}" for source in sources for end in ("_scaling_factor", "_offset", "_errors")
-    }
+    ends = ("_scaling_factor", "_offset", "_errors")
+    helpers = {f"{source.label}{end}" for source in sources for end in ends}
     found = []
     for source in sources:
         if source.label in helpers:
             continue
-        factor, offset = (
-            _single(group.get(f"{source.label}{end}")) for end in ("_scaling_factor", "_offset")
-        )
+        factor, offset = (_single(group.get(f"{source.label}{end}")) for end in ends[:2])
         if factor is not None or offset is not None:
             factor, offset = 1.0 if factor is None else factor, offset or 0.0
             source = replace(source, scale=factor, offset=offset * factor)
@@ -373,11 +358,9 @@ def _one_clock(clocks: list[ColumnSource]) -> list[ColumnSource]:
     for other in clocks[1:]:
         if (other.length, other.unit, other.scale) != (first.length, first.unit, first.scale):
             return clocks
-        step = 1 << 16
-        for start in range(0, first.length, step):
-            stop = min(first.length, start + step)
-            here, there = first.read(start, stop), other.read(start, stop)
-            if not np.allclose(here, there, rtol=_SAME_STAMPS, atol=0.0):
+        for start in range(0, first.length, BLOCK_ROWS):
+            stop = min(first.length, start + BLOCK_ROWS)
+            if not np.allclose(first.read(start, stop), other.read(start, stop), _SAME_STAMPS, 0.0):
                 return clocks
     return [replace(first, label=first.label.rsplit("/", 1)[-1])]
 
@@ -397,112 +380,8 @@ def _clock_base(group: Any) -> float | None:
     """Look for LabOne's ``clockbase`` (ticks a second) beside the samples or anywhere above them."""
     node = group
     for _ in range(_DEEPEST):
-        found = _single(node.get("clockbase"))
-        if found is None:
-            found = number_in(attribute(node, "clockbase"))
+        found = _single(node.get("clockbase")) or number_in(attribute(node, "clockbase"))
         if found is not None and found > 0.0:
             return found
-        if node.name == "/":
-            return None
         node = node.parent
     return None
-
-
-# --- pandas, through PyTables: tables, with data columns or not, and blocks -------------------------
-
-
-def pandas_columns(group: Any) -> list[ColumnSource]:
-    """Read what ``DataFrame.to_hdf`` writes, in either of its formats."""
-    kind = attribute_text(group, "pandas_type")
-    if kind in ("frame_table", "appendable_frame", "series_table") and is_dataset(group.get("table")):
-        return _pandas_table(group, group["table"])
-    if kind == "frame" and is_dataset(group.get("axis1")):
-        return _pandas_blocks(group)
-    if kind == "series" and is_dataset(group.get("values")):
-        return [
-            *_index(group.get("index")),
-            *columns_of(group["values"], attribute_text(group, "name") or "values"),
-        ]
-    return []
-
-
-def _pandas_table(group: Any, table: Any) -> list[ColumnSource]:
-    sources: list[ColumnSource] = []
-    info = _harmless(attribute(group, "info"))
-    for field in table.dtype.names:
-        if field == "index":
-            name = info.get("index", {}).get("index_name") if isinstance(info, dict) else None
-            for source in field_sources(table, field, clean_text(name or ""), None):
-                sources += _as_index(source, attribute_text(table, "index_kind"))
-            continue
-        names = [clean_text(name) for name in _harmless(attribute(table, f"{field}_kind")) or ()]
-        for source in field_sources(table, field, clean_text(field), names):
-            sources.append(_from_stamps(source, attribute_text(table, f"{field}_dtype")) or source)
-    return sources
-
-
-def _pandas_blocks(group: Any) -> list[ColumnSource]:
-    sources = _index(group["axis1"])
-    order = group["axis0"][()].ravel() if is_dataset(group.get("axis0")) else ()
-    found: dict[str, ColumnSource] = {}
-    for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
-        values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
-        if not (is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub"):
-            continue
-        if len(values.shape) != 2:
-            continue
-        for index, name in enumerate(map(clean_text, items[()].ravel())):
-            source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
-            found[name] = _from_stamps(source, attribute_text(values, "value_type")) or source
-    return sources + [found[name] for name in map(clean_text, order) if name in found]
-
-
-def _index(axis: Any) -> list[ColumnSource]:
-    if not is_dataset(axis) or axis.dtype.kind not in "fiu" or len(axis.shape) != 1:
-        return []
-    name = attribute_text(axis, "name")
-    label = "" if name in ("N.", "") else _unpickled_text(name)
-    source = ColumnSource(label, axis.shape[0], slicer(axis, 0, 0))
-    return _as_index(source, attribute_text(axis, "kind"))
-
-
-def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
-    """Keep an index that means something: a name, stamps of time, fractions; not pandas' own row numbers."""
-    stamped = _from_stamps(source, kind)
-    if stamped is not None:
-        return [replace(stamped, label=source.label or "time")]
-    if source.label or kind == "float":
-        return [replace(source, label=source.label or "index")]
-    return []
-
-
-def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
-    """Turn dates (and durations) stored as counts into seconds from the first row on."""
-    found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
-    if found is None or not source.length:
-        return None
-    return from_first_row(source, found[1] or "ns")
-
-
-class _NoCode(pickle.Unpickler):
-    """Reads pickled lists, tuples, dicts, texts and numbers; anything that would run code is refused."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        raise pickle.UnpicklingError(f"{module}.{name}")
-
-
-def _harmless(value: Any) -> Any:
-    """Read the column names that PyTables pickles into attributes, without ever running what is in them."""
-    if value is None or not isinstance(value, bytes | np.bytes_):
-        return None
-    try:
-        return _NoCode(io.BytesIO(bytes(value))).load()
-    except Exception:
-        return None  # whatever is no plain list of names: the columns then go by numbers
-
-
-def _unpickled_text(name: str) -> str:
-    plain = _harmless(name.encode())
-    if isinstance(plain, str):
-        return clean_text(plain)
-    return "" if plain is None and name.endswith(".") else name

@@ -7,6 +7,7 @@ dataset whose source is missing reads as its fill value without a word.
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 from collections.abc import Iterator
@@ -195,10 +196,7 @@ def check_dataset(dataset: Any, watch: FileWatch) -> None:
 
 
 def _bytes(shape: tuple[int, ...], dataset: Any) -> int:
-    count = 1
-    for length in shape:
-        count *= int(length)
-    return count * int(dataset.dtype.itemsize)
+    return math.prod(map(int, shape)) * int(dataset.dtype.itemsize)
 
 
 def _stored_share(dataset: Any) -> float:

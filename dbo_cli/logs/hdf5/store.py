@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import struct
 import time
 import zlib
@@ -27,32 +28,31 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs import output_files
+from dbo_cli.logs import whole_output
 from dbo_cli.logs.addresses import Address, Given
 from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
-from dbo_cli.logs.output_files import (
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import (
     check_output,
     descriptor_of,
     is_replaceable,
     is_running,
     partial_path,
+    replacing,
     try_lock,
     writers_in,
 )
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import replacing
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
 _QUEUE = 60.0  # s to wait while another process of this program is adding a group: twelve at once take 1 s
 _COPY_BYTES = 1 << 23  # at a time; an interrupt is served in between
 CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
-MOST_NAMES = (
-    4000  # of a list in an attribute: HDF5 gives it 64 kB, 16 bytes a name; more are lines of one text
-)
+# Names in a list in an attribute: HDF5 gives it 64 kB, 16 bytes a name; more are lines of one text.
+MOST_NAMES = 4000
 MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
 _PROBE = 2048  # bytes tried before a byte plane is squeezed
 _WORTH = 0.9  # squeezed only where the probe shrinks to less than this
@@ -115,7 +115,8 @@ class StoreOutput:
         watch = FileWatch(self.path, self.path)
         merged = partial_path(os.path.realpath(self.path))
         try:
-            _copy(self.path, merged)
+            with open(self.path, "rb") as old, open(merged, "wb") as new:
+                shutil.copyfileobj(old, new, _COPY_BYTES)
             with h5py.File(merged, "r+") as store, h5py.File(temporary, "r") as new:
                 if self.group in store:
                     del store[self.group]
@@ -206,7 +207,7 @@ def _in_use(path: str) -> str:
 @contextlib.contextmanager
 def _locked(path: str) -> Iterator[None]:
     """Hold HDF5's lock on a file; OutputError where somebody else has it open for writing."""
-    if output_files.WINDOWS:  # no locks of this kind there, and a file that is open cannot be replaced
+    if whole_output.WINDOWS:  # no locks of this kind there, and a file that is open cannot be replaced
         yield
         return
     start = time.monotonic()
@@ -256,15 +257,6 @@ def _is_being_added_to(path: str) -> bool:
     return any(process != os.getpid() and is_running(process) for process in writers)
 
 
-def _copy(source: str, copy: str) -> None:
-    """Copy a file in pieces, between which an interrupt is served."""
-    with open(source, "rb", buffering=0) as old, open(copy, "wb", buffering=0) as new:
-        while piece := old.read(_COPY_BYTES):
-            view = memoryview(piece)
-            while view:
-                view = view[new.write(view) :]
-
-
 class Hdf5Writer:
     """Appends rows to the columns of an HDF5 group.
 
@@ -305,9 +297,8 @@ class Hdf5Writer:
         for kept, part in zip(self._kept, parts, strict=True):
             kept.append(part)
         if self._clock is not None:
-            self._times.feed(
-                parts[self._clock], range(self._kept_rows, self._kept_rows + len(parts[0])), None
-            )
+            rows = range(self._kept_rows, self._kept_rows + len(parts[0]))
+            self._times.feed(parts[self._clock], rows, None)
         self._kept_rows += len(parts[0])
         if self._kept_rows >= CHUNK_ROWS:
             self._store(CHUNK_ROWS)
@@ -324,10 +315,8 @@ class Hdf5Writer:
 
     def abandon(self) -> None:
         """Close a file that is about to be removed, whatever state it is in."""
-        try:
+        with contextlib.suppress(OSError, RuntimeError, ValueError):  # what led here is to be shown
             self._file.close()
-        except (OSError, RuntimeError, ValueError):
-            pass  # the error that led here is the one to be shown
 
     def _store(self, chunk: int, last: bool = False) -> None:
         """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.plain_text import decoded
-from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
+from dbo_cli.logs.plain_text import counted, decoded
+from dbo_cli.logs.reading_options import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
 
@@ -29,10 +29,10 @@ _LABEL = re.compile(
     re.IGNORECASE,
 )
 # 1.5 V, as Grafana formats its cells; V:1.5, as the Arduino's plotter reads it.
-NUMBER_WITH_UNIT = re.compile(
+_NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
 )
-PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
+_PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
 _MOST_ACROSS = 64  # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
 _THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
 _UNIT_OF_ONE = re.compile(
@@ -70,12 +70,18 @@ class Dialect:
         """Describe in one line what was detected, for ``verbose``."""
         head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
         sign = "decimal comma" if self.decimal == "," else "decimal point"
-        plural = "s" if self.width != 1 else ""
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         return (
-            f"{self.width} column{plural} separated by {mark}, {sign}, "
+            f"{counted(self.width, 'column')} separated by {mark}, {sign}, "
             f"{head}, data from line {self.first_line}"
         )
+
+
+def cause_of(cell: str) -> str:
+    """Return what to do about a cell that many rows have instead of a number; empty where it is not known."""
+    if not cell:
+        return FILL_GAPS
+    return _PLAIN_NUMBERS if _NUMBER_WITH_UNIT.fullmatch(cell) else ""
 
 
 def is_comment(line: str, comments: str) -> bool:
@@ -103,9 +109,9 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         raise InputError(f"{place}: the file is empty")
     shapes = _shapes(lines, candidates, options)
     if not shapes:
-        found = next((one for n in candidates[::-1] if (one := NUMBER_WITH_UNIT.search(lines[n]))), None)
+        found = next((one for n in candidates[::-1] if (one := _NUMBER_WITH_UNIT.search(lines[n]))), None)
         if found is not None:
-            raise InputError(f"{place}: no line holds plain numbers, but '{found[0]}' ({PLAIN_NUMBERS})")
+            raise InputError(f"{place}: no line holds plain numbers, but '{found[0]}' ({_PLAIN_NUMBERS})")
         raise InputError(f"{place}: no data rows: no line holds numbers")
     best = max(shape.score for shape in shapes)
     tied = [shape for shape in shapes if shape.score >= best - 1e-12]
@@ -115,16 +121,16 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     layouts = [_layout(lines, candidates, shape, comments, options) for shape in tied]
     shape, layout = max(zip(tied, layouts, strict=True), key=lambda pair: pair[1].fits)
     decimal = shape.decimal
-    either = {one.decimal for one in tied if one.delimiter == shape.delimiter} == {".", ","}
-    if (
-        options.decimal is None
-        and shape.delimiter != ","
-        and (either or (decimal == "." and shape.whole_numbers))
-    ):
+    either = len({one.decimal for one in tied if one.delimiter == shape.delimiter}) > 1
+    doubtful = either or (decimal == "." and shape.whole_numbers)
+    if options.decimal is None and shape.delimiter != "," and doubtful:
         decimal = _late_decimal(place, lines[layout.first :], comments)
-    data = [number for number in candidates if number >= layout.first]
-    rows = [split_cells(lines[number], shape.delimiter) for number in data[:3]]
-    headers, units = _aligned(place, layout, shape.width, rows)
+    data = [lines[number] for number in candidates if number >= layout.first]
+    rows, last = (
+        [split_cells(line, shape.delimiter) for line in some]
+        for some in (data[:SAMPLE_LINES], data[-SAMPLE_LINES:])
+    )
+    headers, units = _aligned(place, layout, shape.width, rows[:3])
     if headers and not any(units):
         units = _units_apart(lines[: layout.first], headers, shape, comments)
     if not headers and 0 not in shape.numeric and shape.width > max(_MOST_ACROSS, len(data)):
@@ -133,12 +139,12 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
             "read_csv(FILE, header=None, index_col=0).T)"
         )
     if not headers and options.header_lines is None:
-        _ask_about_numbered_columns(place, [lines[number] for number in data[:SAMPLE_LINES]], shape)
+        _ask_about_numbered_columns(place, rows)
     return Dialect(
         shape.delimiter, decimal, comments, shape.width, layout.first + 1, headers, units, shape.numeric,
-        _writings([lines[number] for number in data[-SAMPLE_LINES:]], shape),
+        _writings(last, shape),
         find_header_block(lines, layout.first, shape.delimiter),
-        _is_sparse([lines[number] for number in data[-SAMPLE_LINES:]], shape),
+        _is_sparse(last, shape),
         tuple(one for line in lines[: layout.first] for one in labelled(line, comments)),
     )  # fmt: skip
 
@@ -150,8 +156,8 @@ def labelled(line: str, comments: str, units: bool = True) -> list[tuple[str, st
     return [] if label is None or (label["unit"] and not units) else [(label[0], body[label.end() :])]
 
 
-def _is_sparse(sample: list[str], shape: _Shape) -> bool:
-    rows = [split_cells(line, shape.delimiter)[: shape.width] for line in sample]
+def _is_sparse(rows: list[list[str]], shape: _Shape) -> bool:
+    rows = [row[: shape.width] for row in rows]
     full = [[column for column, cell in enumerate(row) if is_number(cell, shape.decimal)] for row in rows]
     if shape.delimiter == BLANKS or len(set(map(tuple, full))) < 2:
         return False
@@ -159,7 +165,7 @@ def _is_sparse(sample: list[str], shape: _Shape) -> bool:
     return all(any(n < len(row) and not row[n] for n in partly) for row in rows)
 
 
-def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> None:
+def _ask_about_numbered_columns(place: str, rows: list[list[str]]) -> None:
     """Refuse a first row that counts the columns above rows of decimals: a table saved without names.
 
     Two numbers may be a sample written short (0,1), so they are asked about only where no other cell is.
@@ -169,7 +175,7 @@ def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> N
     InputError
         It may be a header or a sample.
     """
-    first, *others = [split_cells(line, shape.delimiter) for line in data]
+    first, *others = rows
     written = first[1:] if not first[0] else first
     counted = [[str(number + start) for number in range(len(written))] for start in (0, 1)]
     if written not in counted or len(written) < 2:
@@ -182,14 +188,13 @@ def _ask_about_numbered_columns(place: str, data: list[str], shape: _Shape) -> N
         )
 
 
-def _writings(sample: list[str], shape: _Shape) -> tuple[str, ...]:
+def _writings(rows: list[list[str]], shape: _Shape) -> tuple[str, ...]:
     """Find the columns of time stamps; empty where there are none."""
     others = sorted(set(range(shape.width)) - shape.numeric)
     if not others:
         return ()
     from dbo_cli.logs.text.time_stamps import writing_of
 
-    rows = [split_cells(line, shape.delimiter) for line in sample]
     rows = [row for row in rows if len(row) >= shape.width]
     found = {column: writing_of([row[column] for row in rows]) for column in others}
     if not any(found.values()):
@@ -234,11 +239,8 @@ def _shape(sample: list[str], delimiter: str, decimal: str) -> _Shape | None:
         votes[len(rows[number])] += shares[number]
     width = max(votes, key=lambda one: (votes[one], one))
     usual = [number for number in numbered if len(rows[number]) == width]
-    numeric = frozenset(
-        column
-        for column in range(width)
-        if 2 * sum(verdicts[number][column] for number in usual) >= len(usual)
-    )
+    counts = [sum(verdicts[number][column] for number in usual) for column in range(width)]
+    numeric = frozenset(column for column, count in enumerate(counts) if 2 * count >= len(usual))
     if not numeric:
         return None
     quality = sum(shares[number] for number in usual) / len(sample)
@@ -290,11 +292,7 @@ def _header_like(cells: list[str], shape: _Shape) -> bool:
     """No numbers where the data have them, and about as many cells (a trailing delimiter aside)."""
     if _some_numbers(cells, shape) or not any(re.search(r"\w", cell) for cell in cells):
         return False
-    return (
-        len(cells) in (shape.width, shape.width + 1, shape.width - 1)
-        and len(cells) >= (1 if shape.width <= 2 else 2)
-        and (shape.width != 2 or len(cells) >= 2)
-    )
+    return abs(len(cells) - shape.width) <= 1 and len(cells) >= min(shape.width, 2)
 
 
 def _names_and_units(
@@ -342,28 +340,24 @@ def _units_apart(above: list[str], names: tuple[str, ...], shape: _Shape, commen
 
 def _other_header(lines: list[str], first: int, shape: _Shape, comments: str) -> tuple[list[str], list[str]]:
     """Look for a header in the comment lines, or the differently separated line, right above the data."""
-    for text in lines[:first][::-1]:  # JPK's and Qudi's names
-        for _, names in labelled(text, comments, units=False):
-            cells = _fitting_cells(names.strip("'").replace(";;", ";"), shape)
-            if cells is not None:
-                return cells, []
+    labels = (one for text in lines[:first][::-1] for one in labelled(text, comments, units=False))
+    for _, names in labels:  # JPK's and Qudi's
+        cells = _fitting_cells(names.strip("'").replace(";;", ";"), shape)
+        if cells is not None:
+            return cells, []
     found: list[list[str]] = []
     for number in range(first - 1, max(-1, first - 4), -1):
         text = lines[number].strip()
         body = text.lstrip(comments).strip() if text and text[0] in comments else text
         if body.isdigit() and body != text and number == first - 1:
             continue  # QCoDeS counts its rows there
-        if not body:
-            break
-        cells = _fitting_cells(body, shape)
+        cells = _fitting_cells(body, shape) if body else None
         if cells is None:
             break
         found.append(cells)
-    if not found:
-        return [], []
     if len(found) > 1 and _units_in(found[0]) and not _units_in(found[1]):
         return found[1], found[0]
-    return found[0], []
+    return (found[0] if found else []), []
 
 
 def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
@@ -377,14 +371,8 @@ def _fitting_cells(text: str, shape: _Shape) -> list[str] | None:
     if not certain:  # else, taken apart at blanks, a header with one name too few would shift all the others
         ways.append([cell.strip() for cell in re.findall(r"[^\s(\[]+\s*(?:[(\[][^)\]]{0,60}[)\]])?", text)])
         ways.append(text.split())
-    for cells in ways:
-        if (
-            len(cells) == shape.width
-            and all(cells)
-            and not any(is_number(cell, shape.decimal) for cell in cells)
-        ):
-            return cells
-    return None
+    fitting = (cells for cells in ways if len(cells) == shape.width and all(cells))
+    return next((cells for cells in fitting if not any(is_number(one, shape.decimal) for one in cells)), None)
 
 
 def _forced_layout(
@@ -397,8 +385,8 @@ def _forced_layout(
         count = min(count, 2 if len(rows) > 1 and _units_in(rows[1]) else 1)
     if len(candidates) <= count:
         return _Layout(len(lines), [], [], 0)
-    rows = [_fitting_cells(lines[number], shape) or split_cells(lines[number], shape.delimiter) for number in
-            candidates[:count]]  # fmt: skip
+    above = [lines[number] for number in candidates[:count]]
+    rows = [_fitting_cells(line, shape) or split_cells(line, shape.delimiter) for line in above]
     return _Layout(candidates[count], rows[0] if count else [], rows[1] if count > 1 else [], 1)
 
 

@@ -5,8 +5,10 @@ The fast parsers accept a subset of this grammar; whatever they refuse is decide
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dbo_cli.errors import InputError
@@ -37,34 +39,13 @@ NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"}
 
 def split_cells(line: str, delimiter: str) -> list[str]:
     """Split a line into stripped cells; quotes are honoured, and blanks count as one delimiter."""
+    if '"' not in line:
+        return line.split() if delimiter == BLANKS else [cell.strip() for cell in line.split(delimiter)]
     if delimiter == BLANKS:
-        return _split_blanks(line)
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(delimiter)]
-    return [
-        quoted.replace('""', '"').strip() if quoted is not None else plain.strip()
-        for quoted, plain in _quoted_cells(line, delimiter)
-    ]
-
-
-def _quoted_cells(line: str, delimiter: str) -> Iterator[tuple[str | None, str]]:
-    """Take a line with quotes apart: what is quoted, or else the plain text, of each cell."""
+        return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)]
     mark = re.escape(delimiter)
-    cell = re.compile(rf'\s*"((?:[^"]|"")*)"\s*(?={mark}|$)|([^{mark}]*)')
-    place = 0
-    while True:
-        found = cell.match(line, place)
-        assert found is not None  # the second way matches anything, also nothing
-        yield found[1], found[2] or ""
-        place = found.end() + 1
-        if place > len(line):
-            return
-
-
-def _split_blanks(line: str) -> list[str]:
-    if '"' not in line:
-        return line.split()
-    return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|([^\s"]+)', line)]
+    cells = re.findall(rf'(?:\s*"((?:[^"]|"")*)"\s*|([^{mark}]*)){mark}', line + delimiter)
+    return [(quoted.replace('""', '"') or plain).strip() for quoted, plain in cells]
 
 
 def to_number(cell: str, decimal: str) -> float | None:
@@ -119,6 +100,52 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
     return f"is not a number: {shown}"
 
 
+# --- is the last number of a log whole? -----------------------------------------------------------------
+
+_USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
+_NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
+
+
+def _digits(cell: str) -> tuple[int, int, int] | None:
+    """Count a number's digits before and after the decimal sign (-1: no sign) and in the exponent."""
+    found = _NUMBER.fullmatch(cell)
+    if found is None:
+        return None
+    decimals = len(found["rest"]) - 1 if found["rest"] is not None else -1
+    return len(found["whole"]), decimals, len(found["exponent"] or "")
+
+
+def looks_cut(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Return whether a number has visibly fewer digits than all the numbers above it.
+
+    Fewer decimals, or fewer digits in the exponent, than any number above: cut, unless it ends in ``.0`` as
+    whole numbers do among numbers of varying length, and goes on from the one above. Fewer digits before the
+    decimal sign alone mean nothing (99 follows 100), unless the value leaps as well.
+    """
+    own = _digits(cell)
+    others = [one for one in map(_digits, above) if one is not None]
+    if own is None or not others:
+        return False
+    whole, decimals, exponent = (min(counts) for counts in zip(*others, strict=True))
+    if own[2] < exponent:
+        return True
+    if own[1] < decimals:
+        varying = len({one[1] for one in others}) > 1
+        return not (varying and cell[-2:] in (".0", ",0") and not _leaps(cell, above, decimal))
+    shorter = len(cell) < min(map(len, above)) or own[0] < whole
+    return shorter and _leaps(cell, above, decimal)
+
+
+def _leaps(cell: str, above: Sequence[str], decimal: str) -> bool:
+    """Return whether the last number is further from the one above than numbers above are from each other."""
+    value = to_number(cell, decimal)
+    numbers = [number for number in (to_number(one, decimal) for one in above) if number is not None]
+    if value is None or len(numbers) < 2:
+        return False
+    steps = [abs(later - earlier) for earlier, later in itertools.pairwise(numbers)]
+    return abs(value - numbers[-1]) > _USUAL_STEPS * max(steps)
+
+
 # --- header blocks that stand again, one before each segment (LabVIEW's Multi_Headings) --------------
 
 END_OF_HEADER = "***End_of_Header***"  # as LabVIEW writes it
@@ -154,13 +181,12 @@ def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
 
     rows = [split_cells(line, delimiter) for line in lines]
     stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
-    date, clock = (
-        date_seconds(stated.get("Date", "")),
-        clock_seconds(stated.get("Time", "").replace(",", ".")),
-    )
+    date = date_seconds(stated.get("Date", ""))
+    clock = clock_seconds(stated.get("Time", "").replace(",", "."))
     return None if date is None or clock is None else (date, clock)
 
 
+@dataclass
 class RepeatedHeader:
     """Takes header blocks out of the data, and lets the time go on where a segment begins it again.
 
@@ -168,17 +194,16 @@ class RepeatedHeader:
     is not stated, it begins one step after the last row.
     """
 
-    def __init__(self, place: str, block: HeaderBlock) -> None:
-        self.place = place
-        self.block = block
-        self.count = 0
-        self.guessed = 0
-        self._lines: list[str] | None = None
-        self._begins = False
-        self._start: tuple[float, float] | None = None
-        self._shift = 0.0
-        self._last: float | None = None
-        self._step = 0.0
+    place: str
+    block: HeaderBlock
+    count: int = 0
+    guessed: int = 0
+    _lines: list[str] | None = None
+    _begins: bool = False
+    _start: tuple[float, float] | None = None
+    _shift: float = 0.0
+    _last: float | None = None
+    _step: float = 0.0
 
     def takes(self, line: str, number: int) -> bool:
         """Return whether a line belongs to a header block and not to the data.
@@ -246,27 +271,27 @@ class RepeatedHeader:
 # --- blocks of whole lines ---------------------------------------------------------------------------
 
 
+@dataclass
 class LineBlocks:
     """Blocks of whole lines of a source; the first one can be looked at before it is taken.
 
     ``above`` is the end of the text given out so far, for a look back from the last line; ``empty_lines``
-    counts those that were left out at the start.
+    counts those that were left out at the start; ``ended`` tells that the source has been read to its end.
     """
 
-    def __init__(self, source: ByteSource, block_bytes: int) -> None:
-        self.block_bytes = block_bytes
-        self._source = source
-        self.above = b""
-        self.empty_lines = 0
-        self._pending = b""
-        self._ended = False
+    source: ByteSource
+    block_bytes: int
+    above: bytes = b""
+    empty_lines: int = 0
+    ended: bool = False
+    _pending: bytes = b""
 
     def head(self, enough: Any) -> bytes:
         """Read ahead HEAD_BYTES and at least two lines, or less once ``enough(text)`` holds.
 
         ``enough`` is asked after every arrival. Empty lines at the very start are left out and counted.
         """
-        while not self._ended:
+        while not self.ended:
             read = len(self._pending)
             if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
                 break
@@ -279,9 +304,9 @@ class LineBlocks:
     def longer_head(self) -> bytes | None:
         """Read twice as far ahead as before; None at the end of the source or at LONGEST_LINE."""
         wanted = 2 * len(self._pending)
-        if self._ended or wanted > LONGEST_LINE:
+        if self.ended or wanted > LONGEST_LINE:
             return None
-        while len(self._pending) < wanted and not self._ended:
+        while len(self._pending) < wanted and not self.ended:
             self._fill(wanted - len(self._pending))
         return self._pending
 
@@ -294,11 +319,6 @@ class LineBlocks:
             self.empty_lines += above.count(b"\n")
             self._pending = self._pending[end:]
 
-    @property
-    def whole_in_head(self) -> bool:
-        """Whether the source ended inside what has been read."""
-        return self._ended
-
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
         while True:
@@ -307,7 +327,7 @@ class LineBlocks:
                 self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
                 yield block
             self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
-            if self._ended:
+            if self.ended:
                 break
             self._fill(self.block_bytes)
         if self._pending:
@@ -329,16 +349,16 @@ class LineBlocks:
         return cuts
 
     def _fill(self, size: int) -> None:
-        data = self._source.read(size)
+        data = self.source.read(size)
         if not data:
-            self._ended = True
+            self.ended = True
         elif self._pending:
             self._pending += data
         else:
             self._pending = data
         if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
             raise InputError(
-                f"{self._source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
+                f"{self.source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
             )
 
 

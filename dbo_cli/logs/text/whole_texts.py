@@ -17,7 +17,6 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource, Request
-from dbo_cli.logs.column_names import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.column_table import (
     ColumnSource,
     ColumnTable,
@@ -26,7 +25,8 @@ from dbo_cli.logs.column_table import (
     statements_in,
     without_scalars,
 )
-from dbo_cli.logs.plain_text import decoded
+from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
+from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.reading_options import FILL_GAPS
 from dbo_cli.logs.stated_clock import FACTORS, Statement, time_unit
 from dbo_cli.logs.text.dialect import Dialect, is_comment
@@ -57,9 +57,9 @@ def open_json(request: Request) -> ColumnTable:
         columns, single = _columns(document)
         found = [listed_source(name, values) for name, values in columns.items()]
     sources = without_scalars([source for source in found if source is not None])
-    if not sources:
-        raise request.no_columns(columns or single, ' (write a line a row: {"time": 0, "voltage": 1.5})')
-    return ColumnTable(request, "JSON", sources, clock=statements_in(single))
+    remedy = ' (write a line a row: {"time": 0, "voltage": 1.5})'
+    clock, held = statements_in(single), columns or single
+    return ColumnTable(request, "JSON", sources, clock=clock, held=held, remedy=remedy)
 
 
 def _parsed(place: str, text: str) -> Any:
@@ -154,8 +154,6 @@ def open_igor(request: Request) -> ColumnTable:
         names = _names(found["names"])
         for label in (label for label in sources if label.partition("[")[0] in names):
             sources[label] = _scaled(sources[label], found)
-    if not sources:
-        raise request.no_columns(())
     return ColumnTable(request, "Igor text", list(sources.values()))
 
 
@@ -168,8 +166,7 @@ def _row(place: str, line: str, width: int) -> list[float]:
     values = [float("nan") if cell.upper() == "NAN" else to_number(cell, ".") for cell in cells]
     numbers = [value for value in values if value is not None]
     if len(numbers) != width or len(cells) != width:
-        plural = "s" if width != 1 else ""
-        raise InputError(f"{place}: not one number for each of {width} wave{plural}: '{line[:40]}'")
+        raise InputError(f"{place}: not one number for each of {counted(width, 'wave')}: '{line[:40]}'")
     return numbers
 
 
