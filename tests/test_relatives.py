@@ -347,7 +347,7 @@ def test_the_fit_is_that_of_an_independent_bounded_solver(name: Kind) -> None:
         known, log.output[used], bounds=(lower, np.inf), method="bvls", tol=1e-14, max_iter=1000
     )
     assert found.success
-    ours = np.hstack((table, log.drift))[used] @ solution.vector
+    ours = np.hstack((table, log.drift))[used] @ solution
     assert np.abs(ours - known @ found.x).max() < 1e-6
     error = float(np.linalg.norm(ours - log.output[used]))
     assert error == pytest.approx(float(np.linalg.norm(known @ found.x - log.output[used])), rel=1e-6)

@@ -8,16 +8,19 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.delay import DelayStage, whole_and_part
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    Floats,
+)
 
-Floats = NDArray[np.float64]
 Direction = Literal["forward", "inverse"]
 
 _TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples

@@ -15,17 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export import source_text as c
 from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage
 from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
-from dbo_cli.hysteresis.kernel import buffer_words
+from dbo_cli.hysteresis.kernel import Floats, buffer_words
 from dbo_cli.hysteresis.model import NEGLIGIBLE
-
-Floats = NDArray[np.float64]
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""

@@ -22,16 +22,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
 from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
 from dbo_cli.export.source_text import ModelCode, Vectors, array, delay_line, hex_float, integer, struct_rows
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
+from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import DriveLimits, Quantity
 
-Floats = NDArray[np.float64]
 Text = Callable[[Any], str]
 
 COUNTS = 2.0**30
@@ -159,15 +158,14 @@ def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[floa
     at, up = (folded.x - x[0]) / x[1], (folded.y - y[0]) / y[1]
     slopes = folded.slope * x[1] / y[1]
     if not q31:
-        return Segments([F(v) for v in at], [F(v) for v in up], [F(v) for v in slopes], 0)
+        return Segments([(F(a), F(b), F(s)) for a, b, s in zip(at, up, slopes, strict=True)], 0)
     at, up = np.rint(at), np.rint(up)
     slopes[:-1] = np.diff(up) / np.maximum(np.diff(at), 1.0)
     shift = shift_for(float(np.abs(slopes).max()))
     if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
         raise ModelError("points or scales beyond the range of q31 (`arithmetic` float or double)")
-    return Segments(
-        [int(v) for v in at], [int(v) for v in up], [round(v * 2.0**shift) for v in slopes.tolist()], shift
-    )
+    rows = zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True)
+    return Segments([(int(a), int(b), round(s * 2.0**shift)) for a, b, s in rows], shift)
 
 
 def counts_of_range(quantity: Quantity) -> tuple[float, float]:
@@ -245,10 +243,12 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     else:
         undone = fold(plan.drive_stages, result.minimum, result.maximum)
         drive = segments_of(undone, q31, given, (gears.y0, y_step))
-    limits = _limits(plan, axes, q31)
+    clip, change, positions = _limits(plan, axes, q31)
     first = to_counts(plan.first_output, result) if q31 else F(plan.first_output)
-    if limits.clip is not None:
-        first = min(max(first, limits.clip[0]), limits.clip[1])
+    if clip is not None:
+        first = min(max(first, clip[0]), clip[1])
+    whole, part = plan.delay_samples or (-1, 0.0)
+    delay = whole, round(part * COUNTS) if q31 else F(part)
     offset = (gears.y0 if on_output else gears.x0) - plan.reference
     offset /= axes.y_count if on_output else axes.x_count
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
@@ -257,11 +257,11 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         terms=_terms(plan, axes, q31), memory_on_output=on_output,
         drive_offset=round(offset) if q31 else F(offset),
         slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
-        least=-span, most=2 * span, limits=limits.positions,
+        least=-span, most=2 * span, limits=positions,
         covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
         before=segments_of(before, q31, taken, (base, x_step)),
         behind=segments_of(behind, q31, (gears.y0, axes.y_count), given),
-        drive=drive, clip=limits.clip, change=limits.change, first=first, delay=_delay(plan, q31),
+        drive=drive, clip=clip, change=change, first=first, delay=delay,
     )  # fmt: skip
 
 
@@ -271,24 +271,17 @@ def to_counts(value: float, quantity: Quantity) -> int:
     return clamped(round((value - middle) / unit))
 
 
-@dataclass(frozen=True)
-class _Limits:
-    """Limits on the output in the arithmetic, none of them outside of the model's own.
+def _limits(
+    plan: CascadePlan, axes: Axes, q31: bool
+) -> tuple[tuple[Any, Any] | None, Any, tuple[int, int, int] | None]:
+    """Return the limits on the output in the arithmetic, rounded inwards: clip, change and positions.
 
     ``clip`` and ``change`` are numbers as they come out; ``positions`` are low, high and step (-1: no slew
-    limit) as the gears meet them.
+    limit) as the gears meet them. None of them is outside of the model's own.
     """
-
-    clip: tuple[Any, Any] | None = None
-    change: Any = None
-    positions: tuple[int, int, int] | None = None
-
-
-def _limits(plan: CascadePlan, axes: Axes, q31: bool) -> _Limits:
-    """Return the limits, rounded inwards."""
     limits, inner = plan.limits, plan.inner_limits
     if limits is None or inner is None:
-        return _Limits()
+        return None, None, None
     clip = _count_clip(limits, plan.drive) if q31 else _float_clip(limits)
     if not clip[0] < clip[1]:
         raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
@@ -304,7 +297,7 @@ def _limits(plan: CascadePlan, axes: Axes, q31: bool) -> _Limits:
     low, high = ((v - plan.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max))
     if max(abs(low), abs(high), step) >= 2.0**59:
         raise ModelError("`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)")
-    return _Limits(clip, change, (math.ceil(low), math.floor(high), math.floor(step)))
+    return clip, change, (math.ceil(low), math.floor(high), math.floor(step))
 
 
 def _float_clip(limits: DriveLimits) -> tuple[Any, Any]:
@@ -343,14 +336,6 @@ def _count_change(asked: float, drive: Quantity) -> tuple[int, float]:
     unit = counts_of_range(drive)[1]
     change = min(math.floor(asked / unit), 2**32)  # 2^32: more than from one end to the other
     return change, min(change * unit, asked)
-
-
-def _delay(plan: CascadePlan, q31: bool) -> tuple[int, Any]:
-    """Return a forward model's delay in whole samples and the part beyond; -1 where there is none."""
-    if plan.delay_samples is None:
-        return -1, 0
-    whole, part = plan.delay_samples
-    return whole, round(part * COUNTS) if q31 else F(part)
 
 
 def _function_error(
@@ -527,7 +512,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "Y_SHIFT": str(t.y_shift),
     }  # fmt: skip
     for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
-        values |= {f"{label}_ROWS": str(len(segments.x)), f"{label}_SHIFT": str(segments.shift)}
+        values |= {f"{label}_ROWS": str(len(segments.rows)), f"{label}_SHIFT": str(segments.shift)}
     for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", plan.model.output)):
         middle, unit = counts_of_range(quantity)
         values |= {
@@ -559,20 +544,15 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     if t.limits is not None:
         out += f"static const dbo_limits limits = {{{', '.join(integer(v) for v in t.limits)}}};\n"
     for label, segments in (("before", t.before), ("behind", t.behind), ("drives", t.drive)):
-        rows = [
-            [text(value) for value in row] for row in zip(segments.x, segments.y, segments.slope, strict=True)
-        ]
+        rows = [[text(value) for value in row] for row in segments.rows]
         out += array("dbo_segment", label, struct_rows(rows))
-        size += (24 if t.q31 else 12) * len(segments.x)
+        size += (24 if t.q31 else 12) * len(rows)
     return out, size
 
 
 def row_shift(n: int, run: int) -> int:
     """Return a shift with which i * ceil(2^shift / run) >> shift is i // run for all i < n, in 32 bits."""
-    shift = 0
-    while 2**shift < n * run and run > 1:
-        shift += 1
-    return shift
+    return (n * run - 1).bit_length() if run > 1 else 0
 
 
 def _between(t: SingleTables, text: Text) -> str:

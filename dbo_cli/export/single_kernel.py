@@ -28,17 +28,13 @@ MOST_COUNTS = F(2147483520.0)
 class Segments:
     """A piecewise linear function: rows (x, y, slope), the slope in q31 times 2^shift."""
 
-    x: list[Number]
-    y: list[Number]
-    slope: list[Number]
+    rows: list[tuple[Number, Number, Number]]
     shift: int
 
-    def place(self, u: Number) -> int:
+    def row(self, u: Number) -> tuple[Number, Number, Number]:
         """Return the segment in which ``u`` lies; the end segments go on."""
-        c = 0
-        while c + 1 < len(self.x) and u >= self.x[c + 1]:
-            c += 1
-        return c
+        reached = [row for row in self.rows[1:] if u >= row[0]]
+        return reached[-1] if reached else self.rows[0]
 
 
 @dataclass(frozen=True)
@@ -249,8 +245,8 @@ class SingleKernel:
 
     def through(self, segments: Segments, u: Number) -> Number:
         """Return a piecewise linear function's value."""
-        c = segments.place(u)
-        return segments.y[c] + self.along(segments.slope[c], u - segments.x[c], segments.shift)
+        x, y, slope = segments.row(u)
+        return y + self.along(slope, u - x, segments.shift)
 
     def reset(self, drive: Number) -> None:
         """Do what ``NAME_reset`` does to the state of ``NAME_init``, which a new kernel has."""

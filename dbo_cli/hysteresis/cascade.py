@@ -12,14 +12,16 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
-
-Floats = NDArray[np.float64]
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    Floats,
+)
 
 
 @dataclass(frozen=True)

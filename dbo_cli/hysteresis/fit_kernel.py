@@ -6,7 +6,7 @@ same logs give the same model, to the last bit, wherever it is identified.
 
 from __future__ import annotations
 
-from types import ModuleType
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -95,12 +95,10 @@ class PythonFit:
 def _choose() -> Any:
     """Return the extension where the compiled kernel is chosen and it was built, else the functions here."""
     if kernel.KIND == "compiled":
-        try:
+        with contextlib.suppress(ImportError):
             from dbo_cli.hysteresis import _fit  # type: ignore[attr-defined,unused-ignore]
-        except ImportError:
-            return PythonFit
-        module: ModuleType = _fit
-        return module
+
+            return _fit
     return PythonFit
 
 

@@ -144,13 +144,21 @@ class _Walk:
         self.words[: size // 8] = np.frombuffer(self.bits.to_bytes(size, "little"), dtype="<u8")
 
 
-def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool) -> tuple[float, bool]:
-    """Carry out steps 1 to 4 for the relative input u; return the relative output and "outside".
+def _travel(
+    walk: _Walk,
+    u: float,
+    kappa: float,
+    low: float,
+    high: float,
+    tell: Callable[[int, float], None] | None = None,
+) -> tuple[int, float, bool]:
+    """Carry out steps 1 to 4 for the relative input u: the engaged gear, u - X_B, and whether it went up.
 
     Gears are taken with the input widths ``dx + kappa dy``, and none is crossed that would leave
     [low, high] on the output. Only one direction is taken for one sample, so that it always ends. A
     sample that crosses a gear by the tolerance falls short of the new X_B and keeps that gear's own
     slope: an operator and its inverse then see the same fraction of the same gear, and decide alike.
+    ``tell`` hears of each gear crossed, and 1 or -1.
     """
     d = u - (walk.x + kappa * walk.y)
     rising = d >= 0.0
@@ -162,9 +170,15 @@ def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend:
             break
         last = gear
         walk.cross(rising)
+        if tell is not None:
+            tell(gear, 1.0 if rising else -1.0)
         d = u - (walk.x + kappa * walk.y)
-    if last < walk.n and (d < 0.0 if rising else d > 0.0):
-        gear = last
+    return (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear), d, rising
+
+
+def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend: bool) -> tuple[float, bool]:
+    """Return the relative output for the relative input u, and "outside"; see ``_travel``."""
+    gear, d, rising = _travel(walk, u, kappa, low, high)
     dx, dy, _, fraction = walk.gears[min(gear, walk.n - 1)]
     width = dx + kappa * dy
     if gear < walk.n:
@@ -175,11 +189,7 @@ def _solve(walk: _Walk, u: float, kappa: float, low: float, high: float, extend:
 
 def _follow_output(walk: _Walk, y: float, rising: bool) -> None:
     """Drive the operator with exchanged axes one way, to the relative output y."""
-    while (gear := walk.zero if rising else walk.set) < walk.n:
-        _, dy, _, fraction = walk.gears[gear]
-        if not (y - walk.y if rising else walk.y - y) >= dy * fraction:
-            break
-        walk.cross(rising)
+    _travel(walk, math.inf if rising else -math.inf, 0.0, y, y)
 
 
 def _solve_within(
@@ -322,22 +332,6 @@ def backlash_run(
     return (*_counted(outsides), *_counted(clipped))
 
 
-def _engage(walk: _Walk, u: float, shift: Callable[[int, float], None]) -> tuple[int, float]:
-    """Take steps 1 to 4 for u, telling ``shift`` each crossing; return the engaged gear and u - X_B."""
-    d = u - walk.x
-    rising = d >= 0.0
-    last = walk.n
-    while (gear := walk.zero if rising else walk.set) < walk.n:
-        dx, _, _, fraction = walk.gears[gear]
-        if not (d if rising else -d) >= dx * fraction:
-            break
-        last = gear
-        walk.cross(rising)
-        shift(gear, 1.0 if rising else -1.0)
-        d = u - walk.x
-    return (last if last < walk.n and (d < 0.0 if rising else d > 0.0) else gear), d
-
-
 def backlash_engagement(
     gears: Floats,
     n: int,
@@ -366,7 +360,7 @@ def backlash_engagement(
         if walk.bits >> i & 1:
             shift(i, 1.0)
     for row, value in zip(rows.reshape(-1, columns), x.tolist(), strict=True):
-        gear, d = _engage(walk, value - x0, shift)
+        gear, d, _ = _travel(walk, value - x0, 0.0, -math.inf, math.inf, shift)
         row[:] = crossed * part
         if gear == n and not extend:
             continue

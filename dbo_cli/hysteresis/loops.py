@@ -13,15 +13,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.cascade import through
 from dbo_cli.hysteresis.delay import whole_and_part
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated, StartName
-from dbo_cli.hysteresis.operators import BacklashState
-
-Floats = NDArray[np.float64]
+from dbo_cli.hysteresis.operators import BacklashState, Floats
 
 MOST_PASSES = 200
 """Relaxation of half the gears' own slope settles within 60; limits that bind now and then take longer."""

@@ -21,14 +21,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import model_file
+from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import MODEL_FORMAT, SET_FORMAT, Node
-
-Floats = NDArray[np.float64]
 
 MOST_CONDITION = 100.0
 """Of the matrix, in strokes of the channels: undoing it may make a model's error and the sensors' noise

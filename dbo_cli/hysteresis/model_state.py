@@ -13,13 +13,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis.delay import DelayHistory
 from dbo_cli.hysteresis.dynamics import InverseMemory, SectionStates
-from dbo_cli.hysteresis.operators import CROSSING_TOLERANCE, BacklashState, DiscreteBacklashOperator
+from dbo_cli.hysteresis.operators import CROSSING_TOLERANCE, BacklashState, DiscreteBacklashOperator, Floats
 
 StartName = Literal["auto", "empty", "full", "settled"]
 START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
@@ -94,8 +91,6 @@ def _within(operator: DiscreteBacklashOperator, voltage: float, low: float, high
     state = start_state(operator, allowed, "auto")
     return DriveStart(allowed, state, _reached(operator, allowed, state))
 
-
-Floats = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-9
 """Clipping, and missing a first value, count from this fraction of the range on."""

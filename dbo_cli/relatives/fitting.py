@@ -33,9 +33,9 @@ from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
 from dbo_cli.hysteresis.identification.search import Score, simplest_of
 from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.hysteresis.operators import DiscretePointOperator
+from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
 from dbo_cli.relatives.play_model import RelativeModel
-from dbo_cli.relatives.plays import Floats, Kind, PlayOperator
+from dbo_cli.relatives.plays import Kind, PlayOperator
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
 PLAYS = (12, 25, 50, 100)  # to choose from
@@ -180,11 +180,11 @@ class Products(FoldProducts):
     design: Design
     drift: int
 
-    def fitted(self) -> tuple[Solution, float]:
+    def fitted(self) -> tuple[Floats, float]:
         """Return the unknowns fitted to all folds, and the squared error that is left."""
         gram, _ = self.total()
         solution = solve(self, gram)
-        return solution, squared_error(gram, solution.vector)
+        return solution, squared_error(gram, solution)
 
 
 def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
@@ -234,21 +234,12 @@ RELATIVES = (
 )
 
 
-@dataclass(frozen=True)
-class Solution:
-    """The unknowns: slopes (as in ``Design.columns``), the dead zones' knots, drift; all in one vector."""
-
-    slopes: Floats
-    knots: Floats
-    drift: Floats
-    vector: Floats
-
-
-def solve(products: Products, gram: Floats) -> Solution:
+def solve(products: Products, gram: Floats) -> Floats:
     """Minimise the squared equation error under the rules of the kind: a quadratic programme.
 
     All slopes W_i are at least ``SLOPE_FLOOR`` of the mean slope, weights of further plays at least 0 (of
-    loops that soften after a turn at most 0); of [8] W_0 is free. The dead zones' slopes are above 0.
+    loops that soften after a turn at most 0); of [8] W_0 is free. The dead zones' slopes are above 0. Returns
+    the unknowns: slopes (as in ``Design.columns``), the dead zones' knots, drift.
     """
     design = products.design
     at, knots = design.slopes, design.knots
@@ -280,9 +271,7 @@ def solve(products: Products, gram: Floats) -> Solution:
         bounded.append(rule)
     matrix, right = gram[:total, :total], gram[:total, total]
     right = right - matrix @ fixed
-    vector = fixed + bounded_minimum(matrix, right, np.hstack(bounded), np.hstack((free, drift)), tie)
-    parts = np.split(vector, [at, at + knots])
-    return Solution(parts[0], parts[1], parts[2], vector)
+    return fixed + bounded_minimum(matrix, right, np.hstack(bounded), np.hstack((free, drift)), tie)
 
 
 def _slope_groups(design: Design) -> list[tuple[int, int]]:
@@ -308,7 +297,7 @@ def cross_validated(products: Products) -> Score:
     errors = []
     for fold, gram in enumerate(products.grams):
         rest, _ = products.total(leave_out=fold)
-        left = squared_error_free_of(gram, solve(products, rest).vector, products.nuisance[fold])
+        left = squared_error_free_of(gram, solve(products, rest), products.nuisance[fold])
         errors.append(left / max(products.rows[fold], 1))
     rows = np.asarray(products.rows, dtype=float)
     return Score(np.asarray(errors), rows / rows.sum())
@@ -334,7 +323,7 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
             mine = products.rows[group]
             if mine < own.FEWEST_GROUP_ROWS or others < max(own.FEWEST_REST_ROWS, mine / 5):
                 continue
-            vector = solve(products, rest).vector
+            vector = solve(products, rest)
             left = squared_error_free_of(products.grams[group], vector, products.nuisance[group])
             squares += min(left, mine * (own.MAX_RATIO * cycles) ** 2)
             rows += mine
@@ -462,16 +451,17 @@ def operator_of(slopes: Floats, design: Design) -> PlayOperator:
         raise FitError(f"what fits best has no inverse ({problem})") from None
 
 
-def _model_of(solution: Solution, design: Design, prepared: Prepared, recording: Recording) -> RelativeModel:
+def _model_of(solution: Floats, design: Design, prepared: Prepared, recording: Recording) -> RelativeModel:
     """Return the model in the logs' units."""
-    operator = operator_of(solution.slopes, design)
+    slopes, knots, drift = np.split(solution, [design.slopes, design.slopes + design.knots])
+    operator = operator_of(slopes, design)
     width = (1.0 - operator.low) / (prepared.high - prepared.low)
-    origin = float(solution.drift[0])
+    origin = float(drift[0])
     stages: list[Stage] = [ScaleStage(width, operator.low - width * prepared.low), operator]
     offset = prepared.offset
     if design.segments > 1:
         corners = np.arange(design.segments + 1) / design.segments
-        corners[1:-1] += solution.knots
+        corners[1:-1] += knots
         height = np.full(design.segments, 1.0 / design.segments)
         stages += [ScaleStage(1.0, origin), DiscretePointOperator(np.diff(corners), height)]
     else:

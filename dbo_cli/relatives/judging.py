@@ -24,8 +24,8 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played
+from dbo_cli.hysteresis.operators import Floats
 from dbo_cli.relatives.fitting import RELATIVES, fit
-from dbo_cli.relatives.plays import Floats
 
 NAMES = ("dbo", *(relative.name for relative in RELATIVES))
 OWN_WORDS = "Discrete Backlash Operator"

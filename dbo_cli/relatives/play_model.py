@@ -14,23 +14,15 @@ from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import ScaleStage, Stage, through
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
 from dbo_cli.hysteresis.model_file import Node
-from dbo_cli.hysteresis.model_state import (
-    START_NAMES,
-    DriveLimits,
-    ModelState,
-    StartName,
-)
-from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Outside
+from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
+from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Floats, Outside
 from dbo_cli.relatives.plays import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
-
-Floats = NDArray[np.float64]
 
 
 class RelativeModel(ActuatorModel):
@@ -136,10 +128,9 @@ class RelativeModel(ActuatorModel):
         value = float(self._before_backlash([first_input])[0])
         if self.direction == "inverse":
             value = operator.settled_at(value)
-        still = np.zeros(1) if operator.by_rate.size else NOTHING
-        ends = [operator.run(np.array([value]), operator.after(end), still)[0] for end in (operator.low, 1.0)]
-        low, high = (float(through(forward.tail, end)[0]) for end in ends)
-        return abs(high - low)
+        ends = [operator.slow_output(value, operator.after(end)) for end in (operator.low, 1.0)]
+        low, high = through(forward.tail, np.array(ends)).tolist()
+        return float(abs(high - low))
 
     @cached_property
     def _covered(self) -> tuple[float, float]:

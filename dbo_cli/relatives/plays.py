@@ -18,19 +18,17 @@ Aye and Ang (2018); what is marked * was written from memory of the literature a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
-from dbo_cli.hysteresis.operators import BacklashState
-
-Floats = NDArray[np.float64]
+from dbo_cli.hysteresis.operators import BacklashState, Floats
 
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -336,18 +334,12 @@ class PlayOperator(OtherHysteresis):
 
     def inverse(self) -> PlayOperator:
         """Return the same operator as it stands in a model of the other direction."""
-        return PlayOperator(
-            self.kind, self.radii, self.weights, self.by_rate, self.fastest, self.cubic, self.linear,
-            not self.inverted,
-        )  # fmt: skip
+        return replace(self, inverted=not self.inverted)
 
     def file_values(self) -> dict[str, Any]:
         """Return the stage as the model file has it (docs/model-file.md)."""
-        values: dict[str, Any] = {
-            "type": self.kind,
-            "radii": self.radii.tolist(),
-            "weights": self.weights.tolist(),
-        }
+        lists = {"radii": self.radii.tolist(), "weights": self.weights.tolist()}
+        values: dict[str, Any] = {"type": self.kind, **lists}
         if self.kind == "rate-plays":
             values |= {"by_rate": self.by_rate.tolist(), "fastest": self.fastest}
         if self.one_sided:
@@ -418,40 +410,37 @@ class PlayOperator(OtherHysteresis):
         )  # fmt: skip
         return x, z[: self.n], clipped
 
-    def output_of(self, plays: Floats, share: float = 0.0) -> float:
-        """Return the output with the plays where they stand."""
-        some = np.array([share]) if self.by_rate.size else NOTHING
-        return float(self.run(np.array([plays[0]]), plays, some)[0][0])
+    def slow_output(self, x: float, plays: Floats) -> float:
+        """Return the output for one input that comes slowly."""
+        still = np.zeros(1) if self.by_rate.size else NOTHING
+        return float(self.run(np.array([x]), plays, still)[0][0])
 
     @cached_property
     def ends(self) -> tuple[float, float]:
         """The slow output at the ends of the drive's range, each come to from the other."""
-        return self.output_of(self.after(self.low)), self.output_of(self.after(1.0))
+        low, high = (self.slow_output(end, self.after(end)) for end in (self.low, 1.0))
+        return low, high
 
     def settled_at(self, y: float) -> float:
         """Return the drive whose own settled state gives the output ``y``, by halving."""
         below, above = self.low - 1.0, 2.0
         for _ in range(HALVINGS):
-            if self._settled_output(below) <= y:
+            if self.slow_output(below, self.settled(below)) <= y:
                 break
             below -= 2.0 * (above - below)
         for _ in range(HALVINGS):
-            if self._settled_output(above) >= y:
+            if self.slow_output(above, self.settled(above)) >= y:
                 break
             above += 2.0 * (above - below)
         for _ in range(HALVINGS):
             middle = below + 0.5 * (above - below)
             if not below < middle < above:
                 break
-            if self._settled_output(middle) < y:
+            if self.slow_output(middle, self.settled(middle)) < y:
                 below = middle
             else:
                 above = middle
         return above
-
-    def _settled_output(self, x: float) -> float:
-        some = np.zeros(1) if self.by_rate.size else NOTHING
-        return float(self.run(np.array([x]), self.settled(x), some)[0][0])
 
     @cached_property
     def closed_inverse(self) -> ClosedInverse:

@@ -225,9 +225,7 @@ def _plain_stem(name: str) -> str:
     group = group.strip("/")
     stem = unicodedata.normalize("NFC", f"{base}-{group}" if group else base)
     stem = re.sub(r"[^\w.-]+", "_", stem).strip(".")
-    while len(stem.encode()) > _LONGEST_STEM:
-        stem = stem[:-1]
-    return stem or "log"
+    return stem.encode()[:_LONGEST_STEM].decode(errors="ignore") or "log"
 
 
 def _fit_left(figure: Figure, axes: Axes) -> None:
