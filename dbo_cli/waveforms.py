@@ -12,7 +12,7 @@ import io
 import math
 import wave
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -68,8 +68,6 @@ class GeneratorFormat:
 
     Attributes
     ----------
-    about : str
-        What takes it.
     endings : tuple of str
         What its files are called.
     write, read : callable
@@ -86,7 +84,6 @@ class GeneratorFormat:
         Codes of a converter, whose volts nobody can guess.
     """
 
-    about: str
     endings: tuple[str, ...]
     write: Callable[[Signals], bytes]
     read: Callable[[bytes], Values]
@@ -145,13 +142,11 @@ def _tdms(signals: Signals) -> bytes:
         "wf_start_offset": 0.0, "wf_increment": 1.0 / signals.rate, "wf_samples": signals.values.shape[1],
         "unit_string": "V",
     }  # fmt: skip
+    count = len(signals.values)
+    names = [f"voltage_{k}" for k in range(1, count + 1)] if count > 1 else ["voltage"]
     with nptdms.TdmsWriter(buffer) as writer:
-        writer.write_segment(
-            nptdms.ChannelObject(
-                "drive", f"voltage_{k}" if len(signals.values) > 1 else "voltage", one, properties
-            )
-            for k, one in enumerate(signals.values, 1)
-        )
+        channels = zip(names, signals.values, strict=True)
+        writer.write_segment(nptdms.ChannelObject("drive", *channel, properties) for channel in channels)
     return buffer.getvalue()
 
 
@@ -160,11 +155,9 @@ def _read_tdms(data: bytes) -> Floats:
     return np.stack([one[:] for one in nptdms.TdmsFile.read(io.BytesIO(data))["drive"].channels()])
 
 
-def _binary(
-    form: str, header: Callable[[Signals], bytes] = lambda signals: b""
-) -> Callable[[Signals], bytes]:
-    """Return what writes codes as plain numbers, point by point, behind a header."""
-    return lambda signals: header(signals) + signals.values.T.astype(form).tobytes()
+def _binary(form: str) -> Callable[[Signals], bytes]:
+    """Return what writes codes as plain numbers, point by point."""
+    return lambda signals: signals.values.T.astype(form).tobytes()
 
 
 def _read_binary(form: str, skipped: int = 0) -> Callable[[bytes], Codes]:
@@ -181,9 +174,8 @@ def _pi_gcs(signals: Signals) -> bytes:
         for first in range(0, values.size, BUNCH):
             some = values[first : first + BUNCH].tolist()
             append = "&" if first else "X"
-            lines.append(
-                f"WAV {table} {append} PNT {first + 1} {len(some)} {' '.join(map(positional, some))}\n"
-            )
+            points = " ".join(map(positional, some))
+            lines.append(f"WAV {table} {append} PNT {first + 1} {len(some)} {points}\n")
     return "".join(lines).encode()
 
 
@@ -217,10 +209,11 @@ def _read_keysight(data: bytes) -> Codes:
 TFW_HEADER = 512  # bytes
 
 
-def _tektronix_header(signals: Signals) -> bytes:
-    """Return identifier, version, number of points, and no preview."""
+def _tektronix(signals: Signals) -> bytes:
+    """Return identifier, version, number of points, no preview, and the codes."""
     numbers = np.array([20050114, signals.values.size, 0], ">u4").tobytes()
-    return (b"TEKAFG3000".ljust(16, b"\0") + numbers).ljust(TFW_HEADER, b"\0")
+    head = (b"TEKAFG3000".ljust(16, b"\0") + numbers).ljust(TFW_HEADER, b"\0")
+    return head + _binary(">u2")(signals)
 
 
 def _picoscope(signals: Signals) -> bytes:
@@ -231,40 +224,24 @@ def _read_picoscope(data: bytes) -> Floats:
     return np.array(data.split(), dtype=np.float64)[None, :]
 
 
+_INT16 = GeneratorFormat((".bin", ".raw", ".i16"), _binary("<i2"), _read_binary("<i2"), (-32768, 32767))
+_UINT16 = GeneratorFormat((".bin", ".raw", ".u16"), _binary("<u2"), _read_binary("<u2"), (0, 65535))
+_TFW = GeneratorFormat((".tfw",), _tektronix, _read_binary(">u2", TFW_HEADER), (0, 16382))
 FORMATS = {
-    "npy": GeneratorFormat(
-        "NumPy, and what takes arrays: volts, (channels, points)", (".npy",), _npy, _read_npy, channels=True
-    ),
-    "wav": GeneratorFormat(
-        "sound cards and generators: 16 bits", (".wav",), _wav, _read_wav, (-32767, 32767), channels=True
-    ),
-    "int16": GeneratorFormat(
-        "a converter's codes, little end first", (".bin", ".raw", ".i16"),
-        _binary("<i2"), _read_binary("<i2"), (-32768, 32767), volts_needed=True,
-    ),
-    "uint16": GeneratorFormat(
-        "a converter's codes, little end first", (".bin", ".raw", ".u16"),
-        _binary("<u2"), _read_binary("<u2"), (0, 65535), volts_needed=True,
-    ),
-    "tdms": GeneratorFormat("LabVIEW: volts", (".tdms",), _tdms, _read_tdms, channels=True),
-    "pi-gcs": GeneratorFormat(
-        "PI controllers' wave tables: commands, volts", (".txt", ".gcs"), _pi_gcs, _read_pi_gcs, channels=True
-    ),
-    "keysight-arb": GeneratorFormat(
-        "Agilent and Keysight 33500, 33600", (".arb",), _keysight, _read_keysight, (-32767, 32767)
-    ),
-    "tektronix-tfw": GeneratorFormat(
-        "Tektronix AFG1000 to AFG3000", (".tfw",),
-        _binary(">u2", _tektronix_header), _read_binary(">u2", TFW_HEADER), (0, 16382),
-    ),
-    "rigol-raf": GeneratorFormat(
-        "Rigol DG1000Z, DG4000, DG5000", (".raf",), _binary("<u2"), _read_binary("<u2"), (0, 16383)
-    ),
+    "npy": GeneratorFormat((".npy",), _npy, _read_npy, channels=True),  # and what takes arrays: volts
+    "wav": GeneratorFormat((".wav",), _wav, _read_wav, (-32767, 32767), channels=True),  # sound cards, too
+    "int16": replace(_INT16, volts_needed=True),  # a converter's codes, little end first
+    "uint16": replace(_UINT16, volts_needed=True),
+    "tdms": GeneratorFormat((".tdms",), _tdms, _read_tdms, channels=True),  # LabVIEW: volts
+    "pi-gcs": GeneratorFormat((".txt", ".gcs"), _pi_gcs, _read_pi_gcs, channels=True),  # commands, volts
+    "keysight-arb": GeneratorFormat((".arb",), _keysight, _read_keysight, (-32767, 32767)),  # 33500, 33600
+    "tektronix-tfw": _TFW,  # AFG1000 to AFG3000
+    "rigol-raf": replace(_UINT16, endings=(".raf",), codes=(0, 16383)),  # DG1000Z, DG4000, DG5000
+    # PicoScope 6's generator: text from -1 to 1
     "picoscope": GeneratorFormat(
-        "PicoScope 6's generator: text from -1 to 1", (".txt", ".csv"),
-        _picoscope, _read_picoscope, normal=True, points=(10, 8192),
+        (".txt", ".csv"), _picoscope, _read_picoscope, normal=True, points=(10, 8192)
     ),
-}  # fmt: skip
+}
 
 
 def check_name(output: str, form: str) -> None:

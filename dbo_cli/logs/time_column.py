@@ -100,7 +100,6 @@ class TimeColumn:
     described: str = ""
     notes: list[str] = field(default_factory=list)
     _calendar: _Calendar | None = None
-    _decided: bool = False
     _last: float | None = None
     _carried: float = 0.0
     _whole: bool = True

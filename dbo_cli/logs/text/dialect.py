@@ -130,7 +130,7 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
         [split_cells(line, shape.delimiter) for line in some]
         for some in (data[:SAMPLE_LINES], data[-SAMPLE_LINES:])
     )
-    headers, units = _aligned(place, layout, shape.width, rows)
+    headers, units = _aligned(place, layout, shape.width, rows[:3])
     if headers and not any(units):
         units = _units_apart(lines[: layout.first], headers, shape, comments)
     if not headers and 0 not in shape.numeric and shape.width > max(_MOST_ACROSS, len(data)):
