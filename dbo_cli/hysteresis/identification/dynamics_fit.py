@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
+from dbo_cli.hysteresis.identification.evaluation import TINY
 from dbo_cli.hysteresis.identification.fast_parts import FastPart
 from dbo_cli.hysteresis.identification.recordings import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -27,6 +28,7 @@ MOST_BESIDE = 0.1
 """Damping of resonances where one has an antiresonance: pairs damped by 0.2 to 0.8 stood in for slow moves
 that the gears follow badly (at 6 Hz beside a resonance of 20), and hid a mode at 185 Hz."""
 FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement: of all starts, how many go on, to the end
+SMALL = 1e-5  # of a parameter's logarithm: for derivatives, far above rounding and far below any bend
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
 
 
@@ -116,8 +118,9 @@ class Signals:
         self.measured = log.displacement[rows]
         self.voltage = log.voltage[rows]
         self.block = (np.arange(self.measured.size) * BLOCKS) // self.measured.size
-        at = np.linspace(-1.0, 1.0, self.measured.size)
-        self.offsets = np.column_stack([np.ones_like(at), at])
+        self._at = np.linspace(-1.0, 1.0, self.measured.size)  # of the drift, at right angles to an offset
+        self._at /= np.sqrt(np.einsum("i,i->", self._at, self._at))
+        self._steady = self._without_drift(self.measured)
         self._model = model
         before = model.start(float(log.voltage[0]), "auto")
         self._state = model.simulate(log.voltage[: rows.start], before, time_step=part.time_step).state
@@ -132,6 +135,19 @@ class Signals:
     def _after(self, lag: float, sampled: bool) -> Floats:
         drive = lagged(self.voltage, lag, self.time_step, sampled)
         return self._model.simulate(drive, self._state, time_step=self.time_step).y
+
+    def _without_drift(self, signal: Floats) -> Floats:
+        """Return what an offset and an even drift do not explain of a signal."""
+        free: Floats = signal - signal.mean()
+        free -= np.einsum("i,i->", self._at, free) * self._at
+        return free
+
+    def left(self, moved: Floats) -> Floats:
+        """Return what is measured beside a prediction, the best gain, offset and drift fitted."""
+        free = self._without_drift(moved)
+        power = max(float(np.einsum("i,i->", free, free)), TINY)
+        left: Floats = self._steady - np.einsum("i,i->", self._steady, free) / power * free
+        return left
 
     def moved(self, parameters: Floats, structure: Structure) -> Floats:
         """Return the prediction through the lag, the gears and the resonances."""
@@ -167,11 +183,7 @@ def lagged(x: Floats, seconds: float, time_step: float, sampled: bool = False) -
 
 def residuals(signals: Sequence[Signals], parameters: Floats, structure: Structure) -> list[Floats]:
     """Return measured minus predicted through the dynamics, gain, offset and drift of each part fitted."""
-    left = []
-    for one in signals:
-        columns = np.column_stack([one.moved(parameters, structure), one.offsets])
-        left.append(one.measured - columns @ np.linalg.lstsq(columns, one.measured, rcond=None)[0])
-    return left
+    return [one.left(one.moved(parameters, structure)) for one in signals]
 
 
 def sections_of(parameters: Floats, structure: Structure) -> tuple[Section, ...]:
@@ -202,7 +214,7 @@ def _refined(
         return np.concatenate([part[rows] for part, rows in zip(left, chosen, strict=True)])
 
     found = least_squares(
-        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=1e-5, max_nfev=most
+        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=SMALL, max_nfev=most
     )
     return found.x, float(np.sqrt(np.mean(found.fun**2)))
 
@@ -233,20 +245,38 @@ def fitted(
     tried = sorted(tried, key=lambda one: one[1])[:FINALISTS]
     tried = [_refined(signals, begun, structure, (low, high), every) for begun, _ in tried]
     best, rmse = min(tried, key=lambda one: one[1])
-    squares, rows, folds = 0.0, 0, []
+    squares, rows = 0.0, 0
     for fold in range(FOLDS):
         keep = np.arange(BLOCKS) % FOLDS != fold
         parameters, _ = _refined(signals, best, structure, (low, high), keep)
-        folds.append(parameters)
         left = residuals(signals, parameters, structure)
         for part, one in zip(left, signals, strict=True):
             out = part[~keep[one.block]]
             squares, rows = squares + float(out @ out), rows + out.size
-    away = np.array(folds) - np.mean(folds, axis=0)
-    spread = np.sqrt((FOLDS - 1.0) / FOLDS * np.sum(away * away, axis=0))  # the jackknife's standard error
+    spread = _spread(signals, best, structure)
     order = np.argsort(best[0 : 2 * structure.resonances : 2])
     places = [2 * k + side for k in order for side in (0, 1)]
     places += list(range(2 * structure.resonances, best.size))
     lag = float(np.exp(best[-1]))
     lag = lag if lag > NO_LAG * step else 0.0
     return Candidate(structure, best[places], lag, rmse, float(np.sqrt(squares / rows)), spread[places])
+
+
+def _spread(signals: Sequence[Signals], best: Floats, structure: Structure) -> Floats:
+    """Return the standard errors of parameters fitted, which hold where what is left over is no noise, too.
+
+    (J'J)^-1 (sum of g g') (J'J)^-1 with g = J'r of each block: what the gears leave over repeats itself
+    within a block, as noise does not (Liang and Zeger, Biometrika 73, 13, 1986).
+    """
+    left = residuals(signals, best, structure)
+    changed = [residuals(signals, best + SMALL * one, structure) for one in np.eye(best.size)]
+    slopes, scatter = np.zeros((2, best.size, best.size))
+    for k, one in enumerate(signals):
+        along = np.array([(other[k] - left[k]) / SMALL for other in changed])
+        slopes += np.einsum("ir,jr->ij", along, along)
+        begins = np.flatnonzero(np.diff(one.block, prepend=-1))
+        pulls = np.add.reduceat(along * left[k], begins, axis=1)
+        scatter += np.einsum("ib,jb->ij", pulls, pulls)
+    inverse = np.linalg.pinv(slopes, hermitian=True)
+    spread: Floats = np.sqrt(np.maximum(np.einsum("ij,jk,ki->i", inverse, scatter, inverse), 0.0))
+    return spread
