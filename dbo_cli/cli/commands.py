@@ -48,12 +48,9 @@ class Given(SimpleNamespace):
         """How logs are to be read; what was not given stays at its default."""
         from dbo_cli.logs.reading_options import ReadingOptions
 
-        if hasattr(self, "log_format"):
-            given = self.of(options.READING_OF_LOGS)
-            given["format"] = given.pop("log_format")
-        else:
-            given = self.of(options.READING)
-        return ReadingOptions(**{name: value for name, value in given.items() if value is not None})
+        given = self.of(options.READING_OF_LOGS if hasattr(self, "log_format") else options.READING)
+        known = {name.removeprefix("log_"): value for name, value in given.items() if value is not None}
+        return ReadingOptions(**known)
 
 
 class Command(NamedTuple):
