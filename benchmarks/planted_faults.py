@@ -329,8 +329,8 @@ FAULTS: list[Fault] = [
     *_faults(
         "logs/hdf5/store.py",
         ("logs_stores",),
-        ("return any(process != os.getpid() and is_running(process) for process in writers)",
-         "return all(process != os.getpid() and is_running(process) for process in writers)",
+        ("return any(process != os.getpid() and whole_output.is_running(process) for process in writers)",
+         "return all(process != os.getpid() and whole_output.is_running(process) for process in writers)",
          "who waits for a store asks all writers beside it"),
     ),
     *_faults(
