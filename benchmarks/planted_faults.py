@@ -427,6 +427,8 @@ FAULTS: list[Fault] = [
         ("return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)",
          "return np.full(1, first)",
          "rows before a loop step no further than the loop does"),
+        ("most = most or self.limits.largest_change(self.step) or math.inf", "most = most or math.inf",
+         "rows before a loop that stands still keep the slew limit"),
         ("for start in (first,) if lag is None else (first, lag[0][0]):", "for start in (first,):",
          "a loop behind a lag may begin where the lag stands"),
     ),

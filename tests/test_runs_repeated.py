@@ -374,6 +374,17 @@ def test_a_loop_that_no_start_leads_to_has_a_row_before_it() -> None:
         Model(model).compensate(wanted, from_=0.0, max_slew=2000.0, **asked)
 
 
+@pytest.mark.parametrize("slew", [None, 300.0])
+def test_a_loop_of_which_the_limits_leave_one_voltage_is_written(slew: float | None) -> None:
+    wanted = 5.0 + 0.5 * np.cos(2.0 * np.pi * np.arange(60) / 60)
+    asked: dict[str, Any] = {"sample_rate": 1000.0, "periodic": True, "details": True, "max_slew": slew}
+    done = Model(gears_alone(2)).compensate(wanted, v_min=49.0, v_max=50.0, **asked)
+    before, drive = done.values[:-60], done.values[-60:]
+    assert drive.tolist() == [49.0] * 60 and before.size == (1 if slew is None else 4)
+    assert 49.0 <= done.values.min() and done.values.max() <= 50.0
+    assert np.abs(np.diff(done.values)).max() <= (1.0 if slew is None else slew / 1000.0)
+
+
 def test_a_loop_that_a_lag_s_first_pass_pushes_away_begins_on_the_lag() -> None:
     """From rest, the lag's first pass crosses a gear that it does not reach if that one is crossed."""
     gears, lag = 256, Lag(0.0015)

@@ -335,7 +335,8 @@ class LoopCompensation(Compensation):
 
     def _rows_before(self, first: float, loop: Settled) -> tuple[Before, Settled] | None:
         """Return rows from a voltage to the loop that they lead to, where the model then repeats it."""
-        most = float(np.abs(np.diff(loop.done.y)).max())
+        most = float(np.abs(np.diff(loop.done.y)).max())  # none where the limits leave one voltage of it
+        most = most or self.limits.largest_change(self.step) or math.inf
 
         def to(target: float) -> FloatArray:
             return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)
