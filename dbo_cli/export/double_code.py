@@ -266,8 +266,8 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     parts.tables += output + c.fill("next_above.c", {}) + ("" if slew is None else c.fill("towards.c", {}))
     constants = {
         "LEAST": low, "MOST": high,
-        "CHANGE": plan.limits.largest_change(plan.time_step) or 0.0, "PART": float(numbers.part[0]),
-        "RISE": float(numbers.rise[0]), "BEGUN": plan.model.outer_drive(plan.model.covered_gears.operator.x0),
+        "CHANGE": plan.limits.largest_change(plan.time_step) or 0.0, "PART": float(numbers[0, 0]),
+        "RISE": float(numbers[0, 1]), "BEGUN": plan.model.outer_drive(plan.model.covered_gears.operator.x0),
         "INNER_LEAST": plan.inner_limits.v_min, "INNER_MOST": plan.inner_limits.v_max,
     }  # fmt: skip
     kept = [_kept(member) for member in gear_members]

@@ -9,14 +9,14 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib import resources
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from dbo_cli.errors import DboError, ModelError, UsageError
 from dbo_cli.export import project_files as project
 from dbo_cli.export import source_text as c
 from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
 from dbo_cli.export.double_code import double_code
-from dbo_cli.export.project_files import ExportSummary
+from dbo_cli.export.project_files import ExportSummary, Translated
 from dbo_cli.export.single_code import NarrowGearsError, single_code
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.logs.units import in_unit
@@ -80,15 +80,6 @@ def export_model(
     del figures["folder"], figures["warnings"]
     project.write_folder(folder, files, figures, overwrite)
     return summary
-
-
-class Translated(NamedTuple):
-    """A model as C: how it is computed, its code, its figures, and what every file of it knows."""
-
-    plan: CascadePlan
-    code: c.ModelCode
-    summary: ExportSummary
-    words: c.Values
 
 
 def translated(
@@ -216,9 +207,7 @@ def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str,
     own = c.model_sources(words, code)
     test = own.pop(f"{name}_test.c")
     sources = own | kernel_files(words, summary.arithmetic, code.headers)
-    files: dict[str, str | bytes] = {
-        **project.project_files(plan, code, summary, words, sources, test, arduino)
-    }
+    files: dict[str, str | bytes] = {**project.project_files(one, sources, test, arduino)}
     if shared:
         files |= project.library_files(words, sources)
     if fmu:
@@ -351,7 +340,7 @@ def _lines(made: Mapping[str, Translated], name: str) -> dict[str, str | bool]:
     duties: dict[str, list[str]] = {}
     for place, (channel, one) in enumerate(made.items()):
         own, shown = one.summary.name, c.plain(channel).replace("|", "/")
-        figures = project.shown_figures(one.plan, one.summary)
+        figures = project.shown_figures(one)
         cells = (
             shown, f"`{own}_...`",
             *(f"{figures[f'{way}_NAME']}, {figures[f'{way}_RANGE']}" for way in ("INPUT", "OUTPUT")),

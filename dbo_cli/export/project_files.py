@@ -21,7 +21,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
 
 from dbo_cli.errors import OutputError
@@ -81,17 +81,24 @@ class ExportSummary:
     warnings: tuple[str, ...] = ()
 
 
-def project_files(
-    plan: CascadePlan, code: ModelCode, summary: ExportSummary, words: Values,
-    sources: Mapping[str, str], test: str, arduino: bool,
-) -> dict[str, str]:  # fmt: skip
+class Translated(NamedTuple):
+    """A model as C: how it is computed, its code, its figures, and what every file of it knows."""
+
+    plan: CascadePlan
+    code: ModelCode
+    summary: ExportSummary
+    words: Values
+
+
+def project_files(one: Translated, sources: Mapping[str, str], test: str, arduino: bool) -> dict[str, str]:
     """Return every file by its path in the folder: the sources, and what stands around them."""
+    plan, code, summary, words = one
     name = summary.name
     values = {
         **build_values(words, code.number, sources, [f"{name}_test.c"]), "SAMPLE": code.vectors[0].inputs[10],
         "INPUT_TEXT": _capitalised(plan.model.input), "OUTPUT_TEXT": _capitalised(plan.model.output),
     }  # fmt: skip
-    page = fill("README.md", {**values, **shown_figures(plan, summary)})
+    page = fill("README.md", {**values, **shown_figures(one)})
     if arduino:
         return {
             **{f"src/{file}": text for file, text in sources.items()},
@@ -144,8 +151,9 @@ def _capitalised(quantity: Quantity) -> str:
     return f"{quantity.quantity[:1].upper()}{quantity.quantity[1:]}{unit}"
 
 
-def shown_figures(plan: CascadePlan, summary: ExportSummary) -> Values:
+def shown_figures(one: Translated) -> Values:
     """Return what README.md shows of an export's figures."""
+    plan, _, summary, _ = one
     drive, result = plan.drive, plan.model.output
     figures = {key.upper(): str(value) for key, value in asdict(summary).items()}
     for key in ("same_gears", "after_close_turn"):

@@ -359,20 +359,14 @@ def _subset_error(table: Floats, wanted: Floats, run: int) -> float:
     return float(max(off[off > 0.0].sum(), -off[off < 0.0].sum()))
 
 
-@dataclass(frozen=True)
-class _Loop:
-    """What memory adds: its own rounding, and how a disturbance comes back through it."""
+def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> tuple[float, float, float]:
+    """Bound what memory adds: its own rounding, as the input meets it, and how errors come back through it.
 
-    own: float
-    gain: float
-    amplification: float
-
-
-def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> _Loop:
-    """Bound the rounding of the memories, as the input meets it, and the feedback of errors."""
+    Returns the rounding, the gain of the loop, and how much a disturbance grows.
+    """
     c, a = plan.gain, plan.decay
     if not plan.terms:
-        return _Loop(0.0, 0.0, 1.0)
+        return 0.0, 0.0, 1.0
     on_output = plan.backlash.memory_on == "output"
     b, carried = 1.0 - a, (c * a if on_output else c)
     offset = abs((plan.backlash.y0 if on_output else plan.backlash.x0) - plan.reference)
@@ -388,12 +382,12 @@ def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> _Loop:
         recall = EPS * (2.0 + plan.terms) * carried * drive
     own = float(np.sum(carried * held) + np.sum(recall))
     if not on_output:
-        return _Loop(own, float(np.sum(c)), 1.0)
+        return own, float(np.sum(c)), 1.0
     loop = steepest * float(np.sum(carried))
     stiff = max(1.0 / steepest - axes.kappa, 0.0) + 0.5 * axes.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
     energy = 1.0 + math.sqrt(float(np.sum(2.0 * b * c * a**2)) / (4.0 * stiff * rho))
-    return _Loop(own, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy))
+    return own, float(np.sum(carried)), min(1.0 / (1.0 - loop) if loop < 1.0 else math.inf, energy)
 
 
 class NarrowGearsError(ModelError):
@@ -416,7 +410,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     run, on_output = gears.equal_run, gears.memory_on == "output"
     slopes = axes.high / axes.wide
     steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
-    loop = _loop(plan, axes, q31, steepest)
+    own, gain, growth = _loop(plan, axes, q31, steepest)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
     x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
     before = fold(plan.model.head, source.minimum, source.maximum)
@@ -430,17 +424,17 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         shift = shift_for(steepest * axes.x_unit / axes.y_unit)
         rising += axes.y_unit * (1.0 + float(axes.wide.max()) / axes.x_unit * 2.0 ** -(shift + 1))
     else:
-        across += EPS * (2.0 * span + loop.gain * height * on_output) + axes.x_count
+        across += EPS * (2.0 * span + gain * height * on_output) + axes.x_count
         rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
     if on_output:
-        steady = steepest * (across + loop.own) + rising
-        inner = steady * loop.amplification if loop.amplification < math.inf else math.inf
-        place = across + loop.own + loop.gain * inner
+        steady = steepest * (across + own) + rising
+        inner = steady * growth if growth < math.inf else math.inf
+        place = across + own + gain * inner
     else:
-        inner = steepest * across + loop.gain * entering + loop.own + rising + axes.y_count
+        inner = steepest * across + gain * entering + own + rising + axes.y_count
         place = across
     tolerance = _tolerance(place, float(axes.wide.min()), rising, float(axes.high.min()), plan)
-    hop = float(axes.wide.max()) * float(np.sum(np.abs(np.diff(slopes)))) * loop.amplification
+    hop = float(axes.wide.max()) * float(np.sum(np.abs(np.diff(slopes)))) * growth
     behind = fold(plan.model.tail, gears.y0, gears.y0 + height)
     bend = float(np.abs(behind.slope).max())
     leaving = _function_error(

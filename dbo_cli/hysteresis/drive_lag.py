@@ -34,26 +34,12 @@ UNCLEAR = 1e-8
 tried alone, since rounding and the gears' tolerance may decide about it."""
 
 
-class Coefficients(NamedTuple):
-    """For each sample of a block, or once for all: the parts of u - p and of u' - u that reach the output."""
-
-    part: Floats
-    rise: Floats
-
-    def of(self, rows: slice) -> Coefficients:
-        """Return those of some samples."""
-        return self if self.part.size == 1 else Coefficients(self.part[rows], self.rise[rows])
+def coefficients(stage: DynamicsStage, steps: Steps) -> Floats:
+    """Return what of u - p and of u' - u reaches the lag's output: a row a time step (s), or one for all."""
+    return stage.rows(steps)[:, 1:3]
 
 
-def coefficients(stage: DynamicsStage, steps: Steps) -> Coefficients:
-    """Return the numbers of the lag for time steps (s)."""
-    rows = stage.rows(steps)
-    return Coefficients(rows[:, 1], rows[:, 2])
-
-
-def undone(
-    numbers: Coefficients, w: Floats, state: SectionStates | None
-) -> tuple[Floats, SectionStates | None]:
+def undone(numbers: Floats, w: Floats, state: SectionStates | None) -> tuple[Floats, SectionStates | None]:
     """Return the drive that a lag makes ``w`` of, and the lag's state after it; at rest at first without one.
 
     u' = u + ((w' - w) - part (u - w))/rise is the recursion of a section, input and output exchanged.
@@ -67,12 +53,12 @@ def undone(
     return v, ((float(held[0, 2]), 0.0, float(held[0, 0])),)
 
 
-def undoing_rows(numbers: Coefficients) -> Floats:
+def undoing_rows(numbers: Floats) -> Floats:
     """Return the section, one row a time step, that has the lag's output for its input."""
-    rows = np.zeros((numbers.part.size, 6))
-    moves = numbers.rise > 0.0
-    rows[moves, 1] = numbers.part[moves] / numbers.rise[moves]
-    rows[moves, 2] = 1.0 / numbers.rise[moves]
+    rows, (part, rise) = np.zeros((len(numbers), 6)), numbers.T
+    moves = rise > 0.0
+    rows[moves, 1] = part[moves] / rise[moves]
+    rows[moves, 2] = 1.0 / rise[moves]
     return rows
 
 
@@ -81,13 +67,14 @@ class Block(NamedTuple):
 
     x: Floats
     steps: Steps
-    numbers: Coefficients
+    numbers: Floats
     limits: DriveLimits
 
     def of(self, rows: slice) -> Block:
         """Return some of the samples."""
         steps = self.steps[rows] if isinstance(self.steps, np.ndarray) else self.steps
-        return Block(self.x[rows], steps, self.numbers.of(rows), self.limits)
+        numbers = self.numbers if len(self.numbers) == 1 else self.numbers[rows]
+        return Block(self.x[rows], steps, numbers, self.limits)
 
 
 class Prompt(Protocol):
@@ -219,7 +206,7 @@ def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tu
 def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, int]:
     """Return one sample whose drive is the bound that holds it back, and which one that is."""
     wanted = float(_unbounded(rest, block, state)[1][0])
-    part, rise = float(block.numbers.part[0]), float(block.numbers.rise[0])
+    part, rise = block.numbers[0].tolist()
     most = block.limits.largest_step(block.steps)
     step = None if most is None else float(np.ravel(most)[0])
     bounds = _bounds(_last_drive(rest, state), step, block.limits)
@@ -275,7 +262,7 @@ def _ramp(rest: Prompt, block: Block, state: ModelState, side: int) -> tuple[Flo
     most = block.limits.largest_step(block.steps)
     size, rising = block.x.shape, side * _sense(rest) > 0
     steps = [None] * block.x.size if most is None else np.broadcast_to(most, size).tolist()
-    parts, rises = (np.broadcast_to(numbers, size).tolist() for numbers in block.numbers)
+    parts, rises = (np.broadcast_to(numbers, size).tolist() for numbers in block.numbers.T)
     found: list[tuple[float, float, float]] = []
     for step, part, rise in zip(steps, parts, rises, strict=True):
         bounds = _bounds(u, step, block.limits)

@@ -205,13 +205,13 @@ class Excitation:
         part = swings([0.0, *(turn for turn, _ in legs)], [steps for _, steps in legs])
         voltage = np.clip(self.v_min + self.span * part, self.v_min, self.v_max)
         voltage[part == 1.0] = self.v_max
-        if self.sweep_to is not None:
-            voltage = np.concatenate([voltage, self.small_sweep()])
+        voltage = np.concatenate([voltage, self.small_sweep()])
         return np.arange(voltage.size) / self.sample_rate, voltage
 
     def small_sweep(self) -> Floats:
-        """Return the voltage of the sweep in the middle of the range, where one is asked for."""
-        assert self.sweep_to is not None
+        """Return the voltage of the sweep in the middle of the range; none where none is asked for."""
+        if self.sweep_to is None:
+            return np.empty(0)
         ends = (self.v_min, self.v_max)
         return sweep(*ends, self.sample_rate, self.sweep_to, self.sweep_amplitude, self.max_slew)
 
@@ -230,9 +230,7 @@ def channel_drives(asked: Excitation, channels: int) -> tuple[Floats, Floats]:
     """
     half = swing_samples(asked.span, 1.0 / asked.sample_rate, 0.5 / asked.frequency, asked.max_slew)
     ends = [asked.v_min, asked.v_max, asked.v_min, asked.v_min]
-    turn = swings(ends, [half, half, half])[1:]
-    if asked.sweep_to is not None:
-        turn = np.concatenate([turn, asked.small_sweep()])
+    turn = np.concatenate([swings(ends, [half, half, half])[1:], asked.small_sweep()])
     alike = replace(asked, sweep_to=None, sweep_amplitude=None)
     drives = [replace(alike, seed=asked.seed + place).drive()[1] for place in range(channels)]
     rows = drives[0].size + channels * turn.size

@@ -119,9 +119,7 @@ def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelS
 
 def slow_model(model: ActuatorModel) -> ActuatorModel:
     """Return a model without what lies behind its gears and points in time."""
-    late = (model.dynamics, model.delay)
-    kept = tuple(stage for stage in model.stages if not any(stage is other for other in late))
-    return dataclasses.replace(model, stages=kept)
+    return model.without(model.dynamics, model.delay)
 
 
 def _periodic(model: ActuatorModel, before: ModelState, after: ModelState, seconds: float) -> ModelState:

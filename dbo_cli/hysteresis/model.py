@@ -249,13 +249,16 @@ class ActuatorModel:
     @cached_property
     def without_drive_lag(self) -> ActuatorModel:
         """The same model for a drive that has passed the lag."""
-        lag = self.drive_lag
-        return dataclasses.replace(self, stages=tuple(s for s in self.stages if s is not lag))
+        return self.without(self.drive_lag)
 
     @cached_property
     def without_lag(self) -> Self:
         """The same model without dynamics, drive lag and delay: gears, memories and curves."""
-        kept = tuple(s for s in self.stages if not isinstance(s, DynamicsStage | DelayStage))
+        return self.without(self.drive_lag, self.dynamics, self.delay)
+
+    def without(self, *dropped: Stage | None) -> Self:
+        """Return the same model without some of its stages."""
+        kept = tuple(stage for stage in self.stages if not any(stage is one for one in dropped))
         return dataclasses.replace(self, stages=kept)
 
     def drive_of(self, state: ModelState) -> float | None:
@@ -572,7 +575,7 @@ class ActuatorModel:
         self.require("forward")
         begun = self.inverted.start(first_desired, state, limits)
         inner = self.inverted.inner_limits(limits)
-        if state in ("empty", "full") and inner is not None and inner.max_slew is not None:
+        if state in ("empty", "full") and inner.max_slew is not None:
             drive = self.covered_gears.operator.x_range[0 if state == "empty" else 1]
             begun = dataclasses.replace(begun, drive=min(max(drive, inner.v_min), inner.v_max))
         return begun

@@ -67,6 +67,11 @@ _EVENLY = 1.5
 _DEVIATIONS = 3.0  # of the noise in such a sum
 
 
+Turn = tuple[
+    int, int, int
+]  # what was settled before the way changed, the first sample of the new one, and it
+
+
 class NoiseLevel:
     """Standard deviation of what changes from sample to sample, from the mean |second difference|.
 
@@ -103,14 +108,6 @@ class Directions:
     earlier: int | None
 
 
-class _Turn(NamedTuple):
-    """Where the way changed: what was settled before it, and the first sample of the new way."""
-
-    settled: int
-    first: int
-    way: int
-
-
 class DirectionTracker:
     """Tell up from down by the last turn that stands out of the noise.
 
@@ -135,21 +132,21 @@ class DirectionTracker:
         turns, settled = self._turns(values, least, *before[1:])
         stops, ways = [], []
         way = before[0]
-        for turn in turns:
-            stops += [turn.settled, turn.first]
+        for before_turn, first, following in turns:
+            stops += [before_turn, first]
             ways += [way, 0]
-            way = turn.way
+            way = following
         lengths = np.diff([0, *stops, settled, len(values)])
-        known = turns[0].settled if turns else settled
+        known = turns[0][0] if turns else settled
         return Directions(
             np.repeat(np.array([*ways, way, 0], dtype=np.int8), lengths),
             settled,
             before[0] if known else 0 if turns else None,
         )
 
-    def _turns(self, values: Floats, least: float, low: float, high: float) -> tuple[list[_Turn], int]:
+    def _turns(self, values: Floats, least: float, low: float, high: float) -> tuple[list[Turn], int]:
         """Return the turns of a batch, and how many samples of it are settled. Every turning point is met."""
-        turns: list[_Turn] = []
+        turns: list[Turn] = []
         way, furthest, settled = self._way, self._furthest, 0
         begin = 0  # of the monotone stretch that ends at ``place``
         places = monotone_ends(values)
@@ -168,7 +165,7 @@ class DirectionTracker:
             if turned:
                 # the stretch is monotone: its first sample that is further back than the least turn
                 back = turned * (values[begin : place + 1] - furthest)
-                turns.append(_Turn(settled, begin + int(np.searchsorted(back, least, "right")), turned))
+                turns.append((settled, begin + int(np.searchsorted(back, least, "right")), turned))
                 way, furthest, settled = turned, value, place + 1
             begin = place + 1
         self._way, self._furthest = way, furthest

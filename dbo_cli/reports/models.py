@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.hysteresis.cascade import OtherHysteresis
-from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import Complexes, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, Quantity
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
@@ -180,8 +178,7 @@ def _paint_bode(model: ActuatorModel, what: str, axes: Axes) -> None:
 def slow_loop(model: ActuatorModel, count: int = 1001) -> tuple[Floats, Floats, Floats]:
     """Return the input on the way up, and the output there and on the way down, slowly and without delay."""
     up = np.linspace(model.input.minimum, model.input.maximum, count)
-    stages = tuple(stage for stage in model.stages if not isinstance(stage, DelayStage))
-    still = dataclasses.replace(model, stages=stages)
+    still = model.without(model.delay)
     walk = np.concatenate((up, up[::-1]))
     start = still.start(float(up[0]), "empty")
     y = still.simulate(walk, start, time_step=1e9 if still.needs_time else None).y

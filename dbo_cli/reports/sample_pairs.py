@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -112,8 +113,7 @@ class BeforeZero:
     """
 
     def __init__(self, blocks: Iterable[PairBlock]) -> None:
-        self._blocks = iter(blocks)
-        self._rest: PairBlock | None = None
+        self._blocks: Iterator[PairBlock] = iter(blocks)
         self.found = False
         self.count = 0
 
@@ -132,14 +132,12 @@ class BeforeZero:
             if stop:
                 yield block.part(0, stop)
             if len(reached):
-                self.found, self._rest = True, block.part(stop, len(block))
+                self.found, self._blocks = True, chain([block.part(stop, len(block))], self._blocks)
                 return
 
     def after(self) -> Iterator[PairBlock]:
-        """Yield the rest."""
-        if self._rest is not None:
-            yield self._rest
-        yield from self._blocks
+        """Return the rest."""
+        return self._blocks
 
 
 @dataclass
@@ -328,13 +326,7 @@ def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[Pair
         for column in (desired, measured)
     )
     scale = max(float(np.abs(desired).max()), float(np.abs(measured).max()), 1e-290)
-
-    def again() -> Iterator[PairBlock]:
-        while window:
-            yield window.pop(0)
-        yield from source
-
-    return _best_lag(desired / scale, measured / scale), again()
+    return _best_lag(desired / scale, measured / scale), chain(window, source)
 
 
 def batched(blocks: Iterable[PairBlock], size: int = BATCH) -> Iterator[PairBlock]:

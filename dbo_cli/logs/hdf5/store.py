@@ -420,15 +420,10 @@ def matrix_writer(
         if time is not None:
             group["time_s"] = time
             group["time_s"].attrs["units"] = "s"
-        datasets = []
+        datasets, chunks = [], (min(rows, MATRIX_ROWS), 1)
         for column in columns:
-            dataset = group.create_dataset(
-                column.name,
-                (rows, len(channels)),
-                "<f8",
-                chunks=(min(rows, MATRIX_ROWS), 1),
-                fillvalue=np.nan,
-            )
+            shape = rows, len(channels)
+            dataset = group.create_dataset(column.name, shape, "<f8", chunks=chunks, fillvalue=np.nan)
             dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
             few = len(channels) <= MOST_NAMES
             dataset.attrs["channel_of_column"] = list(channels) if few else "\n".join(channels)
