@@ -297,7 +297,7 @@ def report(given: Given) -> None:
     A limit (--max-rmse, --max-abs, --max-nrmse-percent) is missed; the report is written all the same.
     """
     from dbo_cli.runs.many import reported
-    from dbo_cli.runs.reporting import Limits, ReportRun, TrackingOptions
+    from dbo_cli.runs.reporting import ReportRun, TrackingOptions
 
     tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
     asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures)
@@ -305,7 +305,7 @@ def report(given: Given) -> None:
     given.reporter.remarks(written.remarks)
     if written.form != "text":
         given.reporter.notes(written.report.notes)
-    written.check(Limits(**given.of(options.LIMITS)))
+    written.check(given.of(options.LIMITS))
 
 
 def excite(given: Given) -> None:
