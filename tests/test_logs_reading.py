@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import columns as column_names
-from dbo_cli.logs import stated_clock, time_column
+from dbo_cli.logs import columns, stated_clock, time_column
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -293,18 +292,18 @@ def test_the_page_on_instruments_lists_what_the_program_knows() -> None:
         lines = [line for line in page.splitlines() if line.startswith(f"| {start} |")]
         return set(re.findall(r"`([^`]+)`", lines[number].split("|")[2]))
 
-    assert row("voltage") == set(column_names.VOLTAGE.guesses)
-    assert row("displacement, measured") == set(column_names.DISPLACEMENT.guesses)
-    assert row("desired") == set(column_names.DESIRED.guesses)
-    assert row("time") == set(column_names.TIME_NAMES)
-    assert row("time, where none of these is there") == set(column_names.MORE_TIME_NAMES)
-    assert row("displacement, measured", 1) == set(column_names.DISPLACEMENT.letters)
+    assert row("voltage") == set(columns.VOLTAGE.guesses)
+    assert row("displacement, measured") == set(columns.DISPLACEMENT.guesses)
+    assert row("desired") == set(columns.DESIRED.guesses)
+    assert row("time") == set(columns.TIME_NAMES)
+    assert row("time, where none of these is there") == set(columns.MORE_TIME_NAMES)
+    assert row("displacement, measured", 1) == set(columns.DISPLACEMENT.letters)
     channels = {"CH1", "Channel A", "ai0", "Input 2"}
-    assert row("voltage", 1) - channels | {"ch"} == set(column_names.VOLTAGE.by_unit)
-    assert row("displacement, measured", 2) | {"ch"} == set(column_names.DISPLACEMENT.by_unit)
-    assert row("desired", 1) == set(column_names.DESIRED.by_unit)
-    assert row("displacement, measured", 3) == column_names.DISPLACEMENT.contrary
-    assert row("voltage", 2) == column_names.VOLTAGE.contrary
+    assert row("voltage", 1) - channels | {"ch"} == set(columns.VOLTAGE.by_unit)
+    assert row("displacement, measured", 2) | {"ch"} == set(columns.DISPLACEMENT.by_unit)
+    assert row("desired", 1) == set(columns.DESIRED.by_unit)
+    assert row("displacement, measured", 3) == columns.DISPLACEMENT.contrary
+    assert row("voltage", 2) == columns.VOLTAGE.contrary
     for unit, spellings in stated_clock.SPELLINGS.items():
         assert row(unit) == set(spellings)
     for calendar in (*time_column._CALENDARS, *time_column._DAY_CALENDARS):

@@ -130,7 +130,7 @@ def test_time_of_the_largest_error_and_sample_period():
     assert figures.sample_period == pytest.approx(0.005, rel=1e-12)
 
 
-@pytest.mark.parametrize("chunk", [1, 7, 1000, BATCH - 1, BATCH, BATCH + 1])
+@pytest.mark.parametrize("chunk", [1, 97, 1000, BATCH - 1, BATCH, BATCH + 1])
 def test_chunk_size_does_not_matter_to_the_last_bit(chunk):
     samples = 40 if chunk == 1 else 2 * BATCH + 12345
     rng = np.random.default_rng(5)

@@ -6,35 +6,14 @@ import inspect
 import keyword
 from typing import Any, NamedTuple
 
-from dbo_cli.cli.values import (
-    Parser,
-    address,
-    auto_or,
-    choice,
-    header_lines,
-    names,
-    not_negative,
-    number,
-    number_or_word,
-    positive,
-    rows,
-    seconds_or_auto,
-    span,
-    times,
-    whole,
-    with_unit,
-    zero,
-)
+from dbo_cli.cli.values import PARSERS, Parser, choice, figure_above_0, number_or_word, positive, text, whole
 
-figure, figure_above_0 = with_unit(number), with_unit(positive)
-lag, segment = number_or_word(int), number_or_word(float)
 OPTIONS = "Options"
 READING_LOGS = "Reading logs"
 MESSAGES = "Output and messages"
 STARTING = "State"
 COLUMN = "COLUMN"
 REQUIRED = inspect.Parameter.empty  # the default of an option that must be given
-FORMATS = ("csv", "tsv", "hdf5")
 
 
 class Option(NamedTuple):
@@ -46,10 +25,11 @@ class Option(NamedTuple):
         Its names and what its value is called, ``-o, --output FILE``; a switch has no value.
     meaning : str
         What ``--help`` says of it.
-    parse : callable, optional
-        Makes the value of the text (``values``); the value is the text itself without it.
     default : optional
-        What a user would have typed; None for no value, ``REQUIRED`` for one that must be given.
+        What a user would have typed; None for no value, ``REQUIRED`` for an option that must be given (an
+        argument always must).
+    parse : callable, optional
+        Makes the value of the text, where what the value is called does not tell how it is read.
     heading : str
         Where ``--help`` lists it.
     repeated : bool
@@ -58,8 +38,8 @@ class Option(NamedTuple):
 
     spelled: str
     meaning: str
-    parse: Parser | None = None
     default: Any = None
+    parse: Parser | None = None
     heading: str = OPTIONS
     repeated: bool = False
 
@@ -75,57 +55,53 @@ class Option(NamedTuple):
         return None if last.startswith("-") else last
 
     @property
+    def parser(self) -> Parser | None:
+        """What makes the value of the text: by what it is called, or one of its words; else none."""
+        value = self.metavar or ""
+        words = choice(value.split("|")) if "|" in value and value.islower() else None
+        return self.parse or PARSERS.get(value) or words
+
+    @property
     def key(self) -> str:
         """The name of the value in Python."""
         key = (self.names or [self.spelled.lower()])[-1].lstrip("-").replace("-", "_")
         return key + "_" if keyword.iskeyword(key) else key
 
 
-def _argument(spelled: str, meaning: str, repeated: bool = False, parse: Parser | None = address) -> Option:
-    return Option(spelled, meaning, parse, REQUIRED, repeated=repeated)
-
-
 def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:
-    return Option(spelled, meaning, parse, heading=READING_LOGS, repeated=repeated)
+    return Option(spelled, meaning, None, parse, READING_LOGS, repeated)
 
 
-def _common(spelled: str, meaning: str, default: Any = None, parse: Parser | None = None) -> Option:
-    return Option(spelled, meaning, parse, default, MESSAGES)
-
-
-def _choice(spelled: str, meaning: str, default: str | None = None) -> Option:
-    """Return an option whose value is one of the words that it is spelled with."""
-    return Option(spelled, meaning, choice(spelled.split()[-1].split("|")), default)
+def _message(spelled: str, meaning: str, default: Any = None) -> Option:
+    return Option(spelled, meaning, default, heading=MESSAGES)
 
 
 # --- arguments ---
-LOGS = _argument("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True)
-INPUTS = _argument(
+LOGS = Option("LOG", "One or more logs; FILE::/group in HDF5; - is stdin.", repeated=True)
+INPUTS = Option(
     "LOG", "The input signal; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.", repeated=True
 )
-TRAJECTORIES = _argument(
+TRAJECTORIES = Option(
     "TRAJECTORY",
     "The desired displacement; FILE::/group in HDF5; - is stdin. Several: -o 'out/{file}.csv'.",
     repeated=True,
 )
-MODEL = _argument("MODEL", "The model file; - is stdin.", parse=None)
-DRIVE = _argument("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")
+MODEL = Option("MODEL", "The model file; - is stdin.")
+DRIVE = Option("DRIVE", "The drive to be checked; FILE::/group in HDF5; - is stdin.")
 
 # --- output and messages ---
-OUTPUT = _common("-o, --output FILE", "Where the result goes; - is stdout.", "-", address)
-FOLDER = _common("-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED)
-FLUSH = _common("--flush", "Write each row as soon as it is there (live streams).")
-HEADER = _choice(
+OUTPUT = _message("-o, --output FILE", "Where the result goes; - is stdout.", "-")
+FOLDER = _message("-o, --output DIR", "The folder to write; appears whole or not at all.", REQUIRED)
+FLUSH = _message("--flush", "Write each row as soon as it is there (live streams).")
+HEADER = _message(
     "--header plain|comment", "comment: text begins with a # line: program, model, command.", "plain"
-)._replace(heading=MESSAGES)
-SUMMARY = _common("--summary FILE", "Also write what was done as JSON (dbo-summary).", parse=address)
-OUTPUT_FORMAT = Option(
-    "--format csv|tsv|hdf5", "Form of the output where no file name tells.", choice(FORMATS), None, MESSAGES
 )
+SUMMARY = _message("--summary FILE", "Also write what was done as JSON (dbo-summary).")
+OUTPUT_FORMAT = _message("--format csv|tsv|hdf5", "Form of the output where no file name tells.")
 REPORTING = (
-    _common("-q, --quiet", "Say nothing but errors."),
-    _common("--verbose", "Also say what was detected and assumed."),
-    _common("--debug", "Show the traceback of an error."),
+    _message("-q, --quiet", "Say nothing but errors."),
+    _message("--verbose", "Also say what was detected and assumed."),
+    _message("--debug", "Show the traceback of an error."),
 )
 
 # --- columns: a header name, a dataset path, or a number counted from 1 ---
@@ -142,7 +118,7 @@ REPORT_COLUMNS = (
 )
 
 # --- how a log is read: the fields of ``ReadingOptions`` ---
-FILE_FORMAT = _reading("--format csv|tsv|hdf5", "Where no file name tells.", choice(FORMATS))
+FILE_FORMAT = _reading("--format csv|tsv|hdf5", "Where no file name tells.")
 LOG_FORMAT = FILE_FORMAT._replace(spelled="--log-format csv|tsv|hdf5")
 READING = (
     _reading(
@@ -150,91 +126,67 @@ READING = (
         "Time. Every column: a header name, a dataset path, a number from 1, or FILE::COLUMN; else guessed.",
     ),
     _reading("--time-unit UNIT", "What time counts: s, ms, us, ns, min, h, d, 10us; before the header."),
-    _reading("--sample-rate HZ", "Rate of a log without a time column.", positive),
+    _reading("--sample-rate HZ", "Rate of a log without a time column."),
     _reading(
         "--scale ROLE=FACTOR", "Multiply: voltage=20, or displacement=10um/V; repeatable.", repeated=True
     ),
-    _reading("--rows A:B", "Data rows to take, from 1, both ends included; either may be left out.", rows),
+    _reading("--rows A:B", "Data rows to take, from 1, both ends included; either may be left out."),
     _reading("--skip-bad", "Drop rows that hold no number, and count them."),
-    _reading("--resample HZ", "Interpolate to an even sampling first.", positive),
+    _reading("--resample HZ", "Interpolate to an even sampling first."),
     FILE_FORMAT,
     _reading("--delimiter NAME", "comma, semicolon, tab, blanks, pipe or a character, if guessed wrong."),
-    _reading("--decimal point|comma", "The decimal sign, if guessed wrong."),
+    _reading("--decimal point|comma", "The decimal sign, if guessed wrong.", parse=text),
     _reading("--comment CHARS", "What comment lines start with, if not # or %."),
-    _reading("--header-lines 0|1|2", "None, names, or names and units, if guessed wrong.", header_lines),
-    _reading("--skip-lines N", "Lines to pass over before the header.", whole(0)),
+    _reading("--header-lines 0|1|2", "None, names, or names and units, if guessed wrong."),
+    _reading("--skip-lines N", "Lines to pass over before the header.", parse=whole(0)),
     _reading("--encoding NAME", "The text encoding, if not UTF-8."),
-    _reading("--block-rows N", "Rows held at a time; changes no digit of a result.", whole(1)),
+    _reading("--block-rows N", "Rows held at a time; changes no digit of a result."),
 )
 READING_OF_LOGS = tuple(LOG_FORMAT if one is FILE_FORMAT else one for one in READING)
 
 # --- identify: mostly the fields of ``IdentificationOptions`` ---
 IDENTIFICATION = (
     Option(
-        "--gears N|auto",
-        "Gears: steps into which the loop is cut; more are finer and cost nothing.",
-        auto_or(whole(1)),
-        "auto",
+        "--gears N|auto", "Gears: steps into which the loop is cut; more are finer and cost nothing.", "auto"
     ),
     Option(
         "--points M|auto|0",
         "Segments of the asymmetry: straight pieces that make the loop's ends unlike; 0 for none.",
-        auto_or(whole(0)),
         "auto",
     ),
-    Option(
-        "--relaxation auto|0|T1,T2,...",
-        "Time constants in s of lag and creep; 0 for none.",
-        auto_or(times),
-        "auto",
-    ),
-    Option(
-        "--delay SECONDS|auto|0",
-        "Pure delay of the displacement behind the drive.",
-        auto_or(not_negative),
-        "auto",
-    ),
+    Option("--relaxation auto|0|T1,T2,...", "Time constants in s of lag and creep; 0 for none.", "auto"),
+    Option("--delay SECONDS|auto|0", "Pure delay of the displacement behind the drive.", "auto"),
     Option(
         "--dynamics auto|0|1|2",
         "Resonances of the actuator, from a log with a small sweep or a fast log beside a slow one.",
-        auto_or(whole(0)),
         "auto",
     ),
     Option(
         "--sensor-delay SECONDS",
         "Pure delay of the sensor: taken off the logs before the fit, kept in the model, not compensated.",
-        not_negative,
         "0",
     ),
     Option(
         "--sensor-lag SECONDS",
         "First-order time constant of the sensor or its filter: taken off likewise.",
-        not_negative,
         "0",
     ),
-    Option(
-        "--slopes auto|growing|falling|free",
-        "How the gears' slopes may run.",
-        auto_or(choice(("auto", "growing", "falling", "free"))),
-        "auto",
-    ),
+    Option("--slopes auto|growing|falling|free", "How the gears' slopes may run.", "auto"),
 )
-SKIP = Option("--skip SECONDS", "Leave the beginning of every log out of the fit.", not_negative, "0")
+SKIP = Option("--skip SECONDS", "Leave the beginning of every log out of the fit.", "0")
 ZERO = Option(
     "--zero none|mean|first|VALUE",
     "What displacement counts as 0: as logged, its mean, its first sample, or a value.",
-    zero,
     "none",
 )
-METHOD = _choice(
+METHOD = Option(
     "--method least-squares|paper", "paper: gears by the rule of the 2018 publication.", "least-squares"
 )
 VALIDATE = Option(
-    "--validate LOG", "Another log, to say how well the model predicts; repeatable.", address, repeated=True
+    "--validate LOG", "Another log, to say how well the model predicts; repeatable.", repeated=True
 )
 PRIOR = Option(
-    "--prior MODEL",
-    "Keep the shape of this model, and find its gain, offset and lag again from a short log.",
+    "--prior MODEL", "Keep the shape of this model, and find its gain, offset and lag again from a short log."
 )
 SHARED_SHAPE = Option(
     "--shared-shape",
@@ -246,9 +198,9 @@ COUPLING = Option(
 )
 FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SHARED_SHAPE, COUPLING)  # of the fields of ``IdentifyRun``
 RATED_MIN = Option(
-    "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of.", figure
+    "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."
 )
-RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.", figure)
+RATED_MAX = Option("--v-max VOLT", "The rating's upper end, with --v-min.")
 FORCE = Option("--force", "Keep a model that is no better than a straight line.")
 
 # --- simulate, compensate, check ---
@@ -257,16 +209,15 @@ STATE = Option(
     "What was before the first sample: empty (it came from the lower end), full, settled (a swing died "
     "away there), auto (empty at the lower end, else settled; for a log that the model was identified "
     "from, as the fit found it), or a saved state.",
-    None,
     "auto",
-    STARTING,
+    heading=STARTING,
 )
-SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", address, heading=STARTING)
-OUTSIDE = _choice("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
-VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].", figure)
-VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].", figure)
-MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive; 2V/ms as well.", figure_above_0)
-FROM = Option("--from VOLT", "What the amplifier stands at before the first row.", figure)
+SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", heading=STARTING)
+OUTSIDE = Option("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
+VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].")
+VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].")
+MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive; 2V/ms as well.")
+FROM = Option("--from VOLT", "What the amplifier stands at before the first row.")
 DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read with the model
     VOLTAGE_MIN,
     VOLTAGE_MAX,
@@ -274,32 +225,27 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     Option(
         "--max-current AMPERE",
         "What the amplifier can deliver, with --capacitance: a slew limit of their ratio.",
-        figure_above_0,
     ),
-    Option("--capacitance FARAD", "Of the actuator, with --max-current.", figure_above_0),
-    _choice("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
+    Option("--capacitance FARAD", "Of the actuator, with --max-current."),
+    Option("--on-limit clip|error", "clip and count, or exit 3, where a limit is met.", "clip"),
     FROM,
     Option(
         "--approach SECONDS|auto",
         "Ramp from there to the first row (time < 0); auto: within the slew limit, 0.1 s at least.",
-        seconds_or_auto,
     ),
     Option("--condition", "Prepend the sweep that puts the actuator into the starting state (time < 0)."),
     Option(
         "--lead SECONDS|auto",
         "The drive that dynamics and delay need before a move that begins in motion (time < 0); with "
         "--periodic a rest that brings the creep where the loop needs it.",
-        seconds_or_auto,
     ),
     Option(
         "--return SECONDS|auto",
         "Ramp back at the end, to where the drive came from, else to 0; its rows have no desired value.",
-        seconds_or_auto,
     ),
     Option(
         "--bandwidth HZ",
         "Round the trajectory's corners with a zero-phase low-pass first; with --tracked, learn so far up.",
-        positive,
     ),
     Option(
         "--absolute",
@@ -308,55 +254,59 @@ DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read w
     Option(
         "--history FILE",
         "With --tracked, keep the error of each pass there (JSON), so that growth is seen.",
+        parse=text,
     ),
     Option(
         "--settle DISTANCE",
         "Say how long creep and ringing take to stay within it after a step (5nm; plain: the model's unit).",
     ),
     Option("--periodic", "The trajectory is one period of a loop: write the settled loop's drive."),
-    Option("-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", whole(0), "0"),
+    Option("-n, --passes N", "With --periodic, passes of run-in before it (time < 0).", "0", parse=whole(0)),
 )
 TRACKED = Option(
     "--tracked LOG",
     "The last pass of this trajectory, recorded: write the next, better drive; repeatable.",
-    address,
     repeated=True,
 )
 CHECKING = (  # the fields of ``CheckOptions``
-    Option("--v-min VOLT", "Lowest voltage allowed.", figure),
-    Option("--v-max VOLT", "Highest voltage allowed.", figure),
+    Option("--v-min VOLT", "Lowest voltage allowed."),
+    Option("--v-max VOLT", "Highest voltage allowed."),
     MAX_SLEW,
     FROM,
     Option("--loop", "The drive is looped: from its last row to its first, too."),
-    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset, speed.", address),
-    Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", number, "1"),
+    Option("--against FILE", "Was this drive what was played? Rows, lag, gain, offset, speed."),
+    Option("--gain FACTOR", "With --against, of an amplifier behind the recording's place.", "1"),
     Option(
         "--tolerance VOLT",
         "With --against, the largest difference allowed, and by how much a recorded row may miss a "
         "limit [default: a thousandth of the range].",
-        figure_above_0,
+        parse=figure_above_0,
     ),
 )
 
 # --- channels and many files: the fields of ``Work`` ---
 WORK = (
-    Option("-j, --jobs N", "Processes, for channels or many files; changes no result.", whole(1), "1"),
+    Option("-j, --jobs N", "Processes, for channels or many files; changes no result.", "1"),
     Option("--keep-going", "Where a channel or file fails, write the others; exit 1."),
 )
 
 # --- report, show ---
 TRACKING = (  # with the columns, the fields of ``TrackingOptions``
-    Option("--lag N|auto", "Samples by which measured is taken later than desired.", lag, "0"),
+    Option(
+        "--lag N|auto",
+        "Samples by which measured is taken later than desired.",
+        "0",
+        parse=number_or_word(int),
+    ),
     Option("--remove-offset", "Take the mean of the error off before anything else."),
-    Option("--segment cycles|SECONDS", "Also report every cycle, or every so many seconds.", segment),
+    Option("--segment cycles|SECONDS", "Also report every cycle, or every so many seconds."),
     Option(
         "--dwell SECONDS",
         "Score only the rows at which the desired signal has been held so long: pixels, stairs.",
-        not_negative,
     ),
     Option("--model MODEL", "Compare this model's prediction with the measurement."),
-    Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves.", address),
-    _choice(
+    Option("--trajectory FILE", "Where the desired signal lies, if not in the logs themselves."),
+    Option(
         "--match auto|time|rows",
         "How logs and --trajectory belong together; auto: by time where both have one.",
         "auto",
@@ -367,13 +317,13 @@ TRACKING = (  # with the columns, the fields of ``TrackingOptions``
     ),
 )
 LIMITS = (
-    Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this.", not_negative),
-    Option("--max-abs VALUE", "Exit 3 where the largest error is above this.", not_negative),
-    Option("--max-nrmse-percent VALUE", "Exit 3 where the RMSE in % of range is above this.", not_negative),
+    Option("--max-rmse VALUE", "Exit 3 where the RMSE of a log is above this."),
+    Option("--max-abs VALUE", "Exit 3 where the largest error is above this."),
+    Option("--max-nrmse-percent VALUE", "Exit 3 where the RMSE in % of range is above this."),
 )
 FIGURES = Option("--figures DIR", "Draw the figures, PNG and SVG, into this folder.")
-REPORT_FORMAT = _choice("--format text|json|csv|html", "Form of the report [default: by the output's name].")
-SHOW_FORMAT = _choice(
+REPORT_FORMAT = Option("--format text|json|csv|html", "Form of the report [default: by the output's name].")
+SHOW_FORMAT = Option(
     "--format text|json", "Form of what is shown [default: by the output's name, else text]."
 )
 SETTLE = Option(
@@ -382,9 +332,7 @@ SETTLE = Option(
 MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 
 # --- compare ---
-MODEL_NAMES = Option(
-    "--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric.", names
-)
+MODEL_NAMES = Option("--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric.")
 NO_TIMINGS = Option("--no-timings", "Measure no times: the table repeats to the byte.")
 SAVE_MODELS = Option(
     "--save-models DIR", "Also write every model that was fitted, NAME.json, into this folder."
@@ -392,35 +340,35 @@ SAVE_MODELS = Option(
 
 # --- excite: the parameters of ``write_excitation`` ---
 EXCITATION = (  # of ``excitation_of``
-    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", figure, REQUIRED),
-    Option("--v-min VOLT", "Lowest drive voltage.", figure, "0"),
-    Option("--sample-rate HZ", "Rows per second [default: 1000].", positive),
-    Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", whole(2)),
-    Option("--duration SECONDS", "Length of the drive.", positive, "15"),
-    Option("--frequency HZ", "Full cycles per second.", positive, "1"),
+    Option("--v-max VOLT", "Highest drive voltage: the actuator's rating.", REQUIRED),
+    Option("--v-min VOLT", "Lowest drive voltage.", "0"),
+    Option("--sample-rate HZ", "Rows per second [default: 1000]."),
+    Option("--points N", "So many rows in all, for a generator's memory; the rate follows.", parse=whole(2)),
+    Option("--duration SECONDS", "Length of the drive.", "15", parse=positive),
+    Option("--frequency HZ", "Full cycles per second.", "1"),
     MAX_SLEW,
-    Option("--seed N", "Another number, another drive.", whole(0), "1"),
-    Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics.", positive),
-    Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", figure_above_0),
+    Option("--seed N", "Another number, another drive.", "1", parse=whole(0)),
+    Option("--sweep-to HZ", "Append a small sweep up to this frequency, for the dynamics."),
+    Option("--sweep-amplitude VOLT", "Of that sweep [default: 1 % of the range].", parse=figure_above_0),
 )
 
 DRIVEN = Option(
     "--channels N",
     "Drives of N channels, voltage_1 and so on: together with different turns, then one by one.",
-    whole(2),
+    parse=whole(2),
 )
 
 # --- export: the parameters of ``export_model`` ---
 EXPORTING = (
-    Option("--name NAME", "Begins the names of files, types, functions.", None, "actuator"),
-    _choice("--direction inverse|forward", "Displacement to drive, or drive to displacement.", "inverse"),
-    _choice(
+    Option("--name NAME", "Begins the names of files, types, functions.", "actuator"),
+    Option("--direction inverse|forward", "Displacement to drive, or drive to displacement.", "inverse"),
+    Option(
         "--arithmetic double|float|q31",
         "double: the bits of dbo compensate; float32 or 32-bit fixed point: with a bound on the error.",
         "double",
     ),
-    Option("--sample-rate HZ", "Steps per second of the controller.", positive),
-    Option("--gears N", "Fewer gears; says what is lost.", whole(1)),
+    Option("--sample-rate HZ", "Steps per second of the controller."),
+    Option("--gears N", "Fewer gears; says what is lost."),
     VOLTAGE_MIN,
     VOLTAGE_MAX,
     MAX_SLEW,
@@ -437,25 +385,23 @@ GENERATOR_FILES = (
     "picoscope",
 )  # fmt: skip
 SHAPES = choice(("raster", "spiral", "staircase", "sine", "triangle"))
-SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", SHAPES, REQUIRED)
+SHAPE = Option("SHAPE", "raster, spiral, staircase, sine or triangle.", parse=SHAPES)
 MOVE = (  # the fields of ``TrajectoryOptions``
-    Option("--rate HZ", "Rows a second.", positive, REQUIRED),
-    Option(
-        "--range LOW:HIGH", "From where to where: a raster's lines, a spiral's first axis.", span, REQUIRED
-    ),
-    Option("--slow-range LOW:HIGH", "The second axis of raster and spiral [default: the same].", span),
-    Option("--frequency HZ", "Lines, turns or cycles a second.", positive),
-    Option("--lines N", "Of a raster.", whole(1)),
-    Option("--pixels N", "Of a line: each gets a whole number of rows.", whole(1)),
-    Option("--overscan PERCENT", "How far lines go on at their speed beyond the range.", not_negative, "0"),
+    Option("--rate HZ", "Rows a second.", REQUIRED),
+    Option("--range LOW:HIGH", "From where to where: a raster's lines, a spiral's first axis.", REQUIRED),
+    Option("--slow-range LOW:HIGH", "The second axis of raster and spiral [default: the same]."),
+    Option("--frequency HZ", "Lines, turns or cycles a second."),
+    Option("--lines N", "Of a raster."),
+    Option("--pixels N", "Of a line: each gets a whole number of rows."),
+    Option("--overscan PERCENT", "How far lines go on at their speed beyond the range.", "0"),
     Option("--one-way", "Lines in one direction, the way back as fast; a staircase up alone."),
-    Option("--turns N", "Of a spiral.", whole(1)),
-    Option("--cycles N", "Of sine and triangle [default: 1].", whole(1)),
-    Option("--steps N", "Of a staircase.", whole(1)),
-    Option("--dwell SECONDS", "At each level of a staircase.", positive),
-    Option("--rest SECONDS", "At rest before and after the move.", not_negative, "0"),
+    Option("--turns N", "Of a spiral."),
+    Option("--cycles N", "Of sine and triangle [default: 1]."),
+    Option("--steps N", "Of a staircase."),
+    Option("--dwell SECONDS", "At each level of a staircase.", parse=positive),
+    Option("--rest SECONDS", "At rest before and after the move.", "0"),
     Option("--loop", "Whole cycles without start and stop, for compensate --periodic."),
-    Option("--bandwidth HZ", "Each turn, step, start and stop takes one period of it.", positive),
+    Option("--bandwidth HZ", "Each turn, step, start and stop takes one period of it."),
 )
 MOVE_MODEL = Option(
     "--model MODEL",
@@ -463,27 +409,29 @@ MOVE_MODEL = Option(
     repeated=True,
 )
 UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
-DRIVES = Option("DRIVE", "The drive; several where the file has channels.", address, REQUIRED, repeated=True)
+DRIVES = Option("DRIVE", "The drive; several where the file has channels.", repeated=True)
 DRIVE_COLUMNS = DRIVE_COLUMN._replace(
     meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
 )
 WAVEFORM = (  # the fields of ``WaveformOptions``
-    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", choice(GENERATOR_FILES), REQUIRED),
-    Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", number, "1"),
+    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=choice(GENERATOR_FILES)),
+    Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", "1"),
     Option(
-        "--points N", "Of the generator: resampled to so many; with --rate the last value fills.", whole(2)
+        "--points N",
+        "Of the generator: resampled to so many; with --rate the last value fills.",
+        parse=whole(2),
     ),
-    Option("--rate HZ", "Points a second [default: the drive's].", positive),
-    Option("--codes LOW:HIGH", "The lowest and the highest code [default: the format's].", span),
-    Option("--volts LOW:HIGH", "What they mean at the generator [default: the drive's ends].", span),
+    Option("--rate HZ", "Points a second [default: the drive's]."),
+    Option("--codes LOW:HIGH", "The lowest and the highest code [default: the format's]."),
+    Option("--volts LOW:HIGH", "What they mean at the generator [default: the drive's ends]."),
     Option("--loop", "The drive repeats: it must close, and stays so at another rate."),
-    Option("--v-min VOLT", "Lowest drive allowed.", figure),
-    Option("--v-max VOLT", "Highest drive allowed.", figure),
+    Option("--v-min VOLT", "Lowest drive allowed."),
+    Option("--v-max VOLT", "Highest drive allowed."),
     MAX_SLEW,
     Option(
         "--tolerance VOLT",
         "By how much another rate may move the drive [default: a thousandth of its range].",
-        figure_above_0,
+        parse=figure_above_0,
     ),
 )
 

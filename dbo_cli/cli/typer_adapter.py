@@ -217,7 +217,7 @@ def _build(name: str) -> Any:
 def _parameter(option: Option) -> inspect.Parameter:
     """Return an option as the library reads it: a text, several or a switch, without its parser."""
     kind: Any = list[str] if option.repeated else str
-    given: Any = option.default
+    given: Any = option.default if option.names else options.REQUIRED
     if option.metavar is None:
         kind, given = bool, False
     elif given is None:
@@ -254,9 +254,10 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
     name = max(parameter.opts, key=len) if is_option else parameter.metavar
     if parameter.required and value in (None, (), []) and not context.resilient_parsing:
         raise UsageError(f"{name} is missing ({context.command_path} --help lists what there is)")
-    if option is not None and option.parse is not None and value is not None:
+    parse = None if option is None else option.parser
+    if option is not None and parse is not None and value is not None:
         texts = value if option.repeated else [value]
-        parsed = [option.parse(option.key if is_option else "", one) for one in texts]
+        parsed = [parse(option.key if is_option else "", one) for one in texts]
         value = parsed if option.repeated else parsed[0]
     return parameter.callback(context, parameter, value) if parameter.callback else value
 
@@ -269,7 +270,7 @@ def offers(option: Option) -> Callable[[str], list[str]] | None:
     value = option.metavar or ""
     if value == options.COLUMN:
         return columns_beginning
-    words = value.split("|") if "|" in value else getattr(option.parse, "choices", ())
+    words = value.split("|") if "|" in value else getattr(option.parser, "choices", ())
     return (lambda incomplete: [word for word in words if word.startswith(incomplete)]) if words else None
 
 

@@ -31,6 +31,11 @@ def number(option: str, text: str) -> float:
     return value
 
 
+def text(option: str, given: str) -> str:
+    """Return the text itself."""
+    return given
+
+
 def positive(option: str, text: str) -> float:
     """Return a number above zero; raise ``UsageError`` for anything else."""
     value = number(option, text)
@@ -179,3 +184,17 @@ def number_or_word(kind: Callable[[str], float]) -> Parser:
 def shown(text: str) -> str:
     """Return a value as a message repeats it: whole, or its beginning where it is long."""
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+figure, figure_above_0 = with_unit(number), with_unit(positive)
+PARSERS: dict[str, Parser] = {
+    "A:B": rows, "AMPERE": figure_above_0, "DRIVE": address, "FACTOR": number, "FARAD": figure_above_0,
+    "FILE": address, "HZ": positive, "LOG": address, "LOW:HIGH": span, "M|auto|0": auto_or(whole(0)),
+    "N": whole(1), "N|auto": auto_or(whole(1)), "NAME,...": names, "PERCENT": not_negative,
+    "SECONDS": not_negative, "SECONDS|auto": seconds_or_auto, "SECONDS|auto|0": auto_or(not_negative),
+    "TRAJECTORY": address, "VALUE": not_negative, "VOLT": figure, "VOLT/S": figure_above_0,
+    "0|1|2": header_lines, "auto|0|1|2": auto_or(whole(0)), "auto|0|T1,T2,...": auto_or(times),
+    "auto|growing|falling|free": auto_or(choice(("auto", "growing", "falling", "free"))),
+    "cycles|SECONDS": number_or_word(float), "none|mean|first|VALUE": zero,
+}  # fmt: skip
+"""How the text of an option is read, by what its value is called."""

@@ -26,14 +26,30 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
     sample's (in steps) is that sample's, so that shifting there and back is exact.
     """
-    first = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
-    second = np.clip(first + 1, 0, times.size - 1)
-    gap = times[second] - times[first]
+    first = _before(times, wanted)
+    second = np.minimum(first + 1, times.size - 1)
+    begin, lower, upper = times[first], values[first], values[second]
+    gap = times[second] - begin
     with np.errstate(invalid="ignore", divide="ignore"):
-        part = np.where(gap > 0.0, (wanted - times[first]) / gap, 0.0)
-    part = np.where(part < _WHOLE, 0.0, part)
-    between = values[first] + part * (values[second] - values[first])
-    return np.where(part > 1.0 - _WHOLE, values[second], between), int(first[-1])
+        part = np.where(gap > 0.0, (wanted - begin) / gap, 0.0)
+    part[part < _WHOLE] = 0.0
+    found = lower + part * (upper - lower)
+    whole = part > 1.0 - _WHOLE
+    found[whole] = upper[whole]
+    return found, int(first[-1])
+
+
+def _before(times: Floats, wanted: Floats) -> NDArray[np.intp]:
+    """Return the last sample at or before each time wanted, the first where there is none.
+
+    Clocks are even but for rounding: the next sample is tried first, and only what that misses searched for.
+    """
+    start = int(np.searchsorted(times, wanted[0], side="right")) - 1
+    first = np.clip(np.arange(start, start + wanted.size), 0, times.size - 1)
+    after = np.append(times[1:], np.inf)[first]
+    missed = np.flatnonzero((times[first] > wanted) | (wanted >= after))
+    first[missed] = np.clip(np.searchsorted(times, wanted[missed], side="right") - 1, 0, None)
+    return first
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:

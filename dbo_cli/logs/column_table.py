@@ -129,10 +129,8 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
             bad.append(index)
     if 2 * len(bad) >= len(values):
         return None
-    odd = [
-        f"column '{name}' is not a number in record {k + 1}: {values[k]!r} (leave it out)" for k in bad[:1]
-    ]
-    return replace(array_source(name, numbers, unit), problem="".join(odd))
+    odd = [f"is not a number in record {k + 1}: {values[k]!r} (leave it out)" for k in bad[:1]]
+    return replace(array_source(name, numbers, unit), problem=f"column '{name}' {odd[0]}" if odd else "")
 
 
 def matrix_sources(name: str, array: Any) -> list[ColumnSource]:
@@ -163,11 +161,10 @@ def with_unit(source: ColumnSource, member: Callable[[str], Any]) -> ColumnSourc
 
 def statements_in(values: Mapping[str, Any]) -> list[Statement]:
     """Read what named values state of the sample rate; its unit is ``NAME_units`` or ``NAME_unit``."""
-    return [
-        statement
-        for name, value in values.items()
-        for statement in read_statements(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
-    ]
+    found: list[Statement] = []
+    for name, value in values.items():
+        found += read_statements(name, value, values.get(f"{name}_units", values.get(f"{name}_unit")))
+    return found
 
 
 # What netCDF's library leaves where nothing was written: NC_FILL_FLOAT and NC_FILL_DOUBLE, one number.
@@ -257,11 +254,10 @@ class ColumnTable(Table):
         if not self.sources:
             instead = ", ".join(self.held) or "nothing"
             raise InputError(f"{self.place}: no columns of numbers: it holds {instead}{self.remedy}")
-        self.notes: list[str] = []
-        self.columns = [
-            replace(column_info(one.label.rsplit("/", 1)[-1], number, one.unit), name=one.label)
-            for number, one in enumerate(self.sources, start=1)
-        ]
+        self.notes, self.columns = [], []
+        for number, one in enumerate(self.sources, start=1):
+            info = column_info(one.label.rsplit("/", 1)[-1], number, one.unit)
+            self.columns.append(replace(info, name=one.label))
 
     def describe(self) -> str:
         """Describe in one line how the log is written, for ``verbose``."""

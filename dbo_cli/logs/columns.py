@@ -227,9 +227,8 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 def is_torn(text: str) -> bool:
     """Return whether brackets do not fit, or a # stands for a letter of the unit: it is not clear."""
-    return any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}")) or bool(
-        _HASHED.search(text)
-    )
+    unlike = any(text.count(left) != text.count(right) for left, right in ("()", "[]", "{}"))
+    return unlike or _HASHED.search(text) is not None
 
 
 def column_info(header: str | None, number: int, unit: str | None = None) -> ColumnInfo:
@@ -500,11 +499,10 @@ def choose_columns(
     InputError
         A named column is absent, or a guess finds none or several.
     """
-    chosen = {
-        role: find_column(place, columns, wish.selector, wish.option)
-        for role, wish in want.items()
-        if wish.selector is not None
-    }
+    chosen = {}
+    for role, wish in want.items():
+        if wish.selector is not None:
+            chosen[role] = find_column(place, columns, wish.selector, wish.option)
     missing: dict[str, list[ColumnInfo]] = {}
     used = {column.number for column in [*taken, *chosen.values()]}
     free = [column for column in columns if column.number not in used]

@@ -423,7 +423,7 @@ class SignalLog(Source):
             rate, start = table.even_clock(picks.values())
         gaps = options.skip_bad or any(column.may_be_blank for column in picks.values())
         even, timed = None if gaps else rate, clock is not None or rate is not None
-        super().__init__(place, picks, timed, options.resample or even, options.resample or rate)
+        super().__init__(place, dict(picks), timed, options.resample or even, options.resample or rate)
         self._scales = _scales_by_role(options, want, picks)
         for role, scale in self._scales.items():
             self._factors[role], self.columns[role] = scale.applied_to(self.name, picks[role])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING, Any, Protocol, cast
+from typing import IO, TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -164,7 +165,7 @@ def signal_writer(
         with _hdf5(target, columns, attributes or {}) as hdf5:
             yield hdf5
         return
-    with _text_stream(target) as stream:
+    with opened(target.path, 1 << 20) as file, _packed(file, target) as stream:
         behind = not flush and is_replaceable(target.path)
         comment = ""
         if commented:  # where the output comes from
@@ -194,14 +195,12 @@ def _hdf5(
             raise
 
 
-@contextlib.contextmanager
-def _text_stream(target: Address) -> Iterator[IO[bytes]]:
-    with opened(target.path, 1 << 20) as file:
-        if not target.compressed:
-            yield file
-            return
-        import gzip
+def _packed(file: IO[bytes], target: Address) -> AbstractContextManager[IO[bytes]]:
+    """Return a stream that compresses where the name asks for it."""
+    if not target.compressed:
+        return contextlib.nullcontext(file)
+    import gzip
 
-        # no name and no time in the gzip header: the same signal gives the same bytes
-        with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
-            yield cast(IO[bytes], cast(Any, packed))
+    # no name and no time in the gzip header: the same signal gives the same bytes
+    packed = gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0)
+    return cast(AbstractContextManager[IO[bytes]], packed)

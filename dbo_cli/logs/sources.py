@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 TABLE = "the table"
 
 
+@dataclass(eq=False)
 class Source:
     """What a run needs of a log: files (``logs.signal_log.SignalLog``), arrays and tables are sources.
 
@@ -48,24 +50,16 @@ class Source:
         What is worth knowing, and what may spoil a result; complete after the last block.
     """
 
+    name: str
+    columns: dict[str, ColumnInfo]
+    has_time: bool
+    even_rate: float | None = None
+    stated_rate: float | None = None
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    _factors: dict[str, UnitFactor] = field(default_factory=dict)
     no_time = "no time is given, and {why} (`time` or `sample_rate` HZ)"
     warns_of_units = False  # figures of an unknown unit are taken as they are
-
-    def __init__(
-        self,
-        name: str,
-        columns: Mapping[str, ColumnInfo],
-        has_time: bool,
-        even_rate: float | None,
-        stated_rate: float | None,
-    ) -> None:
-        self.name = name
-        self.columns = dict(columns)
-        self.has_time = has_time
-        self.even_rate, self.stated_rate = even_rate, stated_rate
-        self.notes: list[str] = []
-        self.warnings: list[str] = []
-        self._factors: dict[str, UnitFactor] = {}
 
     def require_time(self, why: str) -> None:
         """Refuse a source without time, naming the remedy (InputError)."""
@@ -258,7 +252,7 @@ class ArraySource(Source):
             for n, role in enumerate(values, start=1)
         }
         has_time = self.time is not None or self.sample_rate is not None
-        super().__init__(name, columns, has_time, self.sample_rate, self.sample_rate)
+        super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
 
     def blocks(self) -> Iterator[SampleBlock]:
         """Return all samples as one block."""
@@ -287,7 +281,8 @@ class WholeSource(Source):
     """Another source read whole: one block, which may be exchanged for what was made of it."""
 
     def __init__(self, source: Source) -> None:
-        super().__init__(source.name, source.columns, source.has_time, source.even_rate, source.stated_rate)
+        rates = source.even_rate, source.stated_rate
+        super().__init__(source.name, dict(source.columns), source.has_time, *rates)
         self._source = source
         self.no_time = source.no_time
         self.block = joined(list(source.blocks()))

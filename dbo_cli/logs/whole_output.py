@@ -397,8 +397,6 @@ class OutputSet:
         for folder in {os.path.dirname(one.target) for one in self._pending}:
             with contextlib.suppress(OSError):  # Windows, some network drives
                 _bring_to_disk(folder, os.O_RDONLY)
-        self._pending.clear()
-        self._folders.clear()
 
     def give_up(self) -> None:
         """Remove everything that was written and not renamed, and the folders made for it."""
@@ -408,8 +406,6 @@ class OutputSet:
         for folder in reversed(self._folders):
             with contextlib.suppress(OSError):
                 os.rmdir(folder)
-        self._pending.clear()
-        self._folders.clear()
 
     def _made_ready(self, one: _Pending, prepared: contextlib.ExitStack) -> bool:
         """Prepare an output and bring it to the disk: no rename shows an empty file after a power failure."""
@@ -521,16 +517,17 @@ def all_or_none() -> Iterator[OutputSet]:
     OutputError
         Something cannot be written.
     """
-    current = _CURRENT.get()
-    if current is not None:
-        yield current
-        return
-    with _committed() as outputs:
+    with _current_or_new() as outputs:
         token = _CURRENT.set(outputs)
         try:
             yield outputs
         finally:
             _CURRENT.reset(token)
+
+
+def _current_or_new() -> AbstractContextManager[OutputSet]:
+    current = _CURRENT.get()
+    return _committed() if current is None else contextlib.nullcontext(current)
 
 
 @contextlib.contextmanager
@@ -561,10 +558,8 @@ def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
         with _telling(path):
             yield path
         return
-    current = _CURRENT.get()
-    with contextlib.nullcontext(current) if current is not None else _committed() as outputs:
-        with outputs.replacing(path, prepare) as temporary:
-            yield temporary
+    with _current_or_new() as outputs, outputs.replacing(path, prepare) as temporary:
+        yield temporary
 
 
 def make_folder(path: str) -> None:

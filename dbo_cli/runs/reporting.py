@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
@@ -355,15 +355,6 @@ ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a calibration may miss at most; None: anything."""
-
-    max_rmse: float | None = None
-    max_abs: float | None = None
-    max_nrmse_percent: float | None = None
-
-
-@dataclass(frozen=True)
 class Written:
     """A report that was written."""
 
@@ -372,14 +363,14 @@ class Written:
     remarks: Remarks
     failure: DboError | None = None
 
-    def check(self, limits: Limits) -> None:
-        """Raise LimitError for the first log that misses a limit; the others are counted in it.
+    def check(self, limits: Mapping[str, float | None]) -> None:
+        """Raise LimitError for the first log that misses a limit of ``check_limits``; the others are counted.
 
         A ``failure`` of channels that are not in the report is raised before.
         """
         if self.failure is not None:
             raise self.failure
-        check_limits(self.report, **dataclasses.asdict(limits))
+        check_limits(self.report, **limits)
 
 
 @dataclass(frozen=True)

@@ -220,11 +220,8 @@ def _columns(group: dict[str, Any]) -> list[ColumnSource]:
         known = {source.label for source in sources}
         sources += [source for source in _channels("", group) if source.label not in known]
     structs = {name: one for name, one in group.items() if isinstance(one, dict)}
-    channels = {
-        name: one
-        for name, one in structs.items()
-        if not _is_channel_list(one) and np.ndim(_first(one, _VALUES)) == 1
-    }
+    single = {name: one for name, one in structs.items() if not _is_channel_list(one)}
+    channels = {name: one for name, one in single.items() if np.ndim(_first(one, _VALUES)) == 1}
     if len(channels) > 1:
         sources += _with_their_times(channels)
     elif all(source.label.lower() in TIME_NAMES for source in sources) and sources:  # its signals lie below
@@ -289,9 +286,8 @@ def _by_path(variables: dict[str, Any], path: str) -> list[ColumnSource]:
 
 
 def _statements(level: Mapping[str, Any]) -> list[Statement]:
-    return statements_in(
-        {name: one for name, one in level.items() if not isinstance(one, dict | list) and np.size(one) == 1}
-    )
+    plain = {name: one for name, one in level.items() if not isinstance(one, dict | list)}
+    return statements_in({name: one for name, one in plain.items() if np.size(one) == 1})
 
 
 def _is_object(value: Any) -> bool:
@@ -324,11 +320,8 @@ def open_netcdf(request: Request) -> ColumnTable:
     # Without a map everything is read here; scipy raises whatever the damaged bytes lead to.
     with request.reading("netCDF"), netcdf_file(request.address.path, "r", mmap=False) as file:
         variables = dict(file.variables)
-        sources = [
-            _variable(clean_text(name), variable)
-            for name, variable in variables.items()
-            if len(variable.shape) == 1 and variable.data.dtype.kind in "fiu"
-        ]
+        vectors = [(name, one) for name, one in variables.items() if len(one.shape) == 1]
+        sources = [_variable(clean_text(name), one) for name, one in vectors if one.data.dtype.kind in "fiu"]
         clock = statements_in(file._attributes)
         for name, variable in variables.items():
             if not variable.shape:
@@ -342,6 +335,5 @@ def _variable(label: str, variable: Any) -> ColumnSource:
     unit = clean_text(attributes["units"]) if "units" in attributes else None
     source = replace(array_source(label, data, unit), clock=tuple(statements_in(attributes)))
     unsigned = clean_text(attributes.get("_Unsigned", "")).lower() == "true"
-    return unpacked(
-        source, lambda name: number_in(attributes.get(name)), unsigned, filled=data.dtype.kind == "f"
-    )
+    filled = data.dtype.kind == "f"
+    return unpacked(source, lambda name: number_in(attributes.get(name)), unsigned, filled)

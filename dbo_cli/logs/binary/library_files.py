@@ -17,14 +17,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import Request
-from dbo_cli.logs.column_table import (
-    ColumnSource,
-    ColumnTable,
-    Fetch,
-    array_source,
-    from_first_row,
-    statements_in,
-)
+from dbo_cli.logs.column_table import ColumnSource, ColumnTable, array_source, from_first_row, statements_in
 from dbo_cli.logs.libraries import host, import_extra, import_polars
 from dbo_cli.logs.plain_text import clean_text
 from dbo_cli.logs.stated_clock import Statement, read_statements
@@ -81,7 +74,7 @@ def _open_arrow(request: Request, kind: str, scan: Callable[..., Any]) -> Column
     return ColumnTable(request, kind, sources, clock=clock, damaged=damaged, held=held)
 
 
-def _stretches(request: Request, kind: str, frame: Any, name: str) -> Fetch:
+def _stretches(request: Request, kind: str, frame: Any, name: str) -> Callable[[int, int], Any]:
     """Read rows of a column as an array, nulls as NaN; the last stretch is kept for the next rows."""
 
     @lru_cache(maxsize=1)

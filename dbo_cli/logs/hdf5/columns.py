@@ -101,10 +101,9 @@ def columns_of(dataset: Any, name: str, stamps: frozenset[int] = frozenset()) ->
     width = 1 if len(shape) == 1 else shape[1 - axis]
     names = _column_names(dataset, width) if width > 1 else None
     labels = names or ([own] if width == 1 else [f"{own}[{number}]" for number in range(1, width + 1)])
-    return [
-        _described(ColumnSource(label, shape[axis], slicer(dataset, axis, index)), dataset, index)
-        for index, label in enumerate(labels)
-    ]
+    fetches = [slicer(dataset, axis, index) for index in range(width)]
+    sources = [ColumnSource(label, shape[axis], fetch) for label, fetch in zip(labels, fetches, strict=True)]
+    return [_described(one, dataset, index) for index, one in enumerate(sources)]
 
 
 def _holds_measurements(dataset: Any) -> bool:
@@ -339,10 +338,8 @@ def _pandas_columns(group: Any) -> list[ColumnSource]:
     if kind == "frame" and is_dataset(group.get("axis1")):
         return _pandas_blocks(group)
     if kind == "series" and is_dataset(group.get("values")):
-        return [
-            *_index(group.get("index")),
-            *columns_of(group["values"], attribute_text(group, "name") or "values"),
-        ]
+        values = columns_of(group["values"], attribute_text(group, "name") or "values")
+        return [*_index(group.get("index")), *values]
     return []
 
 

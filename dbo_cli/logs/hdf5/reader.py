@@ -84,9 +84,7 @@ def open_hdf5(request: Request) -> ColumnTable:
     except BaseException:
         file.close()
         raise
-    return ColumnTable(
-        request, "HDF5", sources, clock=clock, where=where, at_close=file.close, damaged=_DAMAGED
-    )
+    return ColumnTable(request, "HDF5", sources, clock, 0.0, where, file.close, _DAMAGED)
 
 
 def _find_columns(file: Any, address: Address, selectors: Sequence[str]) -> tuple[Any, list[ColumnSource]]:

@@ -155,10 +155,8 @@ def _name_of(file: Any) -> str:
 def _file_named(name: str, beside: str) -> str | None:
     """Find a file that another names, as HDF5 does: as it stands, or beside the other."""
     folder = os.path.dirname(os.path.realpath(beside))
-    for candidate in (os.path.join(folder, name), name, os.path.join(folder, os.path.basename(name))):
-        if os.path.exists(candidate):
-            return candidate
-    return None
+    candidates = (os.path.join(folder, name), name, os.path.join(folder, os.path.basename(name)))
+    return next(filter(os.path.exists, candidates), None)
 
 
 def check_dataset(dataset: Any, watch: FileWatch) -> None:

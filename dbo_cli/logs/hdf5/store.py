@@ -35,16 +35,6 @@ from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import (
-    check_output,
-    descriptor_of,
-    is_replaceable,
-    is_running,
-    partial_path,
-    replacing,
-    try_lock,
-    writers_in,
-)
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
@@ -113,7 +103,7 @@ class StoreOutput:
     def _merge(self, temporary: str) -> None:
         """Make the temporary file a copy of the store with the new group in it."""
         watch = FileWatch(self.path, self.path)
-        merged = partial_path(os.path.realpath(self.path))
+        merged = whole_output.partial_path(os.path.realpath(self.path))
         try:
             with open(self.path, "rb") as old, open(merged, "wb") as new:
                 shutil.copyfileobj(old, new, _COPY_BYTES)
@@ -190,13 +180,13 @@ def store_output(target: Address) -> Iterator[tuple[str, str]]:
     OutputError
         It is no regular file, or as for ``StoreOutput.check``.
     """
-    if target.is_stream or descriptor_of(target.path) is not None:
+    if target.is_stream or whole_output.descriptor_of(target.path) is not None:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
     store = StoreOutput(target.path, group_path(target.group))
     store.check()
-    if not is_replaceable(target.path):
+    if not whole_output.is_replaceable(target.path):
         raise OutputError(f"{target.path}: this is no regular file: name a file")
-    with replacing(target.path, store.publishing) as path:
+    with whole_output.replacing(target.path, store.publishing) as path:
         yield path, store.group
 
 
@@ -214,7 +204,7 @@ def _locked(path: str) -> Iterator[None]:
     while True:
         handle = os.open(path, os.O_RDONLY)
         try:
-            if try_lock(handle) and not _is_open_for_writing(handle) and _is_still(handle, path):
+            if whole_output.try_lock(handle) and not _is_open_for_writing(handle) and _is_still(handle, path):
                 yield
                 return
         finally:
@@ -253,8 +243,8 @@ def _is_still(handle: int, path: str) -> bool:
 def _is_being_added_to(path: str) -> bool:
     """Tell whether a living process of this program is writing beside the file, in all likelihood into it."""
     folder, name = os.path.split(os.path.realpath(path))
-    writers = writers_in(folder, f".{name[:30]}").values()
-    return any(process != os.getpid() and is_running(process) for process in writers)
+    writers = whole_output.writers_in(folder, f".{name[:30]}").values()
+    return any(process != os.getpid() and whole_output.is_running(process) for process in writers)
 
 
 class Hdf5Writer:
@@ -411,7 +401,7 @@ def matrix_writer(
     OutputError
         It cannot be written.
     """
-    check_output(target, protect)
+    whole_output.check_output(target, protect)
     with store_output(target) as (path, place), h5py.File(path, "w") as file:
         group = file.require_group(place)
         for key, value in attributes.items():
@@ -420,15 +410,10 @@ def matrix_writer(
         if time is not None:
             group["time_s"] = time
             group["time_s"].attrs["units"] = "s"
-        datasets = []
+        datasets, chunks = [], (min(rows, MATRIX_ROWS), 1)
         for column in columns:
-            dataset = group.create_dataset(
-                column.name,
-                (rows, len(channels)),
-                "<f8",
-                chunks=(min(rows, MATRIX_ROWS), 1),
-                fillvalue=np.nan,
-            )
+            shape = rows, len(channels)
+            dataset = group.create_dataset(column.name, shape, "<f8", chunks=chunks, fillvalue=np.nan)
             dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
             few = len(channels) <= MOST_NAMES
             dataset.attrs["channel_of_column"] = list(channels) if few else "\n".join(channels)

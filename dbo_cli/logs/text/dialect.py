@@ -71,10 +71,8 @@ class Dialect:
         head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
         sign = "decimal comma" if self.decimal == "," else "decimal point"
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
-        return (
-            f"{counted(self.width, 'column')} separated by {mark}, {sign}, "
-            f"{head}, data from line {self.first_line}"
-        )
+        columns = counted(self.width, "column")
+        return f"{columns} separated by {mark}, {sign}, {head}, data from line {self.first_line}"
 
 
 def cause_of(cell: str) -> str:
@@ -126,10 +124,8 @@ def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     if options.decimal is None and shape.delimiter != "," and doubtful:
         decimal = _late_decimal(place, lines[layout.first :], comments)
     data = [lines[number] for number in candidates if number >= layout.first]
-    rows, last = (
-        [split_cells(line, shape.delimiter) for line in some]
-        for some in (data[:SAMPLE_LINES], data[-SAMPLE_LINES:])
-    )
+    rows = [split_cells(line, shape.delimiter) for line in data[:SAMPLE_LINES]]
+    last = [split_cells(line, shape.delimiter) for line in data[-SAMPLE_LINES:]]
     headers, units = _aligned(place, layout, shape.width, rows[:3])
     if headers and not any(units):
         units = _units_apart(lines[: layout.first], headers, shape, comments)

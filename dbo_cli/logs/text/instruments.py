@@ -269,17 +269,15 @@ def _labview_waveforms(place: str, lines: list[str], _: int) -> InstrumentHeader
     if not any(names):
         names = ["", *named]
     decimal = "," if _has_decimal_commas(lines[at + 1 : at + 50], "\t") else "."
-    return _header(
-        lines, at + 1, names, [], None, "\t", decimal, clock=_step("delta t", stated["delta t"][0])
-    )
+    clock = _step("delta t", stated["delta t"][0])
+    return _header(lines, at + 1, names, [], None, "\t", decimal, clock=clock)
 
 
 def _yokogawa(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     """Read the DL series' files: names, units, ``HResolution`` and ``HOffset`` by channel above the rows."""
     rows = [(n, split_cells(line, ",")) for n, line in enumerate(lines)]
-    first = next(
-        (n for n, cells in rows if not cells[0] and len(cells) > 1 and is_number(cells[1], ".")), None
-    )
+    begins = (n for n, cells in rows if not cells[0] and is_number("".join(cells[1:2]), "."))
+    first = next(begins, None)
     settings = _settings(lines[:first])
     if first is None or "hresolution" not in settings:
         return None
