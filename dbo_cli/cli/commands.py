@@ -48,12 +48,9 @@ class Given(SimpleNamespace):
         """How logs are to be read; what was not given stays at its default."""
         from dbo_cli.logs.reading_options import ReadingOptions
 
-        if hasattr(self, "log_format"):
-            given = self.of(options.READING_OF_LOGS)
-            given["format"] = given.pop("log_format")
-        else:
-            given = self.of(options.READING)
-        return ReadingOptions(**{name: value for name, value in given.items() if value is not None})
+        given = self.of(options.READING_OF_LOGS if hasattr(self, "log_format") else options.READING)
+        known = {name.removeprefix("log_"): value for name, value in given.items() if value is not None}
+        return ReadingOptions(**known)
 
 
 class Command(NamedTuple):
@@ -435,12 +432,9 @@ def trajectory(given: Given) -> None:
     from dbo_cli.runs.trajectories import write_trajectory
 
     asked = TrajectoryOptions(given.shape, **given.of(options.MOVE))
-    command = shlex.join(["dbo", *given.typed])
-    given.reporter.notes(
-        write_trajectory(
-            given.output, asked, given.model or (), given.unit, given.format, given.summary, command
-        )
-    )
+    models = given.model or []
+    destination = _destination(given, models)
+    given.reporter.notes(write_trajectory(destination, asked, models, given.unit, given.format))
 
 
 def waveform(given: Given) -> None:
@@ -467,10 +461,8 @@ def waveform(given: Given) -> None:
     from dbo_cli.runs.waveform_files import WaveformOptions, write_waveform
 
     asked = WaveformOptions(**given.of(options.WAVEFORM), voltage=tuple(given.voltage or ()))
-    command = shlex.join(["dbo", *given.typed])
-    given.reporter.remarks(
-        write_waveform(given.drive, given.output, given.reading, asked, given.summary, command)
-    )
+    destination = _destination(given, given.drive)
+    given.reporter.remarks(write_waveform(given.drive, destination, given.reading, asked))
 
 
 def _work(given: Given) -> Work:
@@ -487,11 +479,12 @@ def _finish(given: Given, outcome: Outcome) -> None:
 
 
 def _destination(given: Given, inputs: list[Any]) -> Any:
-    """Return where ``simulate`` and ``compensate`` write, and the inputs that must not be overwritten."""
+    """Return where a command writes, as far as it has options for it, and the inputs to be protected."""
     from dbo_cli.runs.files import Destination
 
-    command, commented = shlex.join(["dbo", *given.typed]), given.header == "comment"
-    return Destination(given.output, given.save_state, inputs, given.flush, command, given.summary, commented)
+    has, command = vars(given), shlex.join(["dbo", *given.typed])
+    state, live, commented = has.get("save_state"), has.get("flush", False), has.get("header") == "comment"
+    return Destination(given.output, state, inputs, live, command, given.summary, commented)
 
 
 def _summary_lines(summary: ExportSummary) -> list[str]:

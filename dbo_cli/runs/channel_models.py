@@ -69,7 +69,7 @@ may leave. Eight virtual actuators (sample_data/) that differ in gain and offset
 
 def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
-    columns = patterns_of(asked)
+    channels = ChannelFits(asked, listener)
     inputs = [*asked.logs, *asked.validation]
     if asked.coupling and CHANNEL in output.text:
         raise UsageError(f"`coupling` belongs to all channels: write one set, without {CHANNEL} in its name")
@@ -77,21 +77,18 @@ def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener:
         raise UsageError(
             "`coupling` and `keep_going` exclude each other: each channel is needed for the others"
         )
-    refuse_two_shapes(asked)
     check_document(output, "a model", "json")
     if CHANNEL not in output.text:
         check_outputs([output], inputs)
-    outcome, found, channels = Outcome(), {}, ChannelFits(asked, columns, listener)
-    work = dataclasses.replace(work, all_needed=asked.coupling)
-    for channel, one in channels.models(work, outcome):
-        found[channel] = one
+    outcome, work = Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
+    found = dict(channels.models(work, outcome))
     with all_or_none():
         if found:
             models = {channel: one.model for channel, one in found.items()}
             _write_models(output, models, inputs, channels.coupling)
     if found:
         first = next(iter(found.values()))
-        patterns = ", ".join(f"{option} '{one}'" for option, one in columns.patterns.items())
+        patterns = ", ".join(f"{option} '{one}'" for option, one in channels.columns.patterns.items())
         outcome.remarks.read += [
             f"{line}; {len(found):,} channels: {patterns}" for line in first.remarks.read
         ]
@@ -116,17 +113,6 @@ def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Li
     return outcome
 
 
-def patterns_of(asked: IdentifyRun) -> Columns:
-    """Return the patterns of columns (UsageError where one of the two is none)."""
-    return Columns.of(voltage=asked.voltage or "", displacement=asked.displacement or "")
-
-
-def refuse_two_shapes(asked: IdentifyRun) -> None:
-    """Refuse a prior beside a shape that is found here (UsageError)."""
-    if asked.shared_shape and asked.prior is not None:
-        raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
-
-
 @dataclasses.dataclass
 class ChannelFits:
     """The models of channels, identified one by one, in whichever process.
@@ -134,19 +120,33 @@ class ChannelFits:
     Attributes
     ----------
     asked, columns
-        What is asked for, and the patterns.
+        What is asked for, and the patterns in it.
     coupling
         How the channels show in each other, once that is found.
     apart
         The recordings by channel, where all had to be read before.
+
+    Raises
+    ------
+    UsageError
+        A column is no pattern, or the shape is to come from two places.
     """
 
     asked: IdentifyRun
-    columns: Columns
     listener: Listener = SILENT
+    columns: Columns = dataclasses.field(init=False)
     coupling: Coupling | None = None
     apart: Mapping[str, Recordings] = dataclasses.field(default_factory=dict)
     _seen: dict[bytes, dict[str, None]] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Take the patterns out."""
+        asked = self.asked
+        self.columns = Columns.of(voltage=asked.voltage or "", displacement=asked.displacement or "")
+        if asked.shared_shape and asked.prior is not None:
+            raise UsageError(
+                "`shared_shape` and `prior` exclude each other: each is where the shape comes from"
+            )
 
     def models(self, work: Work, outcome: Outcome) -> Iterator[tuple[str, Identified]]:
         """Identify a model of each channel, in the order of the log."""
@@ -198,9 +198,9 @@ class ChannelFits:
         self, channel: str, readers: Sequence[Any], checks: Sequence[Any], prior: Any
     ) -> Callable[[], Recordings]:
         """Return what reads one channel; two of the same displacements are kept in mind."""
-        if channel in self.apart:
-            return functools.partial(_as_it_is, self.apart[channel])
-        fit, judged = ([one.log(channel) for one in some] for some in (readers, checks))
+        fit, judged = self.apart.get(channel) or (
+            [one.log(channel) for one in readers], [one.log(channel) for one in checks]
+        )  # fmt: skip
         number = readers[0].channels[channel]["displacement"].number
         if isinstance(fit[0], Address) and fit[0].table is not None:
             digest = hashlib.sha256(fit[0].table.block.values[str(number)].tobytes()).digest()
@@ -233,10 +233,6 @@ def _recorded(
         except DboError as problem:
             raise type(problem)(f"channel {channel}: {problem}") from None
     return found
-
-
-def _as_it_is(recorded: Recordings) -> Recordings:
-    return recorded
 
 
 def recordings_apart(

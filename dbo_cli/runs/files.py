@@ -311,7 +311,7 @@ def read_record(name: str, read: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def summary_of_values(
-    command: str, read: Mapping[str, Any] | None, values: Floats, remarks: Remarks
+    values: Floats, command: str, read: Mapping[str, Any] | None, remarks: Remarks
 ) -> dict[str, Any]:
     """Return what was done as plain values, of a signal at hand."""
     figures = DriveFigures()

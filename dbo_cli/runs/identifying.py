@@ -174,7 +174,8 @@ class IdentifyRun:
     Attributes
     ----------
     logs, validation
-        Addresses of what is fitted, and of what the model is judged on; from Python tables and arrays, too.
+        Addresses of what is fitted, and of what the model is judged on; from Python tables and arrays, too;
+        and what was read already.
     reading
         How logs are read; its rows are not those of the validation's.
     options
@@ -224,6 +225,8 @@ class IdentifyRun:
         wishes = recording_wishes(self.voltage, self.displacement)
 
         def read(log: Any, reading: ReadingOptions) -> RecordedLog:
+            if isinstance(log, RecordedLog):
+                return log
             opened_log = opened(log, wishes, reading, listener, time=self.time, digest=True)
             with closing(opened_log) as source:
                 taken = source.columns["displacement"]

@@ -18,7 +18,7 @@ from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning
-from dbo_cli.runs.channel_models import ChannelFits, patterns_of, refuse_two_shapes
+from dbo_cli.runs.channel_models import ChannelFits
 from dbo_cli.runs.channels import common_rows
 from dbo_cli.runs.identifying import IdentifyRun
 from dbo_cli.runs.jobs import Outcome, Work, summed_up
@@ -185,8 +185,7 @@ def identify_set(asked: IdentifyRun, jobs: int) -> ModelSet:
     DboError
         As ``identify``, with the channel's name.
     """
-    channels = ChannelFits(asked, patterns_of(asked))
-    refuse_two_shapes(asked)
+    channels = ChannelFits(asked)
     found = dict(channels.models(Work(jobs, all_needed=True), Outcome()))
     models = {name: Model(one.model, one.summary, one.remarks) for name, one in found.items()}
     for text in summed_up({name: model.warnings for name, model in models.items()}, "channel"):

@@ -17,7 +17,7 @@ from dbo_cli.drives.shapes import TrajectoryOptions, move
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import read_model
-from dbo_cli.logs.addresses import Address, check_format
+from dbo_cli.logs.addresses import check_format
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none
 from dbo_cli.remarks import Remarks
@@ -134,17 +134,16 @@ def _speed(axis: str, values: Floats, name: str, model: ActuatorModel) -> list[s
 
 
 def write_trajectory(
-    output: Address,
+    destination: Destination,
     options: TrajectoryOptions,
-    models: Sequence[str] = (),
-    unit: str | None = None,
-    form: str | None = None,
-    summary: Address | None = None,
-    command: str = "",
+    models: Sequence[str],
+    unit: str | None,
+    form: str | None,
 ) -> list[str]:
     """Write a move, one column an axis, and what was done; return what is to be said of it, and what next."""
+    output, summary = destination.output, destination.summary
     check_format(form, [output])
-    Destination(output, None, models, summary=summary).check()
+    destination.check()
     made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
     columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
     attributes = {"sample_rate": options.rate}
@@ -152,10 +151,8 @@ def write_trajectory(
         with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
             writer.write(made.time, *made.axes.values())
         if summary is not None:
-            remarks = Remarks(made.notes)
-            write_summary(
-                summary, [summary_of_values(command, None, one, remarks) for one in made.axes.values()]
-            )
+            told = (destination.command, None, Remarks(made.notes))
+            write_summary(summary, [summary_of_values(one, *told) for one in made.axes.values()])
     if output.is_stream:
         return made.notes
     words = ["dbo", "compensate", *(models[:1] or ["MODEL"]), output.text]

@@ -23,7 +23,7 @@ from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import Remarks
-from dbo_cli.runs.files import read_record, summary_of_values, write_summary
+from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
 from dbo_cli.waveforms import (
     FORMATS,
     Coding,
@@ -109,12 +109,7 @@ class WaveformOptions:
 
 
 def write_waveform(
-    drives: Sequence[Address],
-    output: Address,
-    reading: ReadingOptions,
-    options: WaveformOptions,
-    summary: Address | None = None,
-    command: str = "",
+    drives: Sequence[Address], destination: Destination, reading: ReadingOptions, options: WaveformOptions
 ) -> Remarks:
     """Write a generator's file of one drive, or of several that are played together, and what was done.
 
@@ -127,6 +122,7 @@ def write_waveform(
     GateError
         What was written, read back, breaks a limit: this program's fault; nothing is left behind.
     """
+    output, summary = destination.output, destination.summary
     check_name("-" if output.is_stream else output.path, options.to)
     check_outputs([one for one in (output, summary) if one is not None], drives)
     if summary is not None:
@@ -157,7 +153,7 @@ def write_waveform(
         write_whole(output, data, protect=drives)
         if summary is not None:
             done = (
-                summary_of_values(command, read, one, Remarks([*said.notes, line], said.warnings))
+                summary_of_values(one, destination.command, read, Remarks([*said.notes, line], said.warnings))
                 for read, one, (_, _, said, _), line in zip(records, back, found, lines, strict=True)
             )
             write_summary(summary, list(done))
