@@ -190,11 +190,11 @@ def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[s
         found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
         found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
     if plan.limits is not None:
-        slew, unit = plan.limits.max_slew, c.unit_behind(drive)
+        slew, unit = plan.limits.max_slew, drive.suffix
         slowly = "" if slew is None else f", changing by at most {slew!r}{unit} a second"
         found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), f"{plan.limits.v_max!r}{unit}{slowly}"
     if loss:
-        unit = c.unit_behind(forward.output)
+        unit = forward.output.suffix
         most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
         found["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
     return c.fill("notes.md", {**words, **found}).splitlines()

@@ -26,7 +26,7 @@ from xml.sax.saxutils import escape
 
 from dbo_cli.errors import OutputError
 from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.source_text import ModelCode, Values, fill, unit_behind
+from dbo_cli.export.source_text import ModelCode, Values, fill
 from dbo_cli.hysteresis.model import Quantity
 
 MANIFEST = "export.json"
@@ -158,11 +158,11 @@ def shown_figures(one: Translated) -> Values:
     figures = {key.upper(): str(value) for key, value in asdict(summary).items()}
     for key in ("same_gears", "after_close_turn"):
         most, percent = summary.bounds.get(key, 0.0), summary.bounds.get(f"{key}_percent", 0.0)
-        figures[key.upper()] = f"{most:.3g}{unit_behind(result)} ({percent:.3g} %"
+        figures[key.upper()] = f"{most:.3g}{result.suffix} ({percent:.3g} %"
     figures["CLOSE_TURN"] = f"{summary.bounds.get('close_turn_fraction', 0.0):.2g}"
-    figures["LOWEST_DRIVE"] = f"{drive.minimum!r}{unit_behind(drive)}"
+    figures["LOWEST_DRIVE"] = f"{drive.minimum!r}{drive.suffix}"
     for way, quantity in (("INPUT", plan.model.input), ("OUTPUT", result)):
-        ends = f"{quantity.minimum:.9g} to {quantity.maximum:.9g}{unit_behind(quantity)}"
+        ends = f"{quantity.minimum:.9g} to {quantity.maximum:.9g}{quantity.suffix}"
         figures |= {f"{way}_NAME": quantity.quantity, f"{way}_RANGE": ends}
     return {
         **figures, "moving": plan.model.dynamics is not None,

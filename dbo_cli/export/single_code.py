@@ -173,21 +173,6 @@ def counts_of_range(quantity: Quantity) -> tuple[float, float]:
     return 0.5 * (quantity.minimum + quantity.maximum), 0.5 * quantity.span / COUNTS
 
 
-def check_memories(plan: CascadePlan) -> None:
-    """Refuse memories that would stand still in q31.
-
-    Raises
-    ------
-    ModelError
-        A memory follows by less than 2^-34 a step.
-    """
-    if plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
-        raise ModelError(
-            "relaxation.tau: a memory this slow at this rate stands still in q31"
-            " (`sample_rate` lower, or `arithmetic` double)"
-        )
-
-
 def _terms(plan: CascadePlan, axes: Axes, q31: bool) -> list[tuple[Any, Any, int, int]]:
     """Return (carried, rest, carried_shift, rest_shift) of each relaxation term."""
     found: list[tuple[Any, Any, int, int]] = []
@@ -474,8 +459,11 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
             "dynamics are beyond float and q31 (`arithmetic` double, or identify with `dynamics` 0)"
         )
     axes = axes_of(plan)
-    if q31:
-        check_memories(plan)
+    if q31 and plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
+        raise ModelError(
+            "relaxation.tau: a memory this slow at this rate stands still in q31"
+            " (`sample_rate` lower, or `arithmetic` double)"
+        )
     bounds = derive_bounds(plan, axes, q31)
     t = single_tables(plan, axes, q31, bounds["close_turn_fraction"])
     text: Text = integer if q31 else hex_float

@@ -59,11 +59,6 @@ def plain_quantity(quantity: Quantity) -> Quantity:
     return replace(quantity, quantity=plain(quantity.quantity), unit=quantity.unit and plain(quantity.unit))
 
 
-def unit_behind(quantity: Quantity) -> str:
-    """Return a quantity's unit as it stands behind a number; nothing where it is not known."""
-    return f" {quantity.unit}" if quantity.unit else ""
-
-
 def check_name(name: str) -> None:
     """Refuse a name that cannot begin the names of files, types and functions in C, C++ and on every disk.
 

@@ -128,7 +128,8 @@ def covered_gears(gears: DiscreteBacklashOperator, low: float, top: float) -> Co
     """
     core, bits, x0, y0 = gears, 0, gears.x0, gears.y0
     if low > gears.x0 + 0.5 * float(gears.dx[-1]):
-        _, state, _ = gears.run([top, low], gears.empty(), decay=_at_once(gears))
+        at_once = np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
+        _, state, _ = gears.run([top, low], gears.empty(), decay=at_once)  # relaxation plays no part
         count = _gears_within(gears, top - low)
         if state.bits & ((1 << count) - 1) == 0:  # else the gears do not divide the range: nothing to spare
             bits, x0 = state.bits, low
@@ -145,11 +146,6 @@ def _gears_within(gears: DiscreteBacklashOperator, width: float) -> int:
     """Return how many gears, the first ones, are needed to span ``width``."""
     count = int(np.searchsorted(np.cumsum(gears.dx), width - 0.5 * float(gears.dx[-1]))) + 1
     return min(count, gears.n)
-
-
-def _at_once(gears: DiscreteBacklashOperator) -> Floats | None:
-    """Return decay factors with which relaxation plays no part in where the gears stand."""
-    return np.zeros((1, len(gears.relaxation.tau))) if gears.relaxation else None
 
 
 def digest_of(stages: Sequence[Stage]) -> str:

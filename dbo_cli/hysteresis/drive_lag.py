@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import MemoryFree, least_slope, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
-from dbo_cli.hysteresis.kernel import towards
+from dbo_cli.hysteresis.kernel import window
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscreteBacklashOperator, Outside
 
@@ -195,21 +195,13 @@ def _last_drive(rest: Prompt, state: ModelState) -> float | None:
     return None if state.drive is None else rest.outer_drive(state.drive)
 
 
-def _bounds(before: float | None, step: float | None, limits: DriveLimits) -> tuple[float, float]:
-    """Return the least and the largest drive of one sample; the range wins over the slew limit."""
-    if before is None or step is None:
-        return limits.v_min, limits.v_max
-    low, high = towards(before, -step), towards(before, step)
-    return min(max(low, limits.v_min), limits.v_max), max(min(high, limits.v_max), limits.v_min)
-
-
 def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, int]:
     """Return one sample whose drive is the bound that holds it back, and which one that is."""
     wanted = float(_unbounded(rest, block, state)[1][0])
     part, rise = block.numbers[0].tolist()
     most = block.limits.largest_step(block.steps)
     step = None if most is None else float(np.ravel(most)[0])
-    bounds = _bounds(_last_drive(rest, state), step, block.limits)
+    bounds = window(block.limits.v_min, block.limits.v_max, step, _last_drive(rest, state))
     p, _, u = (0.0, 0.0, 0.0) if state.drive_lag is None else state.drive_lag[0]
     low, high = bounds
     if state.drive_lag is not None:  # else at rest at this sample: the lag passes on what it gets
@@ -265,14 +257,14 @@ def _ramp(rest: Prompt, block: Block, state: ModelState, side: int) -> tuple[Flo
     parts, rises = (np.broadcast_to(numbers, size).tolist() for numbers in block.numbers.T)
     found: list[tuple[float, float, float]] = []
     for step, part, rise in zip(steps, parts, rises, strict=True):
-        bounds = _bounds(u, step, block.limits)
+        bounds = window(block.limits.v_min, block.limits.v_max, step, u)
         low, high = (p + part * (u - p) + rise * (bound - u) for bound in bounds)
         if not low < high:
             break
         w = inner = high if side > 0 else low
         if rest.tail:  # rounding on the way through the points and back
-            window = rest.inner_limits(DriveLimits(low, high))
-            inner = window.v_max if rising else window.v_min
+            reach = rest.inner_limits(DriveLimits(low, high))
+            inner = reach.v_max if rising else reach.v_min
             w = min(max(rest.outer_drive(inner), low), high)
             if abs(w - (high if side > 0 else low)) > NEGLIGIBLE * (high - low):
                 break

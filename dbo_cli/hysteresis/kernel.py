@@ -239,9 +239,9 @@ def _known_part(weights: list[float], held: list[float], decay: list[float]) -> 
     return remembered, kappa
 
 
-def _window(low: float, high: float, step: float | None, last: float) -> tuple[float, float]:
+def window(low: float, high: float, step: float | None, last: float | None) -> tuple[float, float]:
     """Return the output limits of one sample; the range wins over the slew limit."""
-    if step is None or math.isnan(last):
+    if step is None or last is None or math.isnan(last):
         return low, high
     return min(max(towards(last, -step), low), high), max(min(towards(last, step), high), low)
 
@@ -315,7 +315,7 @@ def backlash_run(
             u = (u - remembered) - kappa * (y0 - reference)
         excess = -1.0
         if limited:
-            least, most = _window(low, high, steps[k if len(steps) > 1 else 0], last)
+            least, most = window(low, high, steps[k if len(steps) > 1 else 0], last)
             last, excess, outside = _solve_within(walk, u, kappa, y0, least, most, extend)
         else:
             rest, outside = _solve(walk, u, kappa, -math.inf, math.inf, extend)
