@@ -13,7 +13,7 @@ from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.excitation import Excitation, sweep
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, creep, identify
-from dbo_cli.hysteresis.identification.fast_parts import split
+from dbo_cli.hysteresis.identification.recordings import split
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage, Stage
 from dbo_cli.hysteresis.model_file import model_to_bytes
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from typing import IO, Any, cast
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import GAVE_UP
+from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ReadingOptions
 
 _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
@@ -359,3 +360,37 @@ def _open_file(address: Address) -> IO[bytes]:
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise InputError(f"{address.path}: cannot be read: {reason}") from None
+
+
+# --- where a model comes from ------------------------------------------------------------------------
+
+
+def file_sha256(path: str) -> str:
+    """Hash a file's bytes (hexadecimal SHA-256).
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    import hashlib
+
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+
+
+def input_record(
+    address: Given, rows: int, sha256: str | None = None, others: Sequence[Given] = ()
+) -> dict[str, Any]:
+    """Record an input: its name without folders (they differ between machines), its digest and the rows used.
+
+    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``); ``others``
+    are the addresses of further files of the same log, whose records are ``joined``.
+    """
+    parsed = parse_address(address)
+    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
+    record = {"name": cleaned(name), "sha256": sha256 or file_sha256(parsed.path), "rows": rows}
+    return record | ({"joined": [input_record(other, rows) for other in others]} if others else {})

@@ -18,16 +18,15 @@ import re
 from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, without_folder
-from dbo_cli.logs.byte_source import BINARY, ZIP, Request
+from dbo_cli.logs.byte_source import BINARY, ZIP, Request, input_record
 from dbo_cli.logs.clock import JITTER, TimeCheck, median_step, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
-from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table, joined
 from dbo_cli.logs.sources import Source
@@ -531,7 +530,7 @@ class SignalLog(Source):
         """Close the file."""
         self._table.close()
 
-    def record(self) -> InputRecord:
+    def record(self) -> dict[str, Any]:
         """Record this log for a model's provenance, once it has been read (a stream: with ``digest``)."""
         return input_record(self._address, self.rows_read, self._table.sha256, self._others)
 
@@ -668,48 +667,3 @@ def _scales_by_role(
         if role in columns:
             found[role] = scale
     return found
-
-
-# --- where a model comes from ------------------------------------------------------------------------
-
-
-class InputRecord(TypedDict):
-    """What a model keeps of one of its inputs; ``joined`` are the other files that columns came from."""
-
-    name: str
-    sha256: str
-    rows: int
-    joined: NotRequired[list[InputRecord]]
-
-
-def file_sha256(path: str) -> str:
-    """Hash a file's bytes (hexadecimal SHA-256).
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
-    import hashlib
-
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as problem:
-        raise InputError(f"{path}: cannot be read: {problem.strerror or problem}") from None
-
-
-def input_record(
-    address: Given, rows: int, sha256: str | None = None, others: Sequence[Given] = ()
-) -> InputRecord:
-    """Record an input: its name without folders (they differ between machines), its digest and the rows used.
-
-    ``sha256`` must be given for standard input, which cannot be read twice (``SignalLog.sha256``); ``others``
-    are the addresses of further files of the same log.
-    """
-    parsed = parse_address(address)
-    name = os.path.basename(parsed.path) + (f"::{parsed.group}" if parsed.group else "")
-    record = InputRecord(name=cleaned(name), sha256=sha256 or file_sha256(parsed.path), rows=rows)
-    if others:
-        record["joined"] = [input_record(other, rows) for other in others]
-    return record

@@ -306,7 +306,7 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
     The groups are those of the DBO's own expectation; its other part, how far models that explain the logs as
     well go apart, is not looked for here.
     """
-    from dbo_cli.hysteresis.identification import left_out as own
+    from dbo_cli.hysteresis.identification import statistics as own
 
     worst = cycles**2
     for _, labels in own.groupings(logs, Basis(1, design.low, design.high)):

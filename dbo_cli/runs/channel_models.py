@@ -22,14 +22,16 @@ from dbo_cli.logs.reading_options import ALL_ROWS
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
+from dbo_cli.runs import jobs
 from dbo_cli.runs.channels import (
     CHANNEL,
-    Columns,
     address_of,
+    columns_of,
     make_folder_of,
     matrix_of,
     models_by_channel,
     opened_readers,
+    patterns_of,
 )
 from dbo_cli.runs.identifying import (
     Identified,
@@ -37,19 +39,6 @@ from dbo_cli.runs.identifying import (
     RecordedLog,
     Recordings,
     identify_recordings,
-)
-from dbo_cli.runs.jobs import (
-    Failed,
-    Outcome,
-    Work,
-    check_names,
-    each_file,
-    named,
-    of_file,
-    run_jobs,
-    spread_line,
-    sum_up,
-    summed_up,
 )
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
@@ -67,7 +56,9 @@ may leave. Eight virtual actuators (sample_data/) that differ in gain and offset
 """
 
 
-def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+def identify_channels(
+    asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener
+) -> jobs.Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
     channels = ChannelFits(asked, listener)
     inputs = [*asked.logs, *asked.validation]
@@ -80,7 +71,7 @@ def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener:
     check_document(output, "a model", "json")
     if CHANNEL not in output.text:
         check_outputs([output], inputs)
-    outcome, work = Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
+    outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
     found = dict(channels.models(work, outcome))
     with all_or_none():
         if found:
@@ -88,7 +79,7 @@ def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener:
             _write_models(output, models, inputs, channels.coupling)
     if found:
         first = next(iter(found.values()))
-        patterns = ", ".join(f"{option} '{one}'" for option, one in channels.columns.patterns.items())
+        patterns = ", ".join(f"{option} '{one}'" for option, one in channels.patterns.items())
         outcome.remarks.read += [
             f"{line}; {len(found):,} channels: {patterns}" for line in first.remarks.read
         ]
@@ -96,17 +87,17 @@ def identify_channels(asked: IdentifyRun, output: Address, work: Work, listener:
     return outcome
 
 
-def identify_files(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
+def identify_files(asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener) -> jobs.Outcome:
     """Identify a model of each log by itself."""
-    check_names(output, asked.logs)
-    files = [of_file(output, log) for log in asked.logs]
+    jobs.check_names(output, asked.logs)
+    files = [jobs.of_file(output, log) for log in asked.logs]
     check_outputs(files, [*asked.logs, *asked.validation])
     calls = [
         (log, functools.partial(dataclasses.replace(asked, logs=[log]).run, file))
         for log, file in zip(asked.logs, files, strict=True)
     ]
-    found, outcome = each_file(calls, work, listener)
-    outcome.remarks.read += summed_up({name: one.remarks.read for name, one in found.items()}, "file")
+    found, outcome = jobs.each_file(calls, work, listener)
+    outcome.remarks.read += jobs.summed_up({name: one.remarks.read for name, one in found.items()}, "file")
     if len(asked.logs) == 1 and found:
         outcome.remarks.notes += next(iter(found.values())).summary
     _say_found(found, "file", outcome.remarks)
@@ -119,8 +110,8 @@ class ChannelFits:
 
     Attributes
     ----------
-    asked, columns
-        What is asked for, and the patterns in it.
+    asked, patterns
+        What is asked for, and the patterns of columns in it.
     coupling
         How the channels show in each other, once that is found.
     apart
@@ -134,7 +125,7 @@ class ChannelFits:
 
     asked: IdentifyRun
     listener: Listener = SILENT
-    columns: Columns = dataclasses.field(init=False)
+    patterns: Mapping[str, str] = dataclasses.field(init=False)
     coupling: Coupling | None = None
     apart: Mapping[str, Recordings] = dataclasses.field(default_factory=dict)
     _seen: dict[bytes, dict[str, None]] = dataclasses.field(default_factory=dict)
@@ -142,19 +133,19 @@ class ChannelFits:
     def __post_init__(self) -> None:
         """Take the patterns out."""
         asked = self.asked
-        self.columns = Columns.of(voltage=asked.voltage or "", displacement=asked.displacement or "")
+        self.patterns = patterns_of(voltage=asked.voltage or "", displacement=asked.displacement or "")
         if asked.shared_shape and asked.prior is not None:
             raise UsageError(
                 "`shared_shape` and `prior` exclude each other: each is where the shape comes from"
             )
 
-    def models(self, work: Work, outcome: Outcome) -> Iterator[tuple[str, Identified]]:
+    def models(self, work: jobs.Work, outcome: jobs.Outcome) -> Iterator[tuple[str, Identified]]:
         """Identify a model of each channel, in the order of the log."""
-        asked, columns, reading = self.asked, self.columns, self.asked.reading
+        asked, patterns, reading = self.asked, self.patterns, self.asked.reading
         whole = dataclasses.replace(reading, rows=ALL_ROWS)
         with (
-            opened_readers(asked.logs, reading, columns, digest=True) as readers,
-            opened_readers(asked.validation, whole, columns, digest=True) as checks,
+            opened_readers(asked.logs, reading, patterns, digest=True) as readers,
+            opened_readers(asked.validation, whole, patterns, digest=True) as checks,
         ):
             channels, options = list(readers[0].channels), asked.options
             kept = _priors(asked.prior, channels)
@@ -169,29 +160,29 @@ class ChannelFits:
                 outcome.remarks.notes.append(self.coupling.summary())
             if asked.shared_shape:
                 self.listener.working("the shape that the channels share")
-                arguments = asked.arguments(columns.patterns, checked=False)
+                arguments = asked.arguments(patterns, checked=False)
                 words = (channels, lambda one: recordings(one)()[0], options, arguments)
                 shape, note = shared_shape(*words, work.processes)
                 self.listener.finished()
                 outcome.remarks.notes.append(note)
                 kept, options = (lambda channel: shape), options_of_channel(options)
 
-            def jobs() -> Iterator[tuple[str, Callable[[], Identified]]]:
+            def calls() -> Iterator[tuple[str, Callable[[], Identified]]]:
                 for channel in channels:
                     prior = kept(channel)
-                    arguments = asked.arguments(columns.of_channel(channel), prior)
+                    arguments = asked.arguments(columns_of(patterns, channel), prior)
                     yield (
                         channel,
                         functools.partial(_identified, recordings(channel), options, arguments, prior),
                     )
 
-            for one in outcome.good(jobs(), work, "channel", len(channels), self.listener):
+            for one in outcome.good(calls(), work, "channel", len(channels), self.listener):
                 yield one.name, one.value
         for twins in self._seen.values():
             if len(twins) > 1:
                 outcome.remarks.warn(
-                    f"channels {named(list(twins))} hold the same displacements, sample by sample: is one "
-                    "channel's log another's?"
+                    f"channels {jobs.named(list(twins))} hold the same displacements, sample by sample: is "
+                    "one channel's log another's?"
                 )
 
     def _recordings(
@@ -205,7 +196,7 @@ class ChannelFits:
         if isinstance(fit[0], Address) and fit[0].table is not None:
             digest = hashlib.sha256(fit[0].table.block.values[str(number)].tobytes()).digest()
             self._seen.setdefault(digest, {})[channel] = None
-        columns = self.columns.of_channel(channel)
+        columns = columns_of(self.patterns, channel)
         own = dataclasses.replace(
             self.asked, logs=fit, validation=judged, voltage=columns["voltage"],
             displacement=columns["displacement"], prior=None,
@@ -310,8 +301,8 @@ def _say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> 
         percents = {c: one.model.fit.get(key) for c, one in found.items()}
         known = {c: value for c, value in percents.items() if isinstance(value, float)}
         if known:
-            remarks.notes.append(spread_line(known, noun, what, why))
-    sum_up(remarks, {channel: one.remarks for channel, one in found.items()}, noun)
+            remarks.notes.append(jobs.spread_line(known, noun, what, why))
+    jobs.sum_up(remarks, {channel: one.remarks for channel, one in found.items()}, noun)
 
 
 # --- one loop shape for all channels: the mean of what they do, then gain, offset and lag of each ---
@@ -368,31 +359,31 @@ def shared_shape(
         others = {channel: others[channel] for channel in _spread(list(others), MOST_UNLIKE)}
     mean = _mean_of(others) if alike else _of_one_gain(others, options)
     own_options = options_of_channel(options)
-    jobs = {"the mean": functools.partial(identify_recordings, mean, options, (), arguments)}
-    jobs |= {channel: functools.partial(identify_recordings, logs[channel], options) for channel in asked}
-    fits = _fits(jobs, processes)
+    calls = {"the mean": functools.partial(identify_recordings, mean, options, (), arguments)}
+    calls |= {channel: functools.partial(identify_recordings, logs[channel], options) for channel in asked}
+    fits = _fits(calls, processes)
     shape = fits.pop("the mean").model
     ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in asked}
     middle = float(np.median(list(ratios.values())))
     if middle > WORSE and not options.force:
         raise FitError(
-            f"the channels have no common shape: on channels left out of it ({named(asked)}) one shape "
+            f"the channels have no common shape: on channels left out of it ({jobs.named(asked)}) one shape "
             f"for all leaves {middle:.3g} times what their own models leave on cycles left out; leave "
             "`shared_shape` out, or identify like channels together (`force` keeps it)"
         )
     what = "the mean" if alike else "fitted to the logs"
     return (
         shape,
-        f"one shape, {what} of {len(others)} channels: on {named(asked)}, left out of it, it leaves "
+        f"one shape, {what} of {len(others)} channels: on {jobs.named(asked)}, left out of it, it leaves "
         f"{middle:.3g} times what their own models leave on cycles left out",
     )
 
 
-def _fits(jobs: Mapping[str, Callable[[], Identified]], processes: int) -> dict[str, Identified]:
+def _fits(calls: Mapping[str, Callable[[], Identified]], processes: int) -> dict[str, Identified]:
     """Return what each job identified; the first failure ends it, and names its job."""
     fits: dict[str, Identified] = {}
-    for done in run_jobs(jobs.items(), processes):
-        if isinstance(done, Failed):
+    for done in jobs.run_jobs(calls.items(), processes):
+        if isinstance(done, jobs.Failed):
             raise type(done.problem)(f"shared shape, {done.name}: {done.problem}")
         fits[done.name] = done.value
     return fits

@@ -25,7 +25,6 @@ from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, chec
 from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.channels import (
     CHANNEL,
-    Columns,
     address_of,
     common_rows,
     in_name,
@@ -33,6 +32,7 @@ from dbo_cli.runs.channels import (
     matrix_of,
     models_by_channel,
     opened_readers,
+    patterns_of,
     sum_up_remarks,
 )
 from dbo_cli.runs.files import Destination, SignalRun, check_order
@@ -48,15 +48,15 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
     What is said of each channel is summed up.
     """
     destination, reading = asked.destination, asked.reading
-    columns = Columns.of(**{asked.option: asked.column or ""})
+    patterns = patterns_of(**{asked.option: asked.column or ""})
     each_own = CHANNEL in destination.output.text
     _check_asked(asked)
     outcome = Outcome()
     remarks: dict[str, Remarks] = {}
     summaries: list[dict[str, Any]] = []
-    with opened_readers([asked.log], reading, columns) as (reader,):
+    with opened_readers([asked.log], reading, patterns) as (reader,):
         channels = list(reader.channels)
-        (pattern,) = columns.patterns.values()
+        (pattern,) = patterns.values()
         models = models_by_channel(asked.model, channels, is_matrix(pattern))
         coupling, wanted = coupling_of(asked.model, channels, work), asked.drive is not None
         work = dataclasses.replace(work, all_needed=coupling is not None)

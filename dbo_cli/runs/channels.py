@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,30 +30,23 @@ if TYPE_CHECKING:
 CHANNEL = "{channel}"
 
 
-class Columns(NamedTuple):
-    """The columns that were asked for, by parameter: patterns, of one log."""
+def patterns_of(**selectors: str | None) -> dict[str, str]:
+    """Return patterns of columns by parameter, or refuse a single column among them (UsageError).
 
-    patterns: Mapping[str, str]
+    A parameter of None takes no part; one of an empty text has to be given.
+    """
+    given = {option: one for option, one in selectors.items() if one is not None}
+    pattern = next((f"`{option}` '{one}'" for option, one in given.items() if is_pattern(one)), "a pattern")
+    for option, one in given.items():
+        if not is_pattern(one):
+            found = f"is one column, '{one}'," if one else "is not given"
+            raise UsageError(f"`{option}` {found} where {pattern} is many: give a pattern for both")
+    return given
 
-    @classmethod
-    def of(cls, **selectors: str | None) -> Columns:
-        """Return the patterns, or refuse a single column among them (UsageError).
 
-        A parameter of None takes no part; one of an empty text has to be given.
-        """
-        given = {option: one for option, one in selectors.items() if one is not None}
-        pattern = next(
-            (f"`{option}` '{one}'" for option, one in given.items() if is_pattern(one)), "a pattern"
-        )
-        for option, one in given.items():
-            if not is_pattern(one):
-                found = f"is one column, '{one}'," if one else "is not given"
-                raise UsageError(f"`{option}` {found} where {pattern} is many: give a pattern for both")
-        return cls(given)
-
-    def of_channel(self, channel: str) -> dict[str, str]:
-        """Return one channel's columns by parameter."""
-        return {option: column_of(one, channel) for option, one in self.patterns.items()}
+def columns_of(patterns: Mapping[str, str], channel: str) -> dict[str, str]:
+    """Return one channel's columns by parameter."""
+    return {option: column_of(one, channel) for option, one in patterns.items()}
 
 
 def wants_channels(output: Address, *selectors: str | None) -> bool:
@@ -88,11 +81,11 @@ def address_of(address: Address, channel: str) -> Address:
 class TableReader:
     """A table whose columns are read by channel, as ``ChannelReader`` reads those of a log."""
 
-    def __init__(self, table: Any, columns: Columns) -> None:
+    def __init__(self, table: Any, patterns: Mapping[str, str]) -> None:
         self._table = table
         infos = [column_info(str(name), number) for number, name in enumerate(table.columns, 1)]
         taken = {one.number for one in infos if one.quantity.lower() in TIME_NAMES}
-        self.channels = channels_of(TABLE, infos, columns.patterns, taken)
+        self.channels = channels_of(TABLE, infos, patterns, taken)
 
     def log(self, channel: str) -> Any:
         """Return the table without the columns of other channels."""
@@ -104,16 +97,16 @@ class TableReader:
 
 @contextlib.contextmanager
 def opened_readers(
-    logs: Sequence[Any], reading: ReadingOptions, columns: Columns, digest: bool = False
+    logs: Sequence[Any], reading: ReadingOptions, patterns: Mapping[str, str], digest: bool = False
 ) -> Iterator[list[Any]]:
     """Open logs or tables that all have the same channels (InputError where one lacks some)."""
     with contextlib.ExitStack() as stack:
         readers: list[ChannelReader | TableReader] = []
         for one in logs:
             if is_table(one):
-                readers.append(TableReader(one, columns))
+                readers.append(TableReader(one, patterns))
             elif is_file(one) or isinstance(one, Address):
-                reader = ChannelReader(parse_address(one), reading, columns.patterns, digest)
+                reader = ChannelReader(parse_address(one), reading, patterns, digest)
                 stack.callback(reader.close)
                 readers.append(reader)
             else:

@@ -11,7 +11,7 @@ import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
@@ -28,7 +28,7 @@ from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch, rows_to_read
-from dbo_cli.runs.channels import Columns, models_by_channel, opened_readers, sum_up_remarks
+from dbo_cli.runs.channels import columns_of, models_by_channel, opened_readers, patterns_of, sum_up_remarks
 from dbo_cli.runs.jobs import Outcome, Work, spread_line
 from dbo_cli.runs.roles import bring_to, opened, short_names
 from dbo_cli.version import program_version_string
@@ -95,6 +95,11 @@ class TrackingOptions:
         """Return how signals are compared."""
         labels = ("model" if with_model else "desired", "measured")
         segment = float(self.segment) if isinstance(self.segment, int) else self.segment
+        if with_model and self.trajectory is not None:
+            raise UsageError(
+                "`trajectory` and `model` exclude each other: compare with what was wanted, or with what the "
+                "model predicts"
+            )
         if with_model and self.dwell is not None:
             raise UsageError("`dwell` and `model` exclude each other: a model's prediction is held nowhere")
         return ReportOptions(self.lag, self.remove_offset, segment, labels, self.dwell)
@@ -224,8 +229,6 @@ class TrackingRun:
         self, source: Source, trajectory: Source, match: Match, listener: Listener
     ) -> TrajectoryMatch:
         """Return the pairs of a recording and a trajectory (UsageError where a model predicts)."""
-        if self.model is not None:
-            refuse_both()
         by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
         if by_time:
             for one in (source, trajectory):
@@ -237,14 +240,6 @@ class TrackingRun:
     def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
         for block in counted(source, listener):
             yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]).y)
-
-
-def refuse_both() -> NoReturn:
-    """Refuse a trajectory beside a model (UsageError)."""
-    raise UsageError(
-        "`trajectory` and `model` exclude each other: compare with what was wanted, or with what the model"
-        " predicts"
-    )
 
 
 def counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
@@ -409,12 +404,11 @@ class ReportRun:
 def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
     options, figures = asked.options, asked.figures
-    if options.model is not None and options.trajectory is not None:
-        refuse_both()
+    scoring = options.scoring(options.model is not None)
     chosen, inputs = asked.prepared()
     model = None if options.model is None else read_model(options.model)
     traced = figures is not None or chosen == "html"
-    tracking = TrackingRun(options.scoring(model is not None), model, str(options.model), traced)
+    tracking = TrackingRun(scoring, model, str(options.model), traced)
     names = short_names(asked.logs)
     for address in asked.logs:
         add_log(tracking, address, asked.reading, options, names.get(address), listener)
@@ -533,14 +527,14 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written
         )
     wanted = None if options.model is not None else options.desired or ""
     drive = (options.voltage or "") if options.model is not None else options.voltage
-    columns = Columns.of(desired=wanted, measured=options.measured or "", voltage=drive)
+    patterns = patterns_of(desired=wanted, measured=options.measured or "", voltage=drive)
     chosen, inputs = asked.prepared()
     outcome = Outcome()
     merits: list[LogReport] = []
     units: list[tuple[str, str | None]] = []
     texts: dict[str, Remarks] = {}
     short = short_names(logs)
-    with opened_readers(logs, asked.reading, columns) as readers:
+    with opened_readers(logs, asked.reading, patterns) as readers:
         channels = list(readers[0].channels)
         models = None if options.model is None else models_by_channel(options.model, channels)
         if options.model is not None and is_set(options.model) and read_set(options.model).coupling:
@@ -553,7 +547,7 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written
             for reader, address in zip(readers, logs, strict=True):
                 for channel in channels:
                     name = channel if len(logs) == 1 else f"{short.get(address, address.text)} {channel}"
-                    own: dict[str, Any] = columns.of_channel(channel)
+                    own: dict[str, Any] = columns_of(patterns, channel)
                     own |= {"model": models(channel) if models else None}
                     one = dataclasses.replace(options, **own)
                     yield name, functools.partial(_reported, reader.log(channel), name, asked.reading, one)
@@ -566,20 +560,20 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written
     report = Report.of(merits, options.scoring(options.model is not None), common_unit(units))
     if merits:
         _write(asked, report, chosen, inputs)
-    sum_up_remarks(texts, columns.patterns["measured"], outcome.remarks)
+    sum_up_remarks(texts, patterns["measured"], outcome.remarks)
     drawn = asked.figures is not None or chosen == "html"
-    outcome.remarks.notes += _summary(merits, columns if drawn and len(logs) == 1 else None)
+    outcome.remarks.notes += _summary(merits, patterns if drawn and len(logs) == 1 else None)
     return Written(report, chosen, outcome.remarks, outcome.failure)
 
 
-def _summary(merits: Sequence[LogReport], drawn: Columns | None) -> Iterator[str]:
+def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> Iterator[str]:
     """Return how the errors are spread, and how the figures of the worst are made where all were drawn."""
     percents = {log.name: x for log in merits if (x := log.figures.nrmse_percent) is not None}
     if percents:
         yield spread_line(percents, "channel", "RMSE of range", {})
     if percents and drawn is not None:
         worst = max(percents, key=percents.__getitem__)
-        own = ", ".join(f"`{option}` '{name}'" for option, name in drawn.of_channel(worst).items())
+        own = ", ".join(f"`{option}` '{name}'" for option, name in columns_of(drawn, worst).items())
         yield f"the figures are of all channels; for those of one name its columns: {own}"
 
 

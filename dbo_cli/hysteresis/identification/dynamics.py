@@ -34,9 +34,8 @@ from dbo_cli.hysteresis.identification.dynamics_choice import (
 )
 from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
 from dbo_cli.hysteresis.identification.evaluation import validated, validation_of
-from dbo_cli.hysteresis.identification.fast_parts import FastPart, grid_step, split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
-from dbo_cli.hysteresis.identification.recordings import Recording
+from dbo_cli.hysteresis.identification.recordings import FastPart, Recording, grid_step, split
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
 

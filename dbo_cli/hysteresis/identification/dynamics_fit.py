@@ -14,8 +14,7 @@ from scipy.signal import lfilter
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.identification.evaluation import TINY
-from dbo_cli.hysteresis.identification.fast_parts import FastPart
-from dbo_cli.hysteresis.identification.recordings import Floats
+from dbo_cli.hysteresis.identification.recordings import FastPart, Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 
 Booleans = NDArray[np.bool_]

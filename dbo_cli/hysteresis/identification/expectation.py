@@ -17,7 +17,6 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.evaluation import GAIN_EXPLAINS, most_noise, pooled, residual_of
-from dbo_cli.hysteresis.identification.left_out import groups_left_out, swings_of
 from dbo_cli.hysteresis.identification.normal_equations import (
     Solution,
     Structure,
@@ -29,7 +28,13 @@ from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.refinement import Fitted, corners, stages_of
 from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.search import Choice, sample_period
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
+from dbo_cli.hysteresis.identification.statistics import (
+    PreparedLog,
+    fewer_rows,
+    gather,
+    groups_left_out,
+    swings_of,
+)
 from dbo_cli.hysteresis.model import ActuatorModel, ScaleStage
 from dbo_cli.hysteresis.move_error import (
     Alternative,

@@ -14,12 +14,12 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validated,
     validation_of,
 )
-from dbo_cli.hysteresis.identification.fast_parts import split
 from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.paper_method import identify_as_in_paper
 from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     check_recordings,
+    split,
 )
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.model import ActuatorModel

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.left_out import groups_left_out
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
     quadratic,
@@ -21,6 +20,7 @@ from dbo_cli.hysteresis.identification.statistics import (
     Statistics,
     fewer_rows,
     gather,
+    groups_left_out,
 )
 
 ALL_GEARS = 1024

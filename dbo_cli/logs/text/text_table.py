@@ -299,7 +299,7 @@ class BlockParser:
         """Read the wanted columns of a regular block; None where it is not regular after all."""
         picks = list(self.picks.values())
         plain = small or (len(text) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
-        stamped = any(pick.written != "numbers" for pick in picks)
+        stamped = {pick.written for pick in picks} != {"numbers"}
         read = _parse_plain if plain or stamped else _parse_fast
         if self.dialect.decimal == "," and b"." in text:
             return None
