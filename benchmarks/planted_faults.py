@@ -127,7 +127,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/model.py",
         MODEL,
-        ("slew *= least_slope(stage)", "slew *= 1.0", "the slew limit holds through points behind the gears"),
+        ("slew *= cascade.least_slope(stage)", "slew *= 1.0", "the slew limit holds through points behind the gears"),
         ("y = np.clip(y, limits.v_min, limits.v_max)", "pass", "the range holds to the last bit behind points"),
         ("0 if state == \"empty\" else 1", "1 if state == \"empty\" else 0",
          "the slew limit holds from the first sample on"),

@@ -16,14 +16,13 @@ from dbo_cli.hysteresis.model import (
     DelayStage,
     DriveLimits,
     ModelState,
-    OutsideError,
     PointStage,
     Quantity,
     Relaxation,
     ScaleStage,
     slow_output_range,
 )
-from dbo_cli.hysteresis.model_state import start_drive, start_state
+from dbo_cli.hysteresis.model_state import OutsideError, start_drive, start_state
 from dbo_cli.hysteresis.operators import BacklashState
 
 VOLTAGE = Quantity("voltage", "V", 0.0, 3.6)

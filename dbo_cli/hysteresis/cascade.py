@@ -16,12 +16,8 @@ import numpy as np
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.operators import (
-    BacklashState,
-    DiscreteBacklashOperator,
-    DiscretePointOperator,
-    Floats,
-)
+from dbo_cli.hysteresis.kernel import Floats
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 
 
 @dataclass(frozen=True)

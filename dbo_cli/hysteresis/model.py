@@ -20,33 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis import drive_lag
-from dbo_cli.hysteresis.cascade import (
-    CoveredGears,
-    MemoryFree,
-    OtherHysteresis,
-    ScaleStage,
-    Stage,
-    covered_gears,
-    digest_of,
-    least_slope,
-    memory_free,
-    slow_output_range,
-    through,
-)
+from dbo_cli.hysteresis import cascade, drive_lag, model_state
+from dbo_cli.hysteresis.cascade import OtherHysteresis, ScaleStage, Stage, slow_output_range, through
 from dbo_cli.hysteresis.delay import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
-from dbo_cli.hysteresis.model_state import (
-    NEGLIGIBLE,
-    DriveLimits,
-    ModelState,
-    OutsideError,
-    Quantity,
-    Simulated,
-    StartName,
-    start_drive,
-    start_state,
-)
+from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated, StartName
 from dbo_cli.hysteresis.operators import (
     Axis,
     BacklashState,
@@ -66,7 +44,6 @@ __all__ = [
     "DriveLimits",
     "DynamicsStage",
     "ModelState",
-    "OutsideError",
     "PointStage",
     "Quantity",
     "Relaxation",
@@ -204,32 +181,32 @@ class ActuatorModel:
         return self.backlash if self.direction == "forward" else self.backlash.inverse()
 
     @cached_property
-    def covered_gears(self) -> CoveredGears:
+    def covered_gears(self) -> cascade.CoveredGears:
         """The forward gears that a drive inside the covered range moves; others take no part in starts."""
         drive = self.input if self.direction == "forward" else self.output
         bent = self.head if self.direction == "forward" else self.tail_inverse
         ends = through(bent, np.array([drive.minimum, drive.maximum]))
-        return covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
+        return cascade.covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
-    def head(self) -> MemoryFree:
+    def head(self) -> cascade.MemoryFree:
         """Points and scales before the gears."""
-        return memory_free(self.stages[: self._place])
+        return cascade.memory_free(self.stages[: self._place])
 
     @cached_property
-    def head_inverse(self) -> MemoryFree:
+    def head_inverse(self) -> cascade.MemoryFree:
         """What undoes ``head``."""
         return tuple(stage.inverse() for stage in reversed(self.head))
 
     @cached_property
-    def tail_inverse(self) -> MemoryFree:
+    def tail_inverse(self) -> cascade.MemoryFree:
         """What undoes ``tail``."""
         return tuple(stage.inverse() for stage in reversed(self.tail))
 
     @cached_property
-    def tail(self) -> MemoryFree:
+    def tail(self) -> cascade.MemoryFree:
         """Points and scales behind the gears."""
-        return memory_free(self.stages[self._place :])
+        return cascade.memory_free(self.stages[self._place :])
 
     @cached_property
     def dynamics(self) -> DynamicsStage | None:
@@ -312,7 +289,7 @@ class ActuatorModel:
     @cached_property
     def digest(self) -> str:
         """A name for everything a state refers to: equal for a model and its inverse."""
-        return digest_of(self.stages if self.direction == "forward" else self.inverse().stages)
+        return cascade.digest_of(self.stages if self.direction == "forward" else self.inverse().stages)
 
     def _before_backlash(self, x: ArrayLike) -> Floats:
         """Return what reaches the backlash stage of this model."""
@@ -330,7 +307,7 @@ class ActuatorModel:
         slew = limits.max_slew
         if slew is not None:
             for stage in self.tail_inverse:
-                slew *= least_slope(stage)
+                slew *= cascade.least_slope(stage)
             slew *= 1.0 - NEGLIGIBLE  # the points round
         low = float(ends.min())  # a window of a last digit may be none behind the points
         return DriveLimits(low, max(float(ends.max()), math.nextafter(low, math.inf)), slew)
@@ -354,11 +331,11 @@ class ActuatorModel:
         covered = self.covered_gears
         operator = covered.operator
         if self.direction == "forward" or state in {"empty", "full"}:
-            return ModelState(covered.whole(start_state(operator, value, state)))
-        start_state(operator, value, state)  # refuses a name that is none
+            return ModelState(covered.whole(model_state.start_state(operator, value, state)))
+        model_state.start_state(operator, value, state)  # refuses a name that is none
         inner = None if limits is None else self.inner_limits(limits)
         bounds = (inner.v_min, inner.v_max) if inner else (-math.inf, math.inf)
-        first = start_drive(operator, value, *bounds)
+        first = model_state.start_drive(operator, value, *bounds)
         first = first._replace(state=covered.whole(first.state))
         return ModelState(first.state, first=first)
 
@@ -409,7 +386,9 @@ class ActuatorModel:
                 return done
         counts = self._with_uncovered(x, Counts(done.outside_count, done.first_outside))
         if outside == "error" and counts.outside:
-            raise OutsideError(counts.first_outside, float(x[counts.first_outside]), *self._covered)
+            raise model_state.OutsideError(
+                counts.first_outside, float(x[counts.first_outside]), *self._covered
+            )
         return done._replace(outside_count=counts.outside, first_outside=counts.first_outside)
 
     def _simulate_prompt(

@@ -19,22 +19,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.cascade import OtherHysteresis
-from dbo_cli.hysteresis.delay import DelayHistory
+from dbo_cli.hysteresis.cascade import OtherHysteresis, ScaleStage, Stage
+from dbo_cli.hysteresis.delay import DelayHistory, DelayStage
 from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Resonance, Section, SectionStates
-from dbo_cli.hysteresis.model import (
-    ActuatorModel,
-    BacklashStage,
-    DelayStage,
-    DynamicsStage,
-    PointStage,
-    Quantity,
-    Relaxation,
-    ScaleStage,
-    Stage,
-)
-from dbo_cli.hysteresis.model_state import ModelState
-from dbo_cli.hysteresis.operators import Axis, BacklashState
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DynamicsStage, PointStage
+from dbo_cli.hysteresis.model_state import ModelState, Quantity
+from dbo_cli.hysteresis.operators import Axis, BacklashState, Relaxation
 
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"

@@ -88,9 +88,8 @@ class TimeCheck:
         self.rows += len(time)
         if self.step == 0.0:
             self._kept.append((time, rows, lines))
-            if self.rows < _LEARNING:
-                return
-            self._learn()
+            if self.rows >= _LEARNING:
+                self._learn()
         else:
             self._judge(time, rows, lines)
 

@@ -19,14 +19,8 @@ from numpy.typing import NDArray
 from dbo_cli.errors import FitError, ModelError
 from dbo_cli.hysteresis.cascade import ScaleStage, Stage
 from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.identification import normal_equations
 from dbo_cli.hysteresis.identification.evaluation import predict
-from dbo_cli.hysteresis.identification.normal_equations import (
-    MAX_STEEPNESS,
-    SLOPE_FLOOR,
-    bounded_minimum,
-    squared_error,
-    squared_error_free_of,
-)
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Recording
 from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
@@ -184,7 +178,13 @@ class Products(FoldProducts):
         """Return the unknowns fitted to all folds, and the squared error that is left."""
         gram, _ = self.total()
         solution = solve(self, gram)
-        return solution, squared_error(gram, solution)
+        return solution, normal_equations.squared_error(gram, solution)
+
+    def left_out(self, fold: int) -> float:
+        """Return the squared error on one fold of a fit to all others."""
+        rest, _ = self.total(leave_out=fold)
+        gram, solution = self.grams[fold], solve(self, rest)
+        return normal_equations.squared_error_free_of(gram, solution, self.nuisance[fold])
 
 
 def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
@@ -246,7 +246,7 @@ def solve(products: Products, gram: Floats) -> Floats:
     total = at + knots + products.drift
     fixed, bounded, free = np.zeros(total), [], np.zeros((total, 0))
     n, one_sided = design.plays, design.kind == "one-sided-plays"
-    floor = SLOPE_FLOOR * (1.0 if one_sided else 0.5)
+    floor = normal_equations.SLOPE_FLOOR * (1.0 if one_sided else 0.5)
     for begin, count in _slope_groups(design):
         rule = np.zeros((total, count))
         whole = np.ones((count, count))
@@ -271,7 +271,8 @@ def solve(products: Products, gram: Floats) -> Floats:
         bounded.append(rule)
     matrix, right = gram[:total, :total], gram[:total, total]
     right = right - matrix @ fixed
-    return fixed + bounded_minimum(matrix, right, np.hstack(bounded), np.hstack((free, drift)), tie)
+    unbound = np.hstack((free, drift))
+    return fixed + normal_equations.bounded_minimum(matrix, right, np.hstack(bounded), unbound, tie)
 
 
 def _slope_groups(design: Design) -> list[tuple[int, int]]:
@@ -286,7 +287,7 @@ def _slope_groups(design: Design) -> list[tuple[int, int]]:
 
 def _widths(segments: int) -> tuple[Floats, Floats, float]:
     """Return the knots with all segments at their narrowest, what each wider one adds, and what is to add."""
-    narrowest = 1.0 / (MAX_STEEPNESS * segments)
+    narrowest = 1.0 / (normal_equations.MAX_STEEPNESS * segments)
     least: Floats = np.arange(1.0, segments) * (narrowest - 1.0 / segments)
     wider = np.hstack((np.tril(np.ones((segments - 1, segments - 1))), np.zeros((segments - 1, 1))))
     return least, wider, 1.0 - segments * narrowest
@@ -294,11 +295,7 @@ def _widths(segments: int) -> tuple[Floats, Floats, float]:
 
 def cross_validated(products: Products) -> Score:
     """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
-    errors = []
-    for fold, gram in enumerate(products.grams):
-        rest, _ = products.total(leave_out=fold)
-        left = squared_error_free_of(gram, solve(products, rest), products.nuisance[fold])
-        errors.append(left / max(products.rows[fold], 1))
+    errors = [products.left_out(fold) / max(count, 1) for fold, count in enumerate(products.rows)]
     rows = np.asarray(products.rows, dtype=float)
     return Score(np.asarray(errors), rows / rows.sum())
 
@@ -319,13 +316,11 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
         products = gather(grouped, design)
         squares, rows = 0.0, 0
         for group in range(1, len(products.grams)):
-            rest, others = products.total(leave_out=group)
             mine = products.rows[group]
+            others = sum(products.rows) - mine
             if mine < own.FEWEST_GROUP_ROWS or others < max(own.FEWEST_REST_ROWS, mine / 5):
                 continue
-            vector = solve(products, rest)
-            left = squared_error_free_of(products.grams[group], vector, products.nuisance[group])
-            squares += min(left, mine * (own.MAX_RATIO * cycles) ** 2)
+            squares += min(products.left_out(group), mine * (own.MAX_RATIO * cycles) ** 2)
             rows += mine
         worst = max(worst, squares / rows if rows else 0.0)
     return float(np.sqrt(worst))

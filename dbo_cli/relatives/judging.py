@@ -23,7 +23,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.move_error import played
+from dbo_cli.hysteresis.move_error import played, rms
 from dbo_cli.hysteresis.operators import Floats
 from dbo_cli.relatives.fitting import RELATIVES, fit
 
@@ -207,8 +207,7 @@ class _Judge:
 
 def _pooled(residuals: Sequence[Residual]) -> float:
     """Root of the mean square over all logs, weighted by their rows."""
-    values = np.concatenate([one.values for one in residuals])
-    return float(np.sqrt(np.mean(values**2)))
+    return rms(np.concatenate([one.values for one in residuals]))
 
 
 def _parameters(model: ActuatorModel) -> int:

@@ -16,14 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.reports.running_statistics import (
-    Batches,
-    CompensatedSum,
-    DoublingBins,
-    ErrorDistribution,
-    Floats,
-    comparable,
-)
+from dbo_cli.reports import running_statistics
+from dbo_cli.reports.running_statistics import Batches, CompensatedSum, DoublingBins, Floats, comparable
 
 # A turn must be larger than this many standard deviations of the noise: the greatest and the least of 10,000
 # normal samples lie 8 apart.
@@ -413,7 +407,7 @@ class TrackingMetrics:
     def __init__(self, *, remove_offset: bool = False) -> None:
         self._remove_offset = remove_offset
         self._batches = Batches()
-        self.distribution = ErrorDistribution()
+        self.distribution = running_statistics.ErrorDistribution()
         self._loop = LoopWidth()
         self._phase = PhaseLag()
         self._hold: float | None = None

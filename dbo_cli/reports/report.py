@@ -21,18 +21,10 @@ import numpy as np
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import Rows
+from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
 from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import (
-    BeforeZero,
-    Dwells,
-    PairBlock,
-    batched,
-    find_lag,
-    lagged,
-    released,
-    scored,
-)
+from dbo_cli.reports.sample_pairs import PairBlock
 
 if TYPE_CHECKING:
     import pandas
@@ -207,7 +199,7 @@ def evaluate(
     evaluation = _Evaluation(cleaned(name), options, sample_rate, figure_data, score_rows)
     if score_rows is not None or count_sweep:
         return evaluation.run(blocks)
-    parts = BeforeZero(blocks)
+    parts = sample_pairs.BeforeZero(blocks)
     try:
         log = evaluation.run(parts.before())
     except InputError:
@@ -273,14 +265,14 @@ class _Evaluation:
         """Take all blocks and return the figures."""
         name, options, figure_data = self.name, self.options, self.figure_data
         blocks, lag, notes = self._paired(blocks)
-        dwells = None if options.dwell is None else Dwells(name, options.dwell, self.sample_rate)
+        dwells = None if options.dwell is None else sample_pairs.Dwells(name, options.dwell, self.sample_rate)
         if dwells is not None:
             blocks = dwells.of(blocks)
         if figure_data is not None:
             figure_data.begin(options.labels)
         whole, current = _Running(self), _Running(self)
         segments: list[Segment] = []
-        for part in chain(self._segmented(batched(blocks)), [None]):
+        for part in chain(self._segmented(sample_pairs.batched(blocks)), [None]):
             if part is None:
                 segments += current.closed(len(segments) + 1)
                 current = _Running(self)
@@ -311,11 +303,11 @@ class _Evaluation:
         notes = []
         if lag == "auto":
             if rows is not None:  # the lag of the rows that count, from these rows alone
-                blocks, rows = scored(blocks, rows), None
-            lag, blocks = find_lag(self.name, blocks)
+                blocks, rows = sample_pairs.scored(blocks, rows), None
+            lag, blocks = sample_pairs.find_lag(self.name, blocks)
             notes = [f"{self.name}: measured follows best at a lag of {_counted(lag, 'sample')}"]
-        pairs = lagged(self.name, blocks, lag)
-        return (pairs if rows is None else scored(pairs, rows)), lag, notes
+        pairs = sample_pairs.lagged(self.name, blocks, lag)
+        return (pairs if rows is None else sample_pairs.scored(pairs, rows)), lag, notes
 
     def _segmented(self, blocks: Iterator[PairBlock]) -> Iterator[PairBlock | None]:
         segment = self.options.segment
@@ -372,12 +364,12 @@ def cycles(
         held.append(block)
         end += len(block)
         for minimum in turns.minima(block.desired):
-            yield from released(held, minimum - start)
+            yield from sample_pairs.released(held, minimum - start)
             yield None
             start = max(start, minimum)
         sure = max(turns.candidate, end - patience)
         if sure > start:
-            yield from released(held, sure - start)
+            yield from sample_pairs.released(held, sure - start)
             start = sure
     yield from held
 

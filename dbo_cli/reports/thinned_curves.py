@@ -16,15 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.reports import running_statistics
 from dbo_cli.reports.figures_of_merit import TrackingFigures
-from dbo_cli.reports.running_statistics import (
-    BATCH,
-    Batches,
-    DoublingBins,
-    ErrorDistribution,
-    Floats,
-    comparable,
-)
+from dbo_cli.reports.running_statistics import BATCH, Batches, DoublingBins, Floats, comparable
 from dbo_cli.reports.sample_pairs import PairBlock
 
 WHOLE = 8192  # samples of a log that is kept as it is: some eight for every pixel of a figure
@@ -243,7 +237,7 @@ class FigureData:
         self.has_time = False
         self.has_drive = False
         self.figures: TrackingFigures | None = None
-        self.distribution = ErrorDistribution()
+        self.distribution = running_statistics.ErrorDistribution()
         self.spectrum = Spectrum()
         self._batches = Batches()
         self._whole: dict[str, Floats] | None = None
@@ -265,7 +259,7 @@ class FigureData:
         for batch in self._batches.add(*columns):
             self._take(*batch)
 
-    def finish(self, figures: TrackingFigures, distribution: ErrorDistribution) -> None:
+    def finish(self, figures: TrackingFigures, distribution: running_statistics.ErrorDistribution) -> None:
         """Take what is left, and the results that the figures refer to."""
         for batch in self._batches.rest():
             self._take(*batch)

@@ -320,11 +320,8 @@ def _labber_traces(group: Any) -> Iterator[ColumnSource]:
             timed = attribute_text(traces[name], "x_unit") in ("s", "") and step > 0.0
             clock = (Statement(f"'{name}_t0dt' {step:g} s", 1.0 / step),) if timed else ()
             unit = units.get(clean_text(name)) or None
-            yield ColumnSource(clean_text(name), len(values), _rows(values), unit, clock=clock, start=start)
-
-
-def _rows(values: Any) -> Any:
-    return lambda start, stop: values[start:stop, 0, 0]
+            source = array_source(clean_text(name), values[:, 0, 0], unit)
+            yield replace(source, clock=clock, start=start)
 
 
 # --- pandas, through PyTables: tables, with data columns or not, and blocks -------------------------

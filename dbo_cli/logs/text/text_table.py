@@ -299,7 +299,7 @@ class BlockParser:
         """Read the wanted columns of a regular block; None where it is not regular after all."""
         picks = list(self.picks.values())
         plain = small or (len(text) < PLAIN_BYTES // 16 and "polars" not in sys.modules)
-        stamped = any(pick.written != "numbers" for pick in picks)
+        stamped = {pick.written for pick in picks} != {"numbers"}
         read = _parse_plain if plain or stamped else _parse_fast
         if self.dialect.decimal == "," and b"." in text:
             return None
@@ -548,10 +548,8 @@ def _parse_plain(
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
     try:
-        arrays = [
-            np.array(list(map(_reader(pick), words[pick.number - 1 :: dialect.width])), dtype=np.float64)
-            for pick in picks
-        ]
+        columns = [map(_reader(pick), words[pick.number - 1 :: dialect.width]) for pick in picks]
+        arrays = [np.array(list(column), dtype=np.float64) for column in columns]
     except (ValueError, TypeError):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
     return arrays if all(are_measured(array).all() for array in arrays) else None
