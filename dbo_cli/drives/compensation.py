@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dbo_cli.drives.gate import DriveFigures, DriveGate, Extent
+from dbo_cli.drives.gate import DriveFigures, DriveGate
 from dbo_cli.drives.learning import write_history
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
 from dbo_cli.drives.options import DriveOptions, volts_a_unit
@@ -65,7 +65,7 @@ class Compensation(ModelRun):
     unreachable: int = 0
     lost: float = 0.0  # of clipped samples: the sum of squares of what the move misses, and the most
     most_lost: float = 0.0
-    move: Extent = field(default_factory=Extent)
+    move: DriveFigures = field(default_factory=DriveFigures)
     drive: DriveFigures = field(default_factory=DriveFigures)
     kept: list[tuple[FloatArray, FloatArray | None]] = field(default_factory=list)
     came_from: float | None = field(init=False)
@@ -137,7 +137,7 @@ class Compensation(ModelRun):
             yield self._return(self.state, self.state.time, step)
 
     def _see(self, desired: FloatArray, drive: FloatArray) -> None:
-        self.move.add(desired)
+        self.move.see(desired, None)
         if self.settle is not None:
             self.held.add(desired, drive)
 

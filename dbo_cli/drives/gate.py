@@ -159,24 +159,13 @@ def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
 
 
 @dataclass
-class Extent:
-    """The least and the greatest of all values seen."""
-
-    low: float = math.inf
-    high: float = -math.inf
-
-    def add(self, x: Floats) -> None:
-        """See some values more."""
-        self.low = min(self.low, float(x.min(initial=math.inf)))
-        self.high = max(self.high, float(x.max(initial=-math.inf)))
-
-
-@dataclass
-class DriveFigures(Extent):
+class DriveFigures:
     """What a drive asks of an amplifier, row by row.
 
     Attributes
     ----------
+    low, high : float
+        The least and the greatest row.
     first, last : float, or None
         The first row and the last one seen.
     rows : int
@@ -187,6 +176,8 @@ class DriveFigures(Extent):
         Sums of |dv| and of |v dv|, the time they took (s), and the greatest |dv|/dt.
     """
 
+    low: float = math.inf
+    high: float = -math.inf
     first: float | None = None
     last: float | None = None
     rows: int = 0
@@ -200,7 +191,7 @@ class DriveFigures(Extent):
         """See consecutive rows."""
         if not drive.size:
             return
-        self.add(drive)
+        self.low, self.high = min(self.low, float(drive.min())), max(self.high, float(drive.max()))
         change = np.abs(np.diff(drive, prepend=drive[0] if self.last is None else self.last))
         if steps is not None:
             time = np.broadcast_to(steps, drive.shape)[int(self.last is None) :]

@@ -131,7 +131,7 @@ class LoopCompensation(Compensation):
         if begun is None:
             begun = self.model.start(float(drive[0]), self.start)
         self._require_loop(settled, begun)
-        self.move.add(desired)
+        self.move.see(desired, None)
         end = settled_run(self.model, drive, step, settled.before).state.dynamics
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
