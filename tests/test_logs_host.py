@@ -80,7 +80,7 @@ def test_a_process_hears_interrupts_after_polars_and_ends_in_order(tmp_path: Pat
     """``prepare_process``: SIGTERM and SIGHUP unwind the stack; a signal that is ignored stays so."""
     script = (
         "import os, signal\n"
-        "from dbo_cli.cli.process import prepare_process\n"
+        "from dbo_cli.cli.app import prepare_process\n"
         "prepare_process()\n"
         "assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN\n"
         "try:\n"

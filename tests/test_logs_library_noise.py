@@ -13,7 +13,7 @@ import openpyxl
 import polars
 import pytest
 
-from dbo_cli.cli.process import CommandProcess
+from dbo_cli.cli.app import CommandProcess
 from dbo_cli.errors import InputError
 from dbo_cli.logs.libraries import GAVE_UP
 
@@ -34,7 +34,7 @@ def test_no_byte_of_a_parquet_file_brings_the_library_to_the_terminal(tmp_path: 
         "from dbo_cli.errors import InputError\n"
         "from dbo_cli.logs.columns import wish\n"
         "from dbo_cli.logs.signal_log import open_log\n"
-        "from dbo_cli.cli.process import prepare_process\n"
+        "from dbo_cli.cli.app import prepare_process\n"
         "prepare_process()\n"
         "want = {'voltage': wish('voltage'), 'displacement': wish('displacement')}\n"
         "good = Path('good.parquet').read_bytes()\n"
@@ -55,7 +55,7 @@ def test_a_library_that_panics_and_one_that_aborts(tmp_path: Path) -> None:
     """In a process of its own, which the abort ends."""
     script = (
         "import os, sys\n"
-        "from dbo_cli.cli.process import CommandProcess\n"
+        "from dbo_cli.cli.app import CommandProcess\n"
         "contained = CommandProcess().contained\n"
         "try:\n"
         "    with contained('a', 'Parquet'):\n"
@@ -97,7 +97,7 @@ def test_a_workbook_that_asks_for_all_memory(tmp_path: Path) -> None:
 def test_nothing_is_held_back_where_standard_error_is_closed() -> None:
     script = (
         "import os\n"
-        "from dbo_cli.cli.process import CommandProcess\n"
+        "from dbo_cli.cli.app import CommandProcess\n"
         "contained = CommandProcess().contained\n"
         "os.close(2)\n"
         "with contained('a', 'Parquet'):\n"

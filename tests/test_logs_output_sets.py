@@ -15,7 +15,7 @@ from types import FrameType
 
 import pytest
 
-from dbo_cli.cli.process import CommandProcess
+from dbo_cli.cli.app import CommandProcess
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
@@ -102,7 +102,7 @@ def hearing(number: int) -> None:
 def test_a_signal_takes_everything_back(tmp_path: Path, number: int) -> None:
     script = (
         "import sys, time\n"
-        "from dbo_cli.cli.process import prepare_process\n"
+        "from dbo_cli.cli.app import prepare_process\n"
         "from dbo_cli.logs.whole_output import all_or_none, write_whole\n"
         "prepare_process()\n"
         "with all_or_none() as outputs:\n"

@@ -42,7 +42,7 @@ def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_
     path.write_bytes(b"as it was")
     script = (
         "import sys, time, numpy\n"
-        "from dbo_cli.cli.process import prepare_process\n"
+        "from dbo_cli.cli.app import prepare_process\n"
         "prepare_process()\n"
         "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
         "with signal_writer(sys.argv[1], [OutColumn('voltage', 'V')]) as writer:\n"

@@ -152,8 +152,7 @@ def forked(words: Sequence[str], limit: int | None = None) -> int:
 
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-        from dbo_cli.cli.app import main
-        from dbo_cli.cli.process import prepare_process
+        from dbo_cli.cli.app import main, prepare_process
 
         prepare_process()
         code = main(list(words))

@@ -120,6 +120,8 @@ class Controller:
         What was planned and is not committed yet.
     lookahead : int
         How many samples later is wanted what is passed; 0 without ``lookahead``.
+    converter : Converter, or None
+        What ``dac`` describes.
     """
 
     def __init__(
@@ -157,7 +159,7 @@ class Controller:
             begun = model.start(self._last, state)
             self._start = model.simulate([self._last], begun, time_step=self._step_seconds).state
         self._gate = DriveGate(self._limits, self._last, model.input.suffix)
-        self._dac = None if dac is None else Converter(dac, self._limits, self._most)
+        self.converter = None if dac is None else Converter(dac, self._limits, self._most)
         self._ahead: LookAhead | None = None
         if lookahead is not None and sample_rate is not None:
             self._ahead = LookAhead(model, sample_rate, lookahead)
@@ -213,8 +215,8 @@ class Controller:
             if self._lag is not None:
                 volts, self._clipped_now = self._lag.plan(volts, displacement, stepper)
         self.planned = volts
-        if self._dac is not None:
-            self.planned, volts = self._coded(volts, self._dac)
+        if self.converter is not None:
+            self.planned, volts = self._coded(volts, self.converter)
         self._pass(volts)
         self._planned_volts = volts
         return self.planned
@@ -235,7 +237,7 @@ class Controller:
         if applied is None and self.planned is None:
             raise UsageError("nothing was planned to be committed: call plan first")
         volts, first = self._planned_volts, self._stepper is None
-        if applied is None and self._dac is None:
+        if applied is None and self.converter is None:
             if self._stepper is None:
                 assert self._begun is not None
                 self._begin(self._begun)
@@ -245,7 +247,7 @@ class Controller:
                 self._stepper.commit()
         else:
             if applied is not None:
-                volts = self._dac.volts(applied) if self._dac is not None else float(applied)
+                volts = self.converter.volts(applied) if self.converter is not None else float(applied)
             self._apply(volts)
         if self._ahead is not None:
             self._ahead.commit()
@@ -253,8 +255,8 @@ class Controller:
             self._since.append(volts)
             if len(self._since) >= UPDATE:
                 self._update()
-        if self._dac is not None and self._last is not None:
-            self._dac.commit(abs(volts - self._last), self._most)
+        if self.converter is not None and self._last is not None:
+            self.converter.commit(abs(volts - self._last), self._most)
         self._last = volts
         self.clipped += self._clipped_now
         self._clipped_now = False
@@ -294,7 +296,7 @@ class Controller:
         rest = min(max(0.0 if to is None else to, self._limits.v_min), self._limits.v_max)
         way: list[Any] = []
         for volts in ramp("seconds", self._last, rest, self._step_seconds, seconds, self._limits).tolist():
-            code, played = (volts, volts) if self._dac is None else self._coded(volts, self._dac)
+            code, played = (volts, volts) if self.converter is None else self._coded(volts, self.converter)
             self._pass(played)
             way.append(code)
             self.commit(code)
@@ -336,11 +338,6 @@ class Controller:
         """The gears' stepper and what stands beside it, for a bank; None before a commit, or with a lag."""
         alone = self._stepper is not None and self._ahead is None and self._lag is None
         return None if self._stepper is None or not alone else (self._stepper, self._head, self._after)
-
-    @property
-    def converter(self) -> Converter | None:
-        """The converter, where there is one."""
-        return self._dac
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:

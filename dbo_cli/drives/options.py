@@ -205,6 +205,12 @@ def plain_in(unit: str | None, *limits: Figure) -> str:
     return f"limits without a unit are read in {unit}, the drive's (1.2kV, 2000V/s are converted)"
 
 
+def check_gain(gain: float) -> None:
+    """Refuse an amplifier of no gain (UsageError)."""
+    if gain == 0.0:
+        raise UsageError("`gain` 0: an amplifier of no gain moves nothing (give its volts out per volt in)")
+
+
 def check_range(v_min: float | None, v_max: float | None) -> None:
     """Refuse limits that leave nothing between them (UsageError)."""
     if v_min is not None and v_max is not None and v_min >= v_max:

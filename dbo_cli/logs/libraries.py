@@ -3,7 +3,7 @@
 Some of them change what belongs to the whole process: polars puts a handler of its own before Python's, and
 the libraries behind Parquet and workbooks write pages to standard error at damaged bytes, or end the process.
 Whether anything is done about that is for the process to decide: a ``Host`` does nothing, and ``dbo`` as a
-process sets one of its own (``cli.process``).
+process sets one of its own (``cli.app``).
 """
 
 from __future__ import annotations

@@ -6,10 +6,9 @@ clock. ``SignalLog`` is one for files; arrays and tables become one here.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -103,7 +102,7 @@ class Source:
             raise InputError(f"{called} is in {own}, but {taker} in {wanted} ({remedy})")
         self.notes.append(f"{called} is converted from {own} to {wanted}")
         if factor != ONE:
-            self.columns[role] = dataclasses.replace(self.columns[role], unit=wanted)
+            self.columns[role] = replace(self.columns[role], unit=wanted)
             self._factors[role] = self._factors.get(role, ONE).times(*factor)
 
     def in_units(self, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -247,10 +246,8 @@ class ArraySource(Source):
         for role, signal in [*self.values.items(), *([] if self.time is None else [("time", self.time)])]:
             if signal.size != count:
                 raise InputError(f"`{role}` has {signal.size} samples where `{first}` has {count}")
-        columns = columns or {
-            role: dataclasses.replace(column_info(role, n), unit=units.get(role))
-            for n, role in enumerate(values, start=1)
-        }
+        own = [replace(column_info(role, n), unit=units.get(role)) for n, role in enumerate(values, start=1)]
+        columns = columns or dict(zip(values, own, strict=True))
         has_time = self.time is not None or self.sample_rate is not None
         super().__init__(name, dict(columns), has_time, self.sample_rate, self.sample_rate)
 
@@ -304,7 +301,7 @@ class WholeSource(Source):
         """Return the one block, in parts: what a model makes of it then takes no memory for each row."""
         for start in range(0, max(len(self.block), 1), BLOCK_ROWS):
             part = self.block.part(start, start + BLOCK_ROWS)
-            yield dataclasses.replace(part, values=self.in_units(part.values))
+            yield replace(part, values=self.in_units(part.values))
 
 
 def table_source(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance
-from dbo_cli.drives.options import Figure, limits_in, plain_in
+from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.clock import even_step
@@ -45,10 +45,7 @@ class CheckOptions:
 
     def __post_init__(self) -> None:
         """Refuse a gain of nothing, and one of no recording."""
-        if self.gain == 0.0:
-            raise UsageError(
-                "`gain` 0: an amplifier of no gain moves nothing (give its volts out per volt in)"
-            )
+        check_gain(self.gain)
         if self.gain != 1.0 and self.against is None:
             raise UsageError("`gain` is that behind a recording (`against` FILE is the drive it is of)")
 

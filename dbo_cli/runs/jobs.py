@@ -30,8 +30,6 @@ _AHEAD = 2  # jobs a process that are in memory at once: one is worked on while 
 FILE = "{file}"  # in the name of an output: the log's name without folder and ending
 _NAMED = 8  # channels or files that a message names at most
 _NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
-_BASES = (UsageError, errors.InputError, errors.ModelError, errors.FitError, errors.OutputError,
-          errors.LimitError, DboError)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -174,7 +172,8 @@ def run_job(name: str, call: Callable[[], Value], keep: bool) -> Done[Value] | F
         try:
             return Done(name, call(), outputs)
         except DboError as problem:
-            kind = next(base for base in _BASES if isinstance(problem, base))
+            # Of the plain class: what a subclass holds besides may not pickle.
+            kind = next(one for one in type(problem).__mro__ if one.__module__ == errors.__name__)
             return Failed(name, kind(str(problem)))
 
 

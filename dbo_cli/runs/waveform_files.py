@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.drives.check import TOLERANCE, check_drive
 from dbo_cli.drives.gate import DriveGate, Floats
-from dbo_cli.drives.options import Figure, limits_in
+from dbo_cli.drives.options import Figure, check_gain, limits_in
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.addresses import Address, check_document
@@ -88,10 +88,7 @@ class WaveformOptions:
         """Refuse what cannot be meant."""
         limits_in("V", self.v_min, self.v_max, self.max_slew)
         form = FORMATS[self.to]
-        if self.gain == 0.0:
-            raise UsageError(
-                "`gain` 0: an amplifier of no gain moves nothing (give its volts out per volt in)"
-            )
+        check_gain(self.gain)
         if form.codes is None and (self.codes or (self.volts and not form.normal)):
             raise UsageError(f"`{'codes' if self.codes else 'volts'}`: {self.to} files hold volts, no codes")
         if form.volts_needed and self.volts is None:

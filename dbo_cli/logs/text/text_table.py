@@ -548,10 +548,8 @@ def _parse_plain(
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
     try:
-        arrays = [
-            np.array(list(map(_reader(pick), words[pick.number - 1 :: dialect.width])), dtype=np.float64)
-            for pick in picks
-        ]
+        columns = [map(_reader(pick), words[pick.number - 1 :: dialect.width]) for pick in picks]
+        arrays = [np.array(list(column), dtype=np.float64) for column in columns]
     except (ValueError, TypeError):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
     return arrays if all(are_measured(array).all() for array in arrays) else None
