@@ -261,9 +261,9 @@ def towards(last: float, step: float) -> float:
     return total + digit if lost > 0.0 else total
 
 
-def _counted(samples: list[int]) -> tuple[int, int]:
-    """Return how many samples there are, and the first; 0 where there is none."""
-    return len(samples), samples[0] if samples else 0
+def _counted(flags: list[bool]) -> tuple[int, int]:
+    """Return how many flags are set, and the first of them; 0 where there is none."""
+    return sum(flags), flags.index(True) if any(flags) else 0
 
 
 def backlash_run(
@@ -296,8 +296,7 @@ def backlash_run(
     every gear from dx to dx + kappa dy, and the rest is known. Returns the counts of ``dbo_counts``.
     """
     walk = _Walk(gears, n, run, words)
-    outsides: list[int] = []
-    clipped: list[int] = []
+    flags: list[tuple[bool, bool]] = []  # of each sample: whether it lies outside, and was clipped
     weights: list[float] = gain.tolist()
     held: list[float] = memory.tolist()
     steps: list[float | None] = [None] if not step.size else step.tolist()
@@ -321,15 +320,12 @@ def backlash_run(
             rest, outside = _solve(walk, u, kappa, -math.inf, math.inf, extend)
             last = y0 + (rest + remembered) if after else y0 + rest
         y[k] = last
-        if outside:
-            outsides.append(k)
-        if excess > slack:
-            clipped.append(k)
+        flags.append((outside, excess > slack))
         if weights and not after:
             _remember(held, a, last - reference)
     walk.finish()
     memory[:] = held
-    return (*_counted(outsides), *_counted(clipped))
+    return (*_counted([flag[0] for flag in flags]), *_counted([flag[1] for flag in flags]))
 
 
 def backlash_engagement(
