@@ -313,6 +313,7 @@ class DiscreteBacklashOperator:
         self.n = self.dx.size
         self.gears = self._gears()
         self.equal_run = equal_run(self.gears)
+        self._size, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)  # in words
         self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
         self._width, self._height = (math.fsum(self.gears[:, axis].tolist()) for axis in (0, 1))
 
@@ -407,13 +408,13 @@ class DiscreteBacklashOperator:
         """Return the kernel's buffer with the state's bits in it."""
         if state.bits < 0 or state.bits >> self.n:
             raise ModelError(f"state: has bits beyond the {self.n} gears of this operator")
-        words, size = np.zeros(kernel.buffer_words(self.n), dtype=np.uint64), kernel.state_words(self.n)
+        words, size = np.zeros(self._buffer, dtype=np.uint64), self._size
         words[:size] = np.frombuffer(state.bits.to_bytes(8 * size, "little"), dtype="<u8")
         return words
 
     def _bits(self, words: NDArray[np.uint64]) -> int:
         """Return B out of the kernel's buffer."""
-        return int.from_bytes(words[: kernel.state_words(self.n)].astype("<u8").tobytes(), "little")
+        return int.from_bytes(words[: self._size].astype("<u8").tobytes(), "little")
 
     def run(
         self,
@@ -462,7 +463,7 @@ class DiscreteBacklashOperator:
                 *self.constants(outside != "hold"), words, memory, before, x[begin:end], y[begin:end],
                 factors, limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts + Counts(*found).shifted(begin)
+            counts = counts + Counts(*found).shifted(begin) if begin else Counts(*found)
             before = float(y[end - 1])
         if x.size == 0:
             return y, state, counts
