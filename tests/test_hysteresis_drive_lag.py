@@ -207,3 +207,13 @@ def test_a_repeated_time_moves_no_drive_that_comes_from_outside_the_limits(v_max
     steps = np.array([0.0, 0.0, STEP, 0.0, STEP, STEP])
     drive = model.compensate(wanted, rest.state, limits=limits, time_step=steps).y
     assert drive.tolist() == [55.0] * 6
+
+
+def test_a_repeated_time_asks_no_infinite_drive_of_a_move_above_the_limits() -> None:
+    """In no time nothing reaches what is wanted: the drive stays where it stands, with no limit above."""
+    model = actuator(3)
+    rest = model.simulate([8.0], model.start(8.0, "empty"), time_step=STEP)
+    above = model.simulate([70.0], model.start(70.0, "empty"), time_step=STEP)
+    wanted = np.full(3, float(above.y[-1]))
+    done = model.compensate(wanted, rest.state, limits=DriveLimits(55.0, np.inf), time_step=np.zeros(3))
+    assert done.y.tolist() == [55.0] * 3
