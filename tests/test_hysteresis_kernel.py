@@ -209,7 +209,7 @@ def dyadic(rng: np.random.Generator, n: int) -> Floats:
     return rng.integers(8, 64, n) / 64.0
 
 
-@pytest.mark.parametrize("n", range(1, 12))
+@pytest.mark.parametrize("n", range(1, 13))
 def test_every_state_equals_the_reference(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond."""
     rng = np.random.default_rng(n)
