@@ -80,6 +80,7 @@ _PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", 
                "Samples/s", "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s",
                "1/s", "s^-1", "s-1", "/s", "fps", "FPS", "frames/s")  # fmt: skip
 _LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+# Hertz for each unit: the SI's prefixes, of the small ones only that of mHz, which nothing else is called.
 _HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND} | {"mHz": 1e-3}
 _AMOUNT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
 _LONGEST = 80  # characters of a name or of an amount with its unit; the patterns' time grows with the square

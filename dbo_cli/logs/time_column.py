@@ -24,7 +24,7 @@ from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
 
-_TEN_MILLION = 10**7
+_TEN_MILLION = 10**7  # ticks a second of clocks that count 100 ns
 _SECONDS = ("sec", "secs", "second", "seconds")
 
 

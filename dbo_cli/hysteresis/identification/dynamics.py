@@ -50,7 +50,7 @@ the reading with which they leave least on the fast rows: they were nearest to t
 0.143, 0.048; where a second mode was not found, one of 0.600 as 0.607 with the first).
 """
 FINER = 4  # times the segments of asymmetry that slow moves need (see _again)
-MOST_POINTS = 32
+MOST_POINTS = 32  # as many as any static model has (search.SEGMENTS); errors with 8, 16, 32: see _again
 FAST_LAGS = 2.0  # periods of the lowest swept frequency: shorter relaxation is part of the dynamics
 
 

@@ -29,10 +29,10 @@ from dbo_cli.hysteresis.model import (
     slow_output_range,
 )
 
-GEARS = 25
-SEGMENTS = 2
+GEARS = 25  # the paper's
+SEGMENTS = 2  # on its cycle 1, 2, 4 fit to 0.38, 0.22, 0.23 um and leave 0.89, 0.90, 1.04 um on the other log
 FINE = (64, 16)  # slopes, gears for each
-SMOOTHNESS = 1e-11
+SMOOTHNESS = 1e-11  # of the fine slopes; 1e-9 to 1e-13: 0.233 to 0.213 um on the cycle, 0.90 on the other log
 SHRUNK = tuple(part / 20 for part in range(20, 5, -1))  # amplitudes, over the cycle's own; the first is it
 
 CYCLE_WEIGHT = 10.0

@@ -14,7 +14,7 @@ from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-FEWEST_ROWS = 40
+FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
 
