@@ -93,7 +93,7 @@ FAULTS: list[Fault] = [
          "relaxation is at rest at the first sample"),
     ),
     *_faults(
-        "hysteresis/delay.py",
+        "hysteresis/cascade.py",
         MODEL,
         ("part = max(samples - whole, 0.0)", "part = 0.0", "a delay of parts of a sample"),
         ("part[part < _WHOLE] = 0.0", "pass",
@@ -215,7 +215,7 @@ FAULTS: list[Fault] = [
         ("+ slope * from_drive - hats @ moved", "+ slope * from_drive", "the linearised output error"),
     ),
     *_faults(
-        "hysteresis/identification/paper_method.py",
+        "hysteresis/identification/identify.py",
         IDENTIFICATION,
         ("heights: Floats = floor + shares * np.cumsum(", "heights: Floats = shares * np.cumsum(",
          "no gear of the paper's method is flat"),

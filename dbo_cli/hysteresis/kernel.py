@@ -92,7 +92,7 @@ def smooth(weight: Floats, x: Floats, y: Floats) -> None:
 
 Words = NDArray[np.uint64]
 
-WORD = 64
+WORD = 64  # bits of a uint64, in which the kernel keeps the states of gears
 
 
 def state_words(n: int) -> int:

@@ -29,9 +29,9 @@ Outside = Literal["extend", "hold", "error"]
 CROSSING_TOLERANCE = 1e-9
 """A gear counts as crossed when all but this fraction of it is travelled (more where rounding is coarse)."""
 
-_LARGEST_TOLERANCE = 1.0 / 16.0
-_ROUNDING_STEPS = 64.0 * np.finfo(np.float64).eps
-_NARROWEST = 2.0**-42
+_ROUNDING_STEPS = 64.0 * np.finfo(np.float64).eps  # chosen: more than the additions of a signal's way lose
+_NARROWEST = 2.0**-42  # of the sum: the grid of 2^-53 then moves no width by more than 2^-12 of itself
+_LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of such a width
 _FEW, _LOOKED_AT = 16, 256
 """So few different steps among so many first rows are taken for all: looking one up costs 8 to 10 ns a
 row, the exponential function with five terms 45 to 95."""

@@ -29,9 +29,9 @@ from dbo_cli.relatives.fitting import RELATIVES, fit
 
 NAMES = ("dbo", *(relative.name for relative in RELATIVES))
 OWN_WORDS = "Discrete Backlash Operator"
-TIMED_SAMPLES = {"compiled": 100_000, "python": 2_000}
+TIMED_SAMPLES = {"compiled": 100_000, "python": 2_000}  # chosen: milliseconds, which a clock resolves
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
-ROUND_TRIP_SAMPLES = 50_000
+ROUND_TRIP_SAMPLES = 50_000  # chosen: several cycles of a usual log
 EXACT = 1e-9  # of the range: a round trip within it is one to rounding
 
 

@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
 from dbo_cli.hysteresis.model_state import StartName
 
-BLOCK_ROWS = 65536
+BLOCK_ROWS = 65536  # bounds the memory; changes no bit of the result
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0
 WHOSE_LAG = "compensated too (`sensor_delay`, `sensor_lag`: take off what is the sensor's)"
 """What becomes of a lag: a log cannot tell whether the actuator or its sensor is late."""
@@ -187,6 +187,9 @@ def loop_width_percent(model: ActuatorModel) -> float:
 POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
 MOST_HELD = 0.5  # of the moving samples that repeat the one before: sample-and-hold
 SPEED_CORRELATION = 0.35
+"""Of residual and speed: the models of 26 logs (13 kinds of benchmarks/foreign_plants.py) reach 0.23 at most,
+loops that widen slightly with the rate among them."""
+
 SATURATION = 0.15  # slope at an end, relative to the median slope
 GAINS_APART = 1.01  # greatest over least gain of logs: a piezo's own scatter between runs is below a percent
 GAIN_EXPLAINS = 0.5

@@ -44,7 +44,7 @@ from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
-BLOCKS = 5
+BLOCKS = 5  # chosen; the next line follows from it
 STUDENT = 2.776  # standard errors on either side: Student's t of as many blocks, 95 %
 TRIALS = 41  # delays tried within an eighth of a cycle to either side; parabolas refine the best
 CHANGED = 2.0
