@@ -194,6 +194,16 @@ FAULTS: list[Fault] = [
          "a fold left out has its log's offset in common with the others"),
     ),
     *_faults(
+        "hysteresis/identification/recordings.py",
+        IDENTIFICATION,
+        ("np.abs(ways - moves[at]).max(axis=0)", "np.abs(ways - moves[at]).min(axis=0)", "a gap hides a turn"),
+        (
+            "turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > seen",
+            "turned[still] = False",
+            "the drive stood still in a gap only if the displacement did",
+        ),
+    ),
+    *_faults(
         "hysteresis/identification/preparation.py",
         IDENTIFICATION,
         ("return -1.0 if together < 0.0 else 1.0", "return 1.0", "the sign of the gain"),
