@@ -27,8 +27,7 @@ from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
-from dbo_cli.logs.clock import even_step, median_step
-from dbo_cli.logs.sample_block import FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.units import in_unit
 from dbo_cli.remarks import Remarks
 
