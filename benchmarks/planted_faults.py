@@ -106,7 +106,7 @@ FAULTS: list[Fault] = [
          "relaxation is at rest at the first sample"),
     ),
     *_faults(
-        "hysteresis/delay.py",
+        "hysteresis/cascade.py",
         MODEL,
         ("part = max(samples - whole, 0.0)", "part = 0.0", "a delay of parts of a sample"),
         ("past_values = history.values if history else (float(x[0]),)",
@@ -201,6 +201,16 @@ FAULTS: list[Fault] = [
          "a fold left out has its log's offset in common with the others"),
     ),
     *_faults(
+        "hysteresis/identification/recordings.py",
+        IDENTIFICATION,
+        ("np.abs(ways - moves[at]).max(axis=0)", "np.abs(ways - moves[at]).min(axis=0)", "a gap hides a turn"),
+        (
+            "turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > seen",
+            "turned[still] = False",
+            "the drive stood still in a gap only if the displacement did",
+        ),
+    ),
+    *_faults(
         "hysteresis/identification/preparation.py",
         IDENTIFICATION,
         ("return -1.0 if together < 0.0 else 1.0", "return 1.0", "the sign of the gain"),
@@ -212,7 +222,7 @@ FAULTS: list[Fault] = [
         ("+ slope * from_drive - hats @ moved", "+ slope * from_drive", "the linearised output error"),
     ),
     *_faults(
-        "hysteresis/identification/paper_method.py",
+        "hysteresis/identification/identify.py",
         IDENTIFICATION,
         ("heights: Floats = floor + shares * np.cumsum(", "heights: Floats = shares * np.cumsum(",
          "no gear of the paper's method is flat"),

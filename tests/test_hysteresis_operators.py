@@ -13,7 +13,7 @@ from trials import random_operator, random_trajectory
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.delay import interpolated
+from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     Counts,

@@ -17,8 +17,7 @@ from scipy.optimize import lsq_linear
 
 from dbo_cli.errors import FitError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.cascade import ScaleStage
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage
 from dbo_cli.hysteresis.identification import Recording
 from dbo_cli.hysteresis.identification.preparation import prepare
 from dbo_cli.hysteresis.model import DriveLimits

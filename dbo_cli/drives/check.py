@@ -10,9 +10,9 @@ import numpy as np
 
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.errors import InputError
-from dbo_cli.hysteresis.delay import interpolated
+from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.clock import GAP_STEPS, median_step
+from dbo_cli.logs.sample_block import GAP_STEPS, median_step
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
 EXACT = 1e-12  # of a variance: what sums and transforms of double precision leave of two equal drives

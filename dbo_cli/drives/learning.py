@@ -26,8 +26,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.loops import settled_output
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.logs.clock import even_step
-from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.sample_block import FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import Remarks

@@ -119,7 +119,7 @@ class LookAhead:
         return self._inverter.rest(wanted)
 
     def _shifted(self, raw: list[float]) -> float:
-        """Return what is wanted the delay after the oldest value; as ``delay.interpolated`` does."""
+        """Return what is wanted the delay after the oldest value; as ``cascade.interpolated`` does."""
         if not self._late:
             return raw[0]
         row = self._count + self._ahead

@@ -14,7 +14,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.delay import read_ahead
+from dbo_cli.hysteresis.cascade import read_ahead
 from dbo_cli.hysteresis.dynamics import (
     DynamicsInverter,
     DynamicsStage,
@@ -32,8 +32,7 @@ from dbo_cli.hysteresis.model_state import (
     StartName,
 )
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.clock import JITTER, require_even
-from dbo_cli.logs.sample_block import FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import JITTER, FloatArray, SampleBlock, require_even
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.remarks import Remarks
 

@@ -390,7 +390,7 @@ def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> N
 
 
 def interpolated(times: Floats, values: Floats, wanted: Floats, found: Floats, whole: float) -> int:
-    """Fill ``found`` with a signal at the times wanted; see ``delay.interpolated``."""
+    """Fill ``found`` with a signal at the times wanted; see ``cascade.interpolated``."""
     first = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
     second = np.minimum(first + 1, times.size - 1)
     begin, lower, upper = times[first], values[first], values[second]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.cascade import DelayStage
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_stages, stage_values

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError, ModelError
-from dbo_cli.hysteresis.cascade import ScaleStage, Stage
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage
 from dbo_cli.hysteresis.identification import normal_equations
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import Prepared

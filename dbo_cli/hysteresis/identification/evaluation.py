@@ -17,6 +17,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     Integers,
     Recording,
     first_wiped_row,
+    known_behind_gaps,
 )
 from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
@@ -82,7 +83,8 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
     """Residual on a recording that took no part in the fit: only the sensor's offset is taken off.
 
     Rows before ``skip_seconds``, and those before the drive has been at both ends of its range where that
-    leaves most of the log, are left out: the history before the first sample is not known.
+    leaves most of the log, are left out: the history before the first sample is not known. So is that behind
+    gaps (``known_behind_gaps``).
 
     Raises
     ------
@@ -96,6 +98,7 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
     wiped = first_wiped_row(recording.voltage)
     if wiped <= 0.4 * len(keep):
         keep[:wiped] = False
+    keep = known_behind_gaps(recording, keep)
     if not keep.any():
         raise FitError(
             f"{recording.name}: nothing is left of this log to validate on: it is shorter than `skip` "

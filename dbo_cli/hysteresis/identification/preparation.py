@@ -27,10 +27,13 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     drive_shape,
     first_wiped_row,
+    known_behind_gaps,
+    pieces_behind_gaps,
 )
 from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift_columns
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather, with_folds
 from dbo_cli.hysteresis.model_state import StartName
+from dbo_cli.hysteresis.move_error import SMALLEST_TURN
 
 Booleans = NDArray[np.bool_]
 
@@ -191,7 +194,8 @@ def prepare(
         folds = folds_of(shape, usable, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
         drift, output = drift_columns(clock, order), log.displacement / scale
-        logs.append(PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled"))
+        unopened = PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled")
+        logs.append(_with_offsets_behind_gaps(log, unopened, low, high))
     # Where the rows under the unknown history are left out anyway, the start state makes no difference.
     chosen = [
         log if cut else _with_history(log, low, high, notes)
@@ -242,6 +246,7 @@ def _usable_rows(
             f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both ends of "
             "its range, the actuator's history is unknown"
         )
+    usable = _left_behind_gaps(log, usable, notes)
     left_out = int((usable & faulty).sum())
     usable &= ~faulty
     stuck = clipped_sensor(log.displacement, log.voltage) & usable
@@ -257,6 +262,36 @@ def _usable_rows(
             "skip less"
         )
     return usable, transient, left_out, int(stuck.sum())
+
+
+def _left_behind_gaps(log: Recording, usable: Booleans, notes: list[str]) -> Booleans:
+    """Return the usable rows whose history gaps in time do not hide, and say what was left out."""
+    known, pieces = known_behind_gaps(log, usable), pieces_behind_gaps(log)
+    lost = int(usable.sum() - known.sum())
+    if pieces:
+        gaps = f"{len(pieces)} gaps, the first" if len(pieces) > 1 else "a gap"
+        turned = f"{log.name}: {gaps} before row {pieces[0][0] + 1}, in which the drive may have turned"
+        unknown = "the actuator's history is unknown behind it; record without pauses"
+        until = f"{lost} rows left out, until it had been at both ends of its range again"
+        notes.append(f"{turned}: {until if lost else unknown}")
+    return known
+
+
+def _with_offsets_behind_gaps(recording: Recording, log: PreparedLog, low: float, high: float) -> PreparedLog:
+    """Return the log with an offset of their own for pieces behind gaps, where that explains it much better.
+
+    Where a piece does not reach both ends of the log's range, what was in the gap can leave an offset in it.
+    """
+    own = []
+    for begin, known, end in pieces_behind_gaps(recording):
+        reaches = np.ptp(log.voltage[begin:end]) >= (1.0 - SMALLEST_TURN) * np.ptp(log.voltage)
+        if not reaches and log.used[known:end].any():
+            own.append((np.arange(len(log.fold)) >= begin) & (np.arange(len(log.fold)) < end))
+    if not own:
+        return log
+    opened = replace(log, drift=np.column_stack((log.drift, *own)), stretches=len(own))
+    better = _probe_error(opened, low, high) < HISTORY_GAIN * _probe_error(log, low, high)
+    return opened if better else log
 
 
 def _probe(low: float, high: float) -> tuple[Basis, Structure]:
@@ -275,7 +310,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
     best = int(np.argmin(errors))
     if errors[best] >= 0.99 * errors[0]:
         best = 0
-    opened = _left_open(log)
+    opened = None if log.stretches else _left_open(log)
     if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
         lost = int(log.used.sum() - opened.used.sum())
         notes.append(
@@ -344,7 +379,7 @@ def _without_drift_and_spikes(
         if not found.any():
             break
     flat = [replace(log, output=log.output - drift) for log, drift in zip(logs, drifts, strict=True)]
-    return flat, tuple(int(n) for n in outliers)
+    return with_folds(flat, [log.fold for log in flat]), tuple(int(n) for n in outliers)
 
 
 def _leave_out_spikes(

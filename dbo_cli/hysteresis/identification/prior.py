@@ -32,6 +32,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     drive_shape,
     first_wiped_row,
+    known_behind_gaps,
     median_cycle_seconds,
     without_voltage_glitches,
 )
@@ -185,6 +186,7 @@ def _beside(prior: ActuatorModel, log: Recording, bad: Booleans, skip_seconds: f
     wiped = first_wiped_row(log.voltage)
     if wiped <= KNOWN_PAST * len(keep):
         keep[:wiped] = False
+    keep = known_behind_gaps(log, keep)
     if int(keep.sum()) < FEWEST_ROWS:
         raise FitError(f"{log.name}: {int(keep.sum())} usable rows are too few: record longer, or skip less")
     clock = np.arange(len(keep), dtype=float) if seconds is None else np.maximum.accumulate(seconds)

@@ -133,11 +133,15 @@ def fewer_rows(logs: Sequence[PreparedLog], limit: int = SELECTION_ROWS) -> list
         stretch = np.arange(len(log.fold)) // length
         chosen = (stretch * GOLDEN_RATIO) % 1.0 < limit / total
         kept.append(np.where(chosen, log.fold, -1))
-    # A fold of one short cycle may have lost all its rows.
-    left = np.unique(np.concatenate([fold[fold >= 0] for fold in kept]))
+    return with_folds(logs, kept)
+
+
+def with_folds(logs: Sequence[PreparedLog], folds: Sequence[Integers]) -> list[PreparedLog]:
+    """Return the logs with these folds, numbered anew: one of a short cycle may have lost all its rows."""
+    left = np.unique(np.concatenate([fold[fold >= 0] for fold in folds]))
     return [
         replace(log, fold=np.where(fold >= 0, np.searchsorted(left, fold), -1))
-        for log, fold in zip(logs, kept, strict=True)
+        for log, fold in zip(logs, folds, strict=True)
     ]
 
 
