@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
