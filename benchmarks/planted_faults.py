@@ -96,7 +96,7 @@ FAULTS: list[Fault] = [
         "hysteresis/cascade.py",
         MODEL,
         ("part = max(samples - whole, 0.0)", "part = 0.0", "a delay of parts of a sample"),
-        ("part[part < _WHOLE] = 0.0", "pass",
+        ("part[part < WHOLE] = 0.0", "pass",
          "shifting by whole samples on a stamped clock is exact, where the time is a little late"),
         ("found[whole] = upper[whole]", "pass",
          "shifting by whole samples on a stamped clock is exact, where the time is a little early"),
@@ -105,7 +105,7 @@ FAULTS: list[Fault] = [
         ("past_values = history.values if history else (float(x[0]),)",
          "past_values = history.values if history else (0.0,)",
          "before the first sample the first value holds"),
-        ("whole = math.floor(samples + _WHOLE)", "whole = math.floor(samples)",
+        ("whole = math.floor(samples + WHOLE)", "whole = math.floor(samples)",
          "a delay of a whole number of samples shifts exactly"),
     ),
     *_faults(

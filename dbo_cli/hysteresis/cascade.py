@@ -22,7 +22,7 @@ from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
 
 Payload = TypeVar("Payload")
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
-_WHOLE = 1e-9  # a delay, or a time in samples, this close to a whole number of samples is that number
+WHOLE = 1e-9  # samples: a time this close to a whole number of them is that; rounding leaves less
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     gap = times[second] - begin
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(gap > 0.0, (wanted - begin) / gap, 0.0)
-    part[part < _WHOLE] = 0.0
+    part[part < WHOLE] = 0.0
     found = lower + part * (upper - lower)
-    whole = part > 1.0 - _WHOLE
+    whole = part > 1.0 - WHOLE
     found[whole] = upper[whole]
     return found, int(first[-1])
 
@@ -89,9 +89,9 @@ def _before(times: Floats, wanted: Floats) -> NDArray[np.intp]:
 
 def whole_and_part(samples: float) -> tuple[int, float]:
     """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
-    whole = math.floor(samples + _WHOLE)
+    whole = math.floor(samples + WHOLE)
     part = max(samples - whole, 0.0)
-    return whole, part if part > _WHOLE else 0.0
+    return whole, part if part > WHOLE else 0.0
 
 
 @dataclass(frozen=True)

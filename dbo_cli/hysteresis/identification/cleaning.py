@@ -36,7 +36,7 @@ HUM_LINE = 30.0
 HUM_RMS = 3e-4  # of the range: a smaller line is not worth mentioning
 HUM_LOWEST = 8.0  # in cycles of the drive: below, a line may be what the actuator does
 HUM_OF_DRIVE = 0.03  # power in the voltage, scaled to the displacement: more, and the drive does hum
-MOST_HELD = 0.5  # of the rows: a sensor slower than the log has lines of its own
+MOST_HELD = 0.5  # of the rows that repeat the one before: beyond, the sensor is slower than the log
 MOST_LINES = 4  # the mains and their harmonics
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them

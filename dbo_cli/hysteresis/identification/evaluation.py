@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import MOST_HELD
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
@@ -185,7 +186,6 @@ def loop_width_percent(model: ActuatorModel) -> float:
 
 
 POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
-MOST_HELD = 0.5  # of the moving samples that repeat the one before: sample-and-hold
 SPEED_CORRELATION = 0.35
 """Of residual and speed: the models of 26 logs (13 kinds of benchmarks/foreign_plants.py) reach 0.23 at most,
 loops that widen slightly with the rate among them."""
