@@ -38,6 +38,8 @@ from dbo_cli.hysteresis.move_error import SMALLEST_TURN
 Booleans = NDArray[np.bool_]
 
 FOLDS = 10  # with 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again
+# Half and double of MOST_OUTLIERS, and a HISTORY_GAIN of 0.5 and 0.85, changed none of ten models
+# (benchmarks/halved_constants.py).
 MOST_OUTLIERS = 0.02  # more rows than this are no outliers: they are what the actuator does
 RESIDUAL_WINDOW = 21
 """Rows among which a spike of the residual must stand out: no drive turns in it, so that more of them are
