@@ -99,6 +99,10 @@ def test_gaps_hide_turns_but_not_what_goes_straight_on_or_stands_still() -> None
     moved = replace(back, displacement=back.displacement + 2.0 * (np.arange(600) >= 180))
     assert pieces_behind_gaps(moved) == [(180, 299, 600)]
     assert pieces_behind_gaps(replace(back, time=None, sample_period=0.01)) == []
+    slow = np.concatenate(
+        (np.linspace(0.0, 2.0, 101), np.linspace(2.1, 10.0, 80), np.linspace(9.9, 0.0, 100))
+    )
+    assert pieces_behind_gaps(gapped(slow, 101, 233)) == [(101, 148, 149)]  # as fast as before, not as after
 
 
 def test_rows_behind_gaps_are_kept_where_too_few_would_be_left() -> None:
