@@ -91,6 +91,16 @@ def test_only_the_shell_prints_and_exits() -> None:
                 assert called not in {"print", "sys.exit", "exit", "quit"}, f"{path}:{node.lineno}: {called}"
 
 
+def test_no_function_is_longer_than_a_page() -> None:
+    long = [
+        f"{path.relative_to(PACKAGE)}: {node.name}"
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef) and node.end_lineno - node.lineno + 1 > 60
+    ]
+    assert long == []
+
+
 def test_siblings_know_nothing_of_each_other() -> None:
     for path in MODULES:
         rooms = {name.split(".")[1] for name in imported(path) if name.startswith("dbo_cli.")}

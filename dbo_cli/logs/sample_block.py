@@ -96,9 +96,11 @@ class SampleBlock:
 
     def place(self, name: str, index: int) -> str:
         """Return where a sample stands: file and line, or row where there are no lines."""
-        if self.lines is not None:
-            return f"{name}:{int(self.lines[index])}"
-        return f"{name}: row {int(self.rows[index])}"
+        return f"{name}: {self.where(index)}" if self.lines is None else f"{name}:{int(self.lines[index])}"
+
+    def where(self, index: int) -> str:
+        """Return where in its file a sample stands: ``line 5``, or ``row 4`` where there are no lines."""
+        return f"row {int(self.rows[index])}" if self.lines is None else f"line {int(self.lines[index])}"
 
 
 def joined(parts: Sequence[SampleBlock]) -> SampleBlock:
@@ -175,18 +177,19 @@ class Finding:
     """How often something odd happened, and where first."""
 
     count: int = 0
-    line: int = 0
+    where: str = ""
     before: float = 0.0
     after: float = 0.0
 
-    def add(
-        self, lines: Places | None, rows: Places, at: NDArray[np.intp], before: FloatArray, after: FloatArray
-    ) -> None:
+    def add(self, block: SampleBlock, at: NDArray[np.intp], before: FloatArray, after: FloatArray) -> None:
         """Count the places ``at`` (indices into the block)."""
         if len(at) and not self.count:
             index = int(at[0])
-            places = rows if lines is None else lines
-            self.line, self.before, self.after = int(places[index]), float(before[index]), float(after[index])
+            self.where, self.before, self.after = (
+                block.where(index),
+                float(before[index]),
+                float(after[index]),
+            )
         self.count += len(at)
 
 
@@ -208,7 +211,6 @@ class TimeCheck:
     """
 
     place: str
-    has_lines: bool = True
     periods: tuple[float, ...] = ()
     step: float = 0.0
     backward: Finding = field(default_factory=Finding)
@@ -217,7 +219,7 @@ class TimeCheck:
     gap: Finding = field(default_factory=Finding)
     narrowest: float = np.inf
     widest: float = 0.0
-    _kept: list[tuple[FloatArray, Places, Places | None]] = field(default_factory=list)
+    _kept: list[tuple[SampleBlock, FloatArray]] = field(default_factory=list)
     rows: int = 0
     last: float | None = None
     first: float = 0.0
@@ -235,22 +237,21 @@ class TimeCheck:
             return None
         return (self.rows - 1) / (self.last - self.first)
 
-    def feed(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
-        """Look at one block of time stamps (s)."""
-        if not len(time):
+    def feed(self, block: SampleBlock) -> None:
+        """Look at the time stamps (s) of one block."""
+        if block.time is None or not len(block.time):
             return
-        self.rows += len(time)
+        self.rows += len(block.time)
         if self.step == 0.0:
-            self._kept.append((time, rows, lines))
+            self._kept.append((block, block.time))
             if self.rows >= _LEARNING:
                 self._learn()
         else:
-            self._judge(time, rows, lines)
+            self._judge(block, block.time)
 
     def notes(self) -> list[str]:
         """Return what was found, one line a finding, with the first place of each."""
         self._learn()
-        where = "line" if self.has_lines else "row"
         notes = []
         for finding, text in (
             (self.restart, "the clock starts again at {place} ({jump})"),
@@ -259,7 +260,7 @@ class TimeCheck:
             (self.gap, "a gap at {place} ({jump}, usual step {step:.4g} s)"),
         ):
             if finding.count:
-                after, place = _stamp(finding.after), f"{where} {finding.line}"
+                after, place = _stamp(finding.after), finding.where
                 jump = f"from {_stamp(finding.before)} s to {after} s"
                 again = f", and {finding.count - 1} more" if finding.count > 1 else ""
                 text = text.format(place=place, jump=jump, after=after, step=self.step)
@@ -275,16 +276,16 @@ class TimeCheck:
         if not self._kept:
             return
         kept, self._kept = self._kept, []
-        steps = np.diff(np.concatenate([time for time, _, _ in kept])[:_LEARNING])
+        steps = np.diff(np.concatenate([time for _, time in kept])[:_LEARNING])
         forward = steps[steps > 0.0]
         self.step = median_step(forward) if len(forward) else np.inf
-        for time, rows, lines in kept:
-            self._judge(time, rows, lines)
+        for block, time in kept:
+            self._judge(block, time)
 
-    def _judge(self, time: FloatArray, rows: Places, lines: Places | None) -> None:
+    def _judge(self, block: SampleBlock, time: FloatArray) -> None:
         if self.last is None:
             self.first = self.last = float(time[0])
-            time, rows, lines = time[1:], rows[1:], None if lines is None else lines[1:]
+            block, time = block.part(1, len(time)), time[1:]
             if not len(time):
                 return
         before = np.concatenate([[self.last], time[:-1]])
@@ -301,7 +302,7 @@ class TimeCheck:
                 (self.repeat, steps == 0.0),
                 (self.gap, gap),
             ):
-                finding.add(lines, rows, np.flatnonzero(which), before, time)
+                finding.add(block, np.flatnonzero(which), before, time)
             if forward and self.backward.count:
                 self._refuse_wrap()
             usual = steps[(steps > 0.0) & ~gap]
@@ -314,9 +315,8 @@ class TimeCheck:
         found = self.backward
         for period in self.periods:
             if abs(found.before - found.after + self.step - period) <= self.step <= period / 16.0:
-                where = "line" if self.has_lines else "row"
                 raise InputError(
-                    f"{self.place}: the time begins anew after {period:.10g} s at {where} {found.line} (from "
+                    f"{self.place}: the time begins anew after {period:.10g} s at {found.where} (from "
                     f"{_stamp(found.before)} s to {_stamp(found.after)} s): its counter wraps "
                     "(`sample_rate` HZ gives the time instead)"
                 )
@@ -407,7 +407,6 @@ def _require_rising(place: str, block: SampleBlock, time: FloatArray) -> None:
     stuck = np.flatnonzero(np.diff(time) <= 0.0)
     if len(stuck):
         index = int(stuck[0]) + 1
-        where = f"row {block.rows[index]}" if block.lines is None else f"line {block.lines[index]}"
         jump = f"from {_stamp(time[index - 1])} s to {_stamp(time[index])} s"
         cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
-        raise InputError(f"{place}: time does not advance at {where} ({jump}), {cannot}")
+        raise InputError(f"{place}: time does not advance at {block.where(index)} ({jump}), {cannot}")

@@ -557,8 +557,8 @@ class SignalLog(Source):
                     first = block.time[0] if self._times is None else self._times[0]
                     self._times = float(first), float(block.time[-1])
                     if clock is not None:
-                        check = check or TimeCheck(self.name, block.lines is not None, clock.periods())
-                        check.feed(block.time, block.rows, block.lines)
+                        check = check or TimeCheck(self.name, clock.periods())
+                        check.feed(block)
                 self.rows_read += len(block.rows)
                 yield block
         if check is not None and clock is not None:

@@ -258,8 +258,8 @@ class ArraySource(Source):
             time = np.arange(count) / self.sample_rate
         rows = range(1, count + 1)
         if self.time is not None:
-            check = TimeCheck(self.name, has_lines=False)
-            check.feed(self.time, rows, None)
+            check = TimeCheck(self.name)
+            check.feed(SampleBlock(rows, None, self.time, {}))
             self.notes.extend(check.notes())
             if check.repeat.count and not self.clock_was_judged:
                 self.warnings.append(

@@ -140,8 +140,8 @@ class TimeColumn:
         if self.bare:
             self._decide(figures, last=True)
         seconds = self.seconds({TIME: figures})
-        check = TimeCheck(self.place, has_lines=False)
-        check.feed(seconds, range(1, len(seconds) + 1), None)
+        check = TimeCheck(self.place)
+        check.feed(SampleBlock(range(1, len(seconds) + 1), None, seconds, {}))
         check.notes()  # brings the last of the stamps into the account
         warnings.extend(self.warnings(check))
         return seconds

@@ -33,7 +33,7 @@ from dbo_cli.logs.addresses import Address, Given
 from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.sample_block import FloatArray, TimeCheck
+from dbo_cli.logs.sample_block import FloatArray, SampleBlock, TimeCheck
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
@@ -287,7 +287,7 @@ class Hdf5Writer:
             kept.append(part)
         if self._clock is not None:
             rows = range(self._kept_rows, self._kept_rows + len(parts[0]))
-            self._times.feed(parts[self._clock], rows, None)
+            self._times.feed(SampleBlock(rows, None, parts[self._clock], {}))
         self._kept_rows += len(parts[0])
         if self._kept_rows >= CHUNK_ROWS:
             self._store(CHUNK_ROWS)
