@@ -291,6 +291,14 @@ def test_folds_are_whole_cycles_dealt_out_in_turn() -> None:
     assert np.bincount(few).tolist() == [21, 20, 20, 20]
 
 
+def test_a_cycle_of_most_rows_is_no_fold_of_its_own() -> None:
+    """Left out as a whole it would be extrapolated: 10 % were expected of a model that erred by 0.03 %."""
+    voltage = np.concatenate((sine(1, 800), sine(4, 50, 4.0, 6.0)))
+    folds = folds_of(drive_shape(voltage), np.ones(len(voltage), bool), 0, 10)
+    assert len(np.unique(folds[:800])) == 8
+    assert np.unique(folds).tolist() == list(range(10))
+
+
 def test_a_clipped_sensor_is_where_it_stands_while_the_drive_moves() -> None:
     voltage = sine(3)
     displacement = np.minimum(voltage, 9.0)
