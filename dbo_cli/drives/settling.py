@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dbo_cli.drives.gate import DriveFigures
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.dynamics import Lag, Section
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -103,6 +104,38 @@ def step_times(model: ActuatorModel, steps: Sequence[tuple[float, float]], dista
         steps = [sizes[k] for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)]
     found = {step: settling_seconds(model, *step, distance) for step in dict.fromkeys(steps)}
     return [StepTime(*step, found[step]) for step in steps]
+
+
+class StepTimes:
+    """How long the steps of a drive have to be held, as it is computed.
+
+    Parameters
+    ----------
+    model : ActuatorModel
+        The forward model.
+    settle : float or str
+        The distance within which a level counts as reached (see ``distance_in``).
+    """
+
+    def __init__(self, model: ActuatorModel, settle: float | str) -> None:
+        self.model, self.distance = model, distance_in(settle, model.output.unit)
+        self.levels = HeldLevels()
+        self._timed: list[StepTime] = []
+        self._count = 0
+
+    def times(self) -> list[StepTime]:
+        """Return how long each step between held levels takes."""
+        steps = self.levels.finished().steps
+        if len(steps) != self._count:
+            self._timed, self._count = step_times(self.model, steps, self.distance), len(steps)
+        return self._timed
+
+    def notes(self, name: str, drive: DriveFigures) -> list[str]:
+        """Say how long a step over the whole drive, and each between levels, has to be held."""
+        if not drive.rows:
+            return []
+        times, whole = self.times(), (drive.low, drive.high)
+        return settling_notes(name, self.model, whole, times, len(self.levels.steps), self.distance)
 
 
 def below_error(model: ActuatorModel, distance: float) -> str:

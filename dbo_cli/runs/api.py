@@ -8,9 +8,6 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set
 from dbo_cli.logs.addresses import Address, parse_address
@@ -31,8 +28,6 @@ if TYPE_CHECKING:
     from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 
 __all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
-
-Floats = NDArray[np.float64]
 
 
 def read_log(
