@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -30,6 +31,13 @@ def compile_c(folder: Path, *words: str, compiler: str = CACHED) -> None:
         cached_cc.run(list(words), folder)
     else:
         subprocess.run([compiler, *words], cwd=folder, check=True)
+
+
+def cmake(folder: Path, *words: str) -> None:
+    """Run cmake with the compiler itself: cmake asks it a dozen things, and keeps its own objects."""
+    subprocess.run(
+        ["cmake", *words], cwd=folder, env=os.environ | {"CC": "gcc"}, check=True, capture_output=True
+    )
 
 
 HARNESS = """

@@ -16,6 +16,7 @@ from exported import (
     SANITIZERS,
     WARNINGS,
     as_given,
+    cmake,
     compile_c,
     compiled,
     in_units,
@@ -261,8 +262,8 @@ def test_build_files(tmp_path: Path) -> None:
     assert drive.size == 200 and np.ptp(drive) > 0.2 * made_model(0).input.span
     assert np.abs(np.diff(drive)).max() < 0.1 * np.ptp(drive)  # no leap for an amplifier to follow
     if shutil.which("cmake"):
-        subprocess.run(["cmake", "-S", ".", "-B", "build"], cwd=folder, capture_output=True, check=True)
-        subprocess.run(["cmake", "--build", "build"], cwd=folder, capture_output=True, check=True)
+        cmake(folder, "-S", ".", "-B", "build")
+        cmake(folder, "--build", "build")
         subprocess.run(["ctest"], cwd=folder / "build", capture_output=True, check=True)
 
 

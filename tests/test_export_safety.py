@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, SANITIZERS, TYPES, WARNINGS, compile_c, made_model, random_moves
+from exported import COMPILERS, SANITIZERS, TYPES, WARNINGS, cmake, compile_c, made_model, random_moves
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export import export_model
@@ -352,7 +352,7 @@ def test_two_exports_are_installed_and_found_by_cmake(tmp_path: Path) -> None:
         export_model(model, str(tmp_path / name), name=name, arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
         for step in (["-S", name, "-B", f"b_{name}"], ["--build", f"b_{name}"],
                      ["--install", f"b_{name}", "--prefix", "installed"]):  # fmt: skip
-            subprocess.run(["cmake", *step], cwd=tmp_path, check=True, capture_output=True)
+            cmake(tmp_path, *step)
     user = tmp_path / "user"
     user.mkdir()
     text = program(exports).replace('"Fine/', '"').replace('"quick/', '"')
@@ -364,7 +364,7 @@ def test_two_exports_are_installed_and_found_by_cmake(tmp_path: Path) -> None:
     )
     prefix = f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"
     for step in (["-S", ".", "-B", "b", prefix], ["--build", "b"]):
-        subprocess.run(["cmake", *step], cwd=user, check=True, capture_output=True)
+        cmake(user, *step)
     done = subprocess.run(["b/user"], cwd=user, capture_output=True, text=True, check=True)
     assert len(done.stdout.splitlines()) == 4000
 
@@ -413,7 +413,7 @@ def test_the_zephyr_module_builds_with_stand_ins(arithmetic: Any, tmp_path: Path
     assert (tmp_path / "x/zephyr/module.yml").read_text() == "name: axis\nbuild:\n  cmake: zephyr\n"
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR)
     for step in (["-S", ".", "-B", "b"], ["--build", "b"]):
-        subprocess.run(["cmake", *step], cwd=tmp_path, check=True, capture_output=True)
+        cmake(tmp_path, *step)
     assert (
         "every bit as expected"
         in subprocess.run(["b/user"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
