@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import betainc
 
 from dbo_cli.hysteresis import drive_lag, kernel
-from dbo_cli.hysteresis.cascade import slow_output_range
-from dbo_cli.hysteresis.delay import read_ahead
+from dbo_cli.hysteresis.cascade import read_ahead, slow_output_range
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section, undone
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, PointStage, Quantity, ScaleStage, Stage
 from dbo_cli.hysteresis.model_state import DriveLimits

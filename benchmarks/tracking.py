@@ -30,7 +30,7 @@ from make_samples import identification_drive, trajectory
 from numpy.typing import NDArray
 from virtual_actuator import PRESETS, ActuatorParameters, VirtualActuator
 
-from dbo_cli.hysteresis.delay import read_ahead
+from dbo_cli.hysteresis.cascade import read_ahead
 from dbo_cli.hysteresis.excitation import Excitation, swings
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits

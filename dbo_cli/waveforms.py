@@ -224,8 +224,11 @@ def _read_picoscope(data: bytes) -> Floats:
     return np.array(data.split(), dtype=np.float64)[None, :]
 
 
+# The last two are the lowest and the highest code: all of a 16-bit word with a sign ...
 _INT16 = GeneratorFormat((".bin", ".raw", ".i16"), _binary("<i2"), _read_binary("<i2"), (-32768, 32767))
+# ... all without one ...
 _UINT16 = GeneratorFormat((".bin", ".raw", ".u16"), _binary("<u2"), _read_binary("<u2"), (0, 65535))
+# ... and those of the source that docs/instruments-out.md names.
 _TFW = GeneratorFormat((".tfw",), _tektronix, _read_binary(">u2", TFW_HEADER), (0, 16382))
 FORMATS = {
     "npy": GeneratorFormat((".npy",), _npy, _read_npy, channels=True),  # and what takes arrays: volts

@@ -106,10 +106,12 @@ def ids(svg: str) -> set[str]:
 def _statements(node: ast.AST, late: bool) -> Iterator[tuple[ast.AST, bool]]:
     """Return the import statements below a node, and whether they take effect later than the module."""
     for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):
+            continue  # no expression holds an import
         if isinstance(child, ast.Import | ast.ImportFrom):
             yield child, late
         typing_only = isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
-        inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
         yield from _statements(child, late or inside or typing_only)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import re
@@ -39,6 +40,11 @@ def pytest_configure(config: pytest.Config) -> None:
         config.add_cleanup(folder.cleanup)
         os.environ["DBO_TEST_OBJECTS"] = folder.name
         os.environ["CC"] = str(Path(__file__).with_name("cached_cc.py"))
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was collected, and the libraries, out of every later search for garbage."""
+    gc.freeze()
 
 
 class Outcome(NamedTuple):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
+import cached_cc
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +17,28 @@ from dbo_cli.export.single_code import counts_of_range
 from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, Relaxation, ScaleStage
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 
-WARNINGS = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Werror -ffp-contract=off".split()
-SANITIZERS = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-CACHED = str(Path(__file__).with_name("cached_cc.py"))
+WARNINGS = ["-std=c99", *cached_cc.STRICT, "-ffp-contract=off"]
+# Not optimised: nothing is left out before it is watched, and the kernel takes half as long to compile.
+SANITIZERS = ["-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+CACHED = str(Path(cached_cc.__file__))
 COMPILERS = [CACHED] * bool(shutil.which("gcc")) + ["clang"] * bool(shutil.which("clang"))
 TYPES: dict[str, Any] = {"double": np.float64, "float": np.float32, "q31": np.int32}
+
+
+def compile_c(folder: Path, *words: str, compiler: str = CACHED) -> None:
+    """Compile in a folder; the cached compiler in this process, where Python need not start for it."""
+    if compiler == CACHED:
+        cached_cc.run(list(words), folder)
+    else:
+        subprocess.run([compiler, *words], cwd=folder, check=True)
+
+
+def cmake(folder: Path, *words: str) -> None:
+    """Run cmake with the compiler itself: cmake asks it a dozen things, and keeps its own objects."""
+    subprocess.run(
+        ["cmake", *words], cwd=folder, env=os.environ | {"CC": "gcc"}, check=True, capture_output=True
+    )
+
 
 HARNESS = """
 #include "NAME.h"
@@ -49,11 +68,8 @@ def compiled(
     text = HARNESS.replace("NAME", name).replace("NUMBER", number).replace("GEARS", str(gears))
     (folder / "harness.c").write_text(text.replace("BITS", "64" if arithmetic == "double" else "32"))
     library = folder / "harness.so"
-    subprocess.run(
-        [COMPILERS[0], *WARNINGS, *flags, "-shared", "-fPIC", "harness.c", f"{name}.c", "dbo_kernel.c",
-         *others, "-o", str(library)],
-        cwd=folder, check=True,
-    )  # fmt: skip
+    sources = ["harness.c", f"{name}.c", "dbo_kernel.c", *others]
+    compile_c(folder, *WARNINGS, *flags, "-shared", "-fPIC", *sources, "-o", str(library))
     loaded = ctypes.CDLL(str(library))
     kind = np.ctypeslib.as_ctypes_type(TYPES[arithmetic])
     pointer = ctypes.c_void_p

@@ -35,7 +35,7 @@ class Backlash:
         self.dx = [Fraction(width) for width in dx]
         self.dy = [Fraction(width) for width in dy]
         self.x0, self.y0 = Fraction(x0), Fraction(y0)
-        self.bits = [state >> i & 1 for i in range(len(self.dx))]
+        self.state = state
         self.transitions = 0
 
     @property
@@ -43,11 +43,14 @@ class Backlash:
         """B (1)."""
         return sum(bit << i for i, bit in enumerate(self.bits))
 
+    @state.setter
+    def state(self, value: int) -> None:
+        self.bits = [value >> i & 1 for i in range(len(self.dx))]
+
     def coordinates(self) -> tuple[Fraction, Fraction]:
         """X_B (2) and Y_B (3)."""
-        x = self.x0 + sum((bit * width for bit, width in zip(self.bits, self.dx, strict=True)), Fraction(0))
-        y = self.y0 + sum((bit * width for bit, width in zip(self.bits, self.dy, strict=True)), Fraction(0))
-        return x, y
+        crossed = [i for i, bit in enumerate(self.bits) if bit == 1]
+        return sum((self.dx[i] for i in crossed), self.x0), sum((self.dy[i] for i in crossed), self.y0)
 
     def step(self, value: float) -> Fraction:
         """Steps 1 to 4 of the procedure, repeated until there is an output."""

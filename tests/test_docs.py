@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
+import itertools
 import re
 import shutil
 import subprocess
@@ -112,6 +114,32 @@ def test_files_that_the_architecture_names_are_there() -> None:
     places = [ROOT, DOCS, ROOT / "dbo_cli", *(one for one in (ROOT / "dbo_cli").rglob("*") if one.is_dir())]
     assert len(named) >= 15
     assert {name for name in named if not any((place / name).exists() for place in places)} == set()
+
+
+def uncommented(path: Path) -> Iterator[str]:
+    """Yield the constants of a module (numbers but 0 and 1; no tables) no word beside, above, below."""
+    text = path.read_text(encoding="utf-8")
+    lines, body = text.splitlines(), ast.parse(text).body
+    for node, after in itertools.zip_longest(body, body[1:]):
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+            continue
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        names = [part.id for one in targets for part in ast.walk(one) if isinstance(part, ast.Name)]
+        found = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
+        numbers = [value for value in found if type(value) in (int, float) and value not in (0, 1)]
+        if not all(map(str.isupper, names)) or not numbers or any(isinstance(one, str) for one in found):
+            continue
+        has_word = "#" in "".join(lines[node.lineno - 1 : node.end_lineno])
+        has_word |= lines[node.lineno - 2].startswith("#")
+        if not has_word and not (isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)):
+            yield f"{path}:{node.lineno}: {', '.join(names)}"
+
+
+def test_every_constant_says_where_it_comes_from(tmp_path: Path) -> None:
+    bare = tmp_path / "bare.py"
+    bare.write_text("WIDE, TALL = 5.0, 4.0  # inches\nFEW = 3\n\nMANY: int = 30\n\n# rows\nMOST = 300\n")
+    assert [one.split(":")[-2:] for one in uncommented(bare)] == [["2", " FEW"], ["4", " MANY"]]
+    assert [one for path in (ROOT / "dbo_cli").rglob("*.py") for one in uncommented(path)] == []
 
 
 def test_the_readme_is_read_in_five_minutes() -> None:

@@ -16,6 +16,8 @@ from exported import (
     SANITIZERS,
     WARNINGS,
     as_given,
+    cmake,
+    compile_c,
     compiled,
     in_units,
     made_model,
@@ -46,10 +48,8 @@ def compile_and_run(
     folder: Path, name: str, compiler: str, flags: list[str]
 ) -> subprocess.CompletedProcess[str]:
     """Compile the self-test, warnings being errors, and run it."""
-    subprocess.run(
-        [compiler, *WARNINGS, *flags, f"{name}_test.c", f"{name}.c", "dbo_kernel.c", "-o", "self_test"],
-        cwd=folder, check=True,
-    )  # fmt: skip
+    sources = [f"{name}_test.c", f"{name}.c", "dbo_kernel.c"]
+    compile_c(folder, *WARNINGS, *flags, *sources, "-o", "self_test", compiler=compiler)
     return subprocess.run(["./self_test"], cwd=folder, capture_output=True, text=True, check=False)
 
 
@@ -70,13 +70,14 @@ def test_the_self_test_passes(arithmetic: Any, direction: Any, seed: int, tmp_pa
         model = delayed(model, 0.00325)
     slew = 40.0 * model.input.span if direction == "inverse" and seed else None
     export_model(
-        model, str(tmp_path / "out"), name="stage", direction=direction, arithmetic=arithmetic,
+        model, str(tmp_path / "out"), name="x", direction=direction, arithmetic=arithmetic,
         sample_rate=RATE, max_slew=slew,
     )  # fmt: skip
     # All of it for every compiler would be 54 compilations; each way of compiling meets each arithmetic.
-    ways = ["-O2"], ["-O1"], ["-DDBO_SMALL", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
-    done = compile_and_run(tmp_path / "out", "stage", COMPILERS[-1 if seed == 1 else 0], ways[seed])
-    assert (done.returncode, done.stdout) == (0, "stage: 526 samples, every bit as expected\n")
+    # The first two are those of the libraries below and in test_export_safety.py, which share the kernel.
+    ways = ["-O2", "-fPIC"], ["-O1", "-fPIC"], ["-DDBO_SMALL", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
+    done = compile_and_run(tmp_path / "out", "x", COMPILERS[-1 if seed == 1 else 0], ways[seed])
+    assert (done.returncode, done.stdout) == (0, "x: 526 samples, every bit as expected\n")
 
 
 @needs_compiler
@@ -190,11 +191,8 @@ def test_anything_may_come_in(arithmetic: Any, tmp_path: Path) -> None:
         '    for (unsigned k = 0; k < 3000; k++) printf("%.17g\\n", (double)x_step(&s, in[k]));\n'
         '    x_reset(&s, in[1]);\n    printf("%.17g\\n", (double)x_step(&s, in[2]));\n    return 0;\n}\n'
     )
-    subprocess.run(
-        [COMPILERS[0], "-std=c99", "-ffp-contract=off", *SANITIZERS, "flood.c", "x.c", "dbo_kernel.c",
-         "-o", "flood"],
-        cwd=folder, check=True,
-    )  # fmt: skip
+    sources = ["flood.c", "x.c", "dbo_kernel.c"]
+    compile_c(folder, "-std=c99", "-ffp-contract=off", *SANITIZERS, *sources, "-o", "flood")
     done = subprocess.run(["./flood"], cwd=folder, capture_output=True, text=True, check=True)
     out = in_units(np.array([float(v) for v in done.stdout.split()]), model.input, arithmetic)
     assert out.size == 3001
@@ -265,8 +263,8 @@ def test_build_files(tmp_path: Path) -> None:
     assert drive.size == 200 and np.ptp(drive) > 0.2 * made_model(0).input.span
     assert np.abs(np.diff(drive)).max() < 0.1 * np.ptp(drive)  # no leap for an amplifier to follow
     if shutil.which("cmake"):
-        subprocess.run(["cmake", "-S", ".", "-B", "build"], cwd=folder, capture_output=True, check=True)
-        subprocess.run(["cmake", "--build", "build"], cwd=folder, capture_output=True, check=True)
+        cmake(folder, "-S", ".", "-B", "build")
+        cmake(folder, "--build", "build")
         subprocess.run(["ctest"], cwd=folder / "build", capture_output=True, check=True)
 
 
@@ -276,11 +274,8 @@ def test_arduino_layout(tmp_path: Path) -> None:
     export_model(made_model(0), str(folder), name="stage", sample_rate=RATE, arduino=True, arithmetic="float")
     assert (folder / "library.properties").read_text().startswith("name=stage\nversion=")
     assert "stage_step(&state, input)" in (folder / "examples" / "stage" / "stage.ino").read_text()
-    subprocess.run(
-        [COMPILERS[0], *WARNINGS, "-Isrc", "extras/stage_test.c", "src/stage.c", "src/dbo_kernel.c",
-         "-o", "t"],
-        cwd=folder, check=True,
-    )  # fmt: skip
+    sources = ["extras/stage_test.c", "src/stage.c", "src/dbo_kernel.c"]
+    compile_c(folder, *WARNINGS, "-Isrc", *sources, "-o", "t")
     subprocess.run(["./t"], cwd=folder, check=True, capture_output=True)
 
 
@@ -558,11 +553,8 @@ def test_dynamics_at_a_fixed_step(direction: Any, tmp_path: Path) -> None:
     """Resonance, lag and delay; the inverse answers later by the samples it holds back."""
     model = resonant_model()
     summary = export_model(model, str(tmp_path / "out"), name="x", direction=direction, sample_rate=RATE)
-    subprocess.run(
-        [COMPILERS[0], *WARNINGS, *SANITIZERS, "x_test.c", "x.c", "dbo_kernel.c", "dbo_dynamics.c",
-         "-o", "t"],
-        cwd=tmp_path / "out", check=True,
-    )  # fmt: skip
+    sources = ["x_test.c", "x.c", "dbo_kernel.c", "dbo_dynamics.c"]
+    compile_c(tmp_path / "out", *WARNINGS, *SANITIZERS, *sources, "-o", "t")
     subprocess.run(["./t"], cwd=tmp_path / "out", check=True, capture_output=True)
     if direction == "forward":
         return
@@ -591,9 +583,7 @@ def test_a_lag_before_the_gears_at_a_fixed_step(direction: Any, behind: bool, tm
         lookup=not behind,
     )  # fmt: skip
     sources = ["x_test.c", "x.c", "dbo_kernel.c", "dbo_dynamics.c", *([] if behind else ["dbo_lookup.c"])]
-    subprocess.run(
-        [COMPILERS[0], *WARNINGS, *SANITIZERS, *sources, "-o", "t"], cwd=tmp_path / "out", check=True
-    )
+    compile_c(tmp_path / "out", *WARNINGS, *SANITIZERS, *sources, "-o", "t")
     done = subprocess.run(["./t"], cwd=tmp_path / "out", check=False, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "x: 526 samples, every bit as expected\n")
 

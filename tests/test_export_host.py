@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, SANITIZERS, WARNINGS, made_model, random_moves
+from exported import COMPILERS, SANITIZERS, WARNINGS, compile_c, made_model, random_moves
 
 from dbo_cli.errors import ModelError, OutputError, UsageError
 from dbo_cli.export import export_model
@@ -56,9 +56,7 @@ def test_the_lookup_table_gives_the_bits_of_the_recursion(gears: int, direction:
     assert outputs[1].tobytes() == outputs[3].tobytes()
     folder = tmp_path / "lookupTrue"
     sources = ["x_test.c", "x.c", "dbo_kernel.c", "dbo_lookup.c"]
-    subprocess.run(
-        [COMPILERS[-1], *WARNINGS, *SANITIZERS, *sources, "-o", "t"], cwd=folder, check=True
-    )  # fmt: skip
+    compile_c(folder, *WARNINGS, *SANITIZERS, *sources, "-o", "t", compiler=COMPILERS[-1])
     subprocess.run(["./t"], cwd=folder, check=True, capture_output=True)
 
 
@@ -149,9 +147,7 @@ def test_the_fmu_holds_the_sources_that_it_was_made_of(tmp_path: Path) -> None:
         for name in ("x.c", "x.h", "dbo_kernel.c", "dbo_kernel.h"):
             assert archive.read(f"sources/{name}") == (tmp_path / "out0" / name).read_bytes()
         archive.extractall(tmp_path / "unpacked")
-    subprocess.run(
-        [COMPILERS[0], *WARNINGS, "-c", "x_fmu.c"], cwd=tmp_path / "unpacked" / "sources", check=True
-    )
+    compile_c(tmp_path / "unpacked" / "sources", *WARNINGS, "-c", "x_fmu.c")
 
 
 def test_without_a_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, SANITIZERS, TYPES, WARNINGS, made_model, random_moves
+from exported import COMPILERS, SANITIZERS, TYPES, WARNINGS, cmake, compile_c, made_model, random_moves
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export import export_model
@@ -30,9 +30,7 @@ NUMBERS = {"double": "double", "float": "float", "q31": "int32_t"}
 
 def built(folder: Path, sources: list[str], *flags: str) -> str:
     """Compile and run a program, warnings being errors; return what it prints."""
-    subprocess.run(
-        [COMPILERS[0], *WARNINGS, *flags, *sources, "-lm", "-o", "program"], cwd=folder, check=True
-    )
+    compile_c(folder, *WARNINGS, *flags, *sources, "-lm", "-o", "program")
     done = subprocess.run(["./program"], cwd=folder, capture_output=True, text=True, check=True)
     return done.stdout
 
@@ -113,10 +111,7 @@ def played(folder: Path, arithmetic: str, inputs: Any, kinds: Any) -> list[Fract
     number = NUMBERS[arithmetic]
     (folder / "play.c").write_text(PLAY.replace("NUMBER", number))
     sources = sorted(p.name for p in folder.glob("*.c") if p.name.startswith("dbo_"))
-    subprocess.run(
-        [COMPILERS[0], *WARNINGS, "-O1", "-shared", "-fPIC", "play.c", "x.c", *sources, "-o", "play.so"],
-        cwd=folder, check=True,
-    )  # fmt: skip
+    compile_c(folder, *WARNINGS, "-O1", "-shared", "-fPIC", "play.c", "x.c", *sources, "-o", "play.so")
     library = ctypes.CDLL(str(folder / "play.so"))
     given = np.ascontiguousarray(inputs, dtype=TYPES[arithmetic])
     kind, out = np.ascontiguousarray(kinds, dtype=np.intc), np.empty_like(given)
@@ -339,7 +334,7 @@ def test_every_symbol_of_an_export_bears_its_name(tmp_path: Path) -> None:
     for file in ("dbo_kernel.h", "dbo_dynamics.h"):
         assert (kept / file).read_text() in (tmp_path / "x" / file).read_text()
     sources = ["axis.c", "dbo_kernel.c", "dbo_dynamics.c"]
-    subprocess.run([COMPILERS[0], *WARNINGS, "-c", *sources], cwd=tmp_path / "x", check=True)
+    compile_c(tmp_path / "x", *WARNINGS, "-c", *sources)
     listed = subprocess.run(
         ["nm", "-g", "--defined-only", "axis.o", "dbo_kernel.o", "dbo_dynamics.o"],
         cwd=tmp_path / "x", capture_output=True, text=True, check=True,
@@ -357,7 +352,7 @@ def test_two_exports_are_installed_and_found_by_cmake(tmp_path: Path) -> None:
         export_model(model, str(tmp_path / name), name=name, arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
         for step in (["-S", name, "-B", f"b_{name}"], ["--build", f"b_{name}"],
                      ["--install", f"b_{name}", "--prefix", "installed"]):  # fmt: skip
-            subprocess.run(["cmake", *step], cwd=tmp_path, check=True, capture_output=True)
+            cmake(tmp_path, *step)
     user = tmp_path / "user"
     user.mkdir()
     text = program(exports).replace('"Fine/', '"').replace('"quick/', '"')
@@ -369,7 +364,7 @@ def test_two_exports_are_installed_and_found_by_cmake(tmp_path: Path) -> None:
     )
     prefix = f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"
     for step in (["-S", ".", "-B", "b", prefix], ["--build", "b"]):
-        subprocess.run(["cmake", *step], cwd=user, check=True, capture_output=True)
+        cmake(user, *step)
     done = subprocess.run(["b/user"], cwd=user, capture_output=True, text=True, check=True)
     assert len(done.stdout.splitlines()) == 4000
 
@@ -418,7 +413,7 @@ def test_the_zephyr_module_builds_with_stand_ins(arithmetic: Any, tmp_path: Path
     assert (tmp_path / "x/zephyr/module.yml").read_text() == "name: axis\nbuild:\n  cmake: zephyr\n"
     (tmp_path / "CMakeLists.txt").write_text(ZEPHYR)
     for step in (["-S", ".", "-B", "b"], ["--build", "b"]):
-        subprocess.run(["cmake", *step], cwd=tmp_path, check=True, capture_output=True)
+        cmake(tmp_path, *step)
     assert (
         "every bit as expected"
         in subprocess.run(["b/user"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported import COMPILERS, TYPES, WARNINGS, as_given, compiled, made_model, random_moves
+from exported import COMPILERS, TYPES, WARNINGS, as_given, compile_c, compiled, made_model, random_moves
 from test_export import delayed
 
 from dbo_cli.errors import DboError
@@ -26,7 +26,7 @@ FLAGS = [
     *WARNINGS,
     "-O1",
     "-fPIC",
-]  # the same for the self-test and the library: each source is compiled once
+]  # the same for the self-test and the library: the kernel is compiled once
 GEARS = 64
 CHANNELS = ("1", "tip z", "3")
 
@@ -53,10 +53,7 @@ def loaded(folder: Path, name: str, arithmetic: str) -> Any:
     )
     sources = re.search(r"SOURCES = (.*)", (folder / "Makefile").read_text())
     assert sources is not None
-    subprocess.run(
-        [COMPILERS[0], *FLAGS, "-shared", "all.c", *sources[1].split(), "-o", "all.so"],
-        cwd=folder, check=True,
-    )  # fmt: skip
+    compile_c(folder, *FLAGS, "-shared", "all.c", *sources[1].split(), "-o", "all.so")
     library = ctypes.CDLL(str(folder / "all.so"))
     library.play.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
 

@@ -9,7 +9,7 @@ import pytest
 from test_hysteresis_model import build, wanted
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.delay import read_ahead
+from dbo_cli.hysteresis.cascade import read_ahead
 from dbo_cli.hysteresis.excitation import Excitation, swing_samples, swings
 from dbo_cli.hysteresis.model import DriveLimits
 

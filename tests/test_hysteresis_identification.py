@@ -21,6 +21,8 @@ from dbo_cli.hysteresis.identification import (
     identify,
 )
 from dbo_cli.hysteresis.identification.evaluation import predict
+from dbo_cli.hysteresis.identification.preparation import prepare
+from dbo_cli.hysteresis.identification.recordings import drive_shape
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -188,6 +190,56 @@ def test_a_history_that_no_start_explains_is_left_open() -> None:
     assert held_out(result, truth) < 0.002 * 42.4
 
 
+def gapped(log: Recording, begin: int, end: int) -> Recording:
+    """Return a log at 100 samples/s whose logger slept from ``begin`` to before ``end``."""
+    kept = np.delete(np.arange(len(log.voltage)), slice(begin, end))
+    return replace(
+        log, voltage=log.voltage[kept], displacement=log.displacement[kept], time=0.01 * kept,
+        sample_period=None,
+    )  # fmt: skip
+
+
+def test_what_the_drive_did_in_a_gap_spoils_no_model() -> None:
+    truth = actuator()
+    whole = record(truth, np.concatenate((nested(3), nested(5, 170))))
+    slept = gapped(whole, 430, 730)
+    result = identify([slept], STATIC)
+    assert result.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert any("a gap before row 431, in which the drive may have turned" in line for line in result.summary)
+    assert held_out(result, truth) < 0.002 * 42.4
+    checked = identify([whole], STATIC, [replace(slept, name="other")])
+    assert checked.fit["validation_rmse"] == pytest.approx(NOISE, rel=0.3)
+
+
+def test_a_gap_that_hides_a_large_swing_leaves_an_offset_behind() -> None:
+    truth = actuator()
+    fading = np.concatenate((np.ones(300), np.linspace(1.0, 0.4, 600)))
+    loops = 5.0 - 5.0 * fading * np.cos(2.0 * np.pi * np.arange(900) / 150)
+    hidden = np.concatenate(
+        (np.linspace(3.0, 0.0, 50), np.linspace(0.0, 9.0, 100), np.linspace(9.0, 2.5, 70))
+    )
+    small = 3.5 - np.cos(2.0 * np.pi * np.arange(1, 801) / 80)
+    whole = record(truth, np.concatenate((loops, hidden, small)))
+    result = identify([gapped(whole, 880, 1140)], STATIC)
+    assert result.fit["rmse"] == pytest.approx(NOISE, rel=0.3)
+    assert held_out(result, truth) < 0.002 * 42.4
+
+
+def test_a_fold_that_outliers_empty_is_no_fold() -> None:
+    truth = actuator()
+    log = record(truth, nested())
+    shape = drive_shape(log.voltage)
+    spiked = log.displacement.copy()
+    fault = np.ones(len(spiked), bool)
+    fault[: shape.cycles[1]] = fault[shape.cycles[2] :] = False
+    fault[shape.cycles[1] + 50] = False  # all that is left of the cycle is a spike
+    spiked[shape.cycles[1] + 50] += 20.0
+    ready = prepare([replace(log, displacement=spiked)], 0.0, [fault])
+    folds = ready.logs[0].fold
+    assert ready.outlier_rows[0] == fault.sum() + 1
+    assert np.unique(folds[folds >= 0]).tolist() == list(range(folds.max() + 1))
+
+
 def test_a_model_is_judged_on_a_log_it_has_not_seen() -> None:
     truth = actuator()
     other = replace(record(truth, nested(5, 170), 9), name="other")
@@ -259,6 +311,11 @@ def test_what_a_user_is_warned_of() -> None:
     assert "50 % of the rated range 0 to 20" in warnings_of(log, half)
     butterfly = replace(log, displacement=(log.voltage - 5.0) ** 2)
     assert "a butterfly" in warnings_of(butterfly)
+    stairs = np.repeat(np.tile(np.concatenate((np.linspace(0.0, 10.0, 11), np.linspace(9.0, 1.0, 9))), 3), 40)
+    told = warnings_of(record(actuator(falling=True), np.append(stairs, np.zeros(40))))
+    assert told.startswith("the log's samples stand at 11 levels of the drive alone")
+    assert "butterfly" not in told and "less than two" not in told  # three cycles, and a loop
+    assert "less than two whole cycles" in warnings_of(record(truth, nested(2)[:150]))
     stuck = replace(log, displacement=np.minimum(log.displacement, 33.0) + 0.02 * log.voltage)
     assert "saturation" in warnings_of(stuck)
     assert "no clock" in warnings_of(replace(log, sample_period=None))

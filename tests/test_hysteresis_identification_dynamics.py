@@ -12,7 +12,7 @@ from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.excitation import Excitation, sweep
-from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, creep, identify
+from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, dynamics, identify
 from dbo_cli.hysteresis.identification.recordings import split
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage, Stage
 from dbo_cli.hysteresis.model_file import model_to_bytes
@@ -190,7 +190,7 @@ def test_a_lag_before_the_gears_is_put_there_and_an_antiresonance_found() -> Non
 
 def test_creep_is_a_product_of_sections() -> None:
     taus, shares = np.array([0.5, 8.0, 2.0]), np.array([0.006, 0.010, 0.0])
-    sections = creep._sections(taus, shares)
+    sections = dynamics._sections(taus, shares)
     assert [section.seconds for section in sections] == [0.5, 8.0]
     frequency = np.geomspace(1e-3, 10.0, 30)
     expected = (
@@ -199,7 +199,7 @@ def test_creep_is_a_product_of_sections() -> None:
         + sum(c / (1.0 + 2j * np.pi * frequency * t) for c, t in zip(shares, taus, strict=True))
     )
     assert np.allclose(DynamicsStage(sections).response(frequency), expected, rtol=1e-12)
-    assert creep._sections(taus, np.zeros(3)) == ()
+    assert dynamics._sections(taus, np.zeros(3)) == ()
 
 
 def test_creep_of_the_displacement_is_found_behind_the_gears() -> None:

@@ -19,6 +19,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     predict,
     validation_of,
 )
+from dbo_cli.hysteresis.identification.identify import SHRUNK, _few_heights
 from dbo_cli.hysteresis.identification.normal_equations import (
     MAX_STEEPNESS,
     SLOPE_FLOOR,
@@ -28,7 +29,6 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     quadratic,
     solve,
 )
-from dbo_cli.hysteresis.identification.paper_method import SHRUNK, _few_heights
 from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
 from dbo_cli.hysteresis.identification.recordings import Recording, first_wiped_row
 from dbo_cli.hysteresis.identification.refinement import (

@@ -9,7 +9,7 @@ import pytest
 from trials import Floats
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.delay import read_ahead
+from dbo_cli.hysteresis.cascade import read_ahead
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,

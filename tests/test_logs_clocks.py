@@ -14,7 +14,7 @@ from dbo_cli.logs.columns import wish
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.text.time_stamps import (
+from dbo_cli.logs.stated_clock import (
     clock_seconds,
     date_seconds,
     minute_seconds,

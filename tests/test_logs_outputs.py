@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import signal
 import subprocess
@@ -16,7 +17,8 @@ import pytest
 
 from dbo_cli.errors import InputError, OutputError, UsageError
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.out_column import _fast_rows, _plain_rows
+from dbo_cli.logs.libraries import import_polars
+from dbo_cli.logs.out_column import _plain_rows, write_rows
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import check_output, reason_of, write_whole
@@ -110,6 +112,9 @@ def test_reasons() -> None:
     )
     assert reason_of(OSError("Can't write data (errno = 28, error message = 'No space left on device')")) == (
         "the disk is full: nothing was written"
+    )
+    assert (
+        reason_of(OSError("No space left on device (os error 28)")) == "the disk is full: nothing was written"
     )
     assert reason_of(OSError(errno.EACCES, "Permission denied")) == "cannot be written: Permission denied"
 
@@ -337,8 +342,10 @@ def test_a_column_that_may_be_blank(tmp_path: Path) -> None:
     desired = OutColumn("desired", "um", may_be_blank=True)
     columns = [OutColumn("time", "s"), desired, OutColumn("voltage", "V")]
     values = np.array([0.0, 1.0]), np.array([0.5, np.nan]), np.array([2.0, 3.0])
-    rows = b"0.0,0.5,2.0\n1.0,,3.0\n"
-    assert (_plain_rows(values, ","), bytes(_fast_rows(values, ","))) == (rows, rows)
+    rows, fast = b"0.0,0.5,2.0\n1.0,,3.0\n", io.BytesIO()
+    import_polars()
+    write_rows(fast, values, ",")
+    assert (_plain_rows(values, ","), fast.getvalue()) == (rows, rows)
     for name, refusal in (
         ("out.csv", ":3: column 'desired_um' is empty ("),
         ("out.h5", ": row 2: column 'desired_um' is not finite: 'nan' ("),

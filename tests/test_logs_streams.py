@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.out_column import rows_as_text, shortest
+from dbo_cli.logs.out_column import shortest, write_rows
 from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.signal_log import open_log
@@ -182,18 +182,18 @@ def test_the_three_parsers_always_agree(
 def test_both_writers_give_the_same_bytes_and_they_read_back(values: list[float]) -> None:
     import polars  # the fast writer's library
 
-    array = np.array(values)
-    fast = rows_as_text([array], ",")
-    assert bytes(fast).decode() == "".join(shortest(value) + "\n" for value in values)
-    lines = bytes(fast).decode().split("\n")[:-1]  # NaN is an empty cell
+    array, fast = np.array(values), io.BytesIO()
+    write_rows(fast, [array], ",")
+    assert fast.getvalue().decode() == "".join(shortest(value) + "\n" for value in values)
+    lines = fast.getvalue().decode().split("\n")[:-1]  # NaN is an empty cell
     assert [line == "" for line in lines] == np.isnan(array).tolist()
     back = np.array([float(line or "nan") for line in lines])
     assert np.array_equal(back, array, equal_nan=True)
     finite = array[np.isfinite(array)]
     if len(finite):
-        table = polars.read_csv(
-            bytes(rows_as_text([finite], ",")), has_header=False, schema={"column_1": polars.Float64}
-        )
+        fast = io.BytesIO()
+        write_rows(fast, [finite], ",", blanks=False)
+        table = polars.read_csv(fast.getvalue(), has_header=False, schema={"column_1": polars.Float64})
         assert table["column_1"].to_numpy().tobytes() == finite.tobytes()
 
 

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.clock import TimeCheck, even_step, require_even, resampled
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
-from dbo_cli.logs.sample_block import SampleBlock
+from dbo_cli.logs.sample_block import SampleBlock, TimeCheck, even_step, require_even, resampled
 from dbo_cli.logs.signal_log import open_log
 
 WANT = {"voltage": ColumnWish(None, ("voltage",))}
@@ -69,11 +68,11 @@ def test_line_numbers_count_what_is_between_the_rows(tmp_path: Path) -> None:
 def test_the_verdict_does_not_depend_on_the_blocks(seed: int, size: int) -> None:
     random = np.random.default_rng(seed)
     time = np.cumsum(random.choice([0.0, 0.01, 0.01, 0.01, 0.03, -0.02], 3000))
-    rows = range(1, 3001)
+    block = SampleBlock(range(1, 3001), range(1, 3001), time, {})
     whole, pieces = TimeCheck("log"), TimeCheck("log")
-    whole.feed(time, rows, rows)
+    whole.feed(block)
     for start in range(0, 3000, size):
-        pieces.feed(time[start : start + size], rows[start : start + size], rows[start : start + size])
+        pieces.feed(block.part(start, start + size))
     assert whole.notes() == pieces.notes()
 
 

@@ -17,8 +17,7 @@ from scipy.optimize import lsq_linear
 
 from dbo_cli.errors import FitError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
-from dbo_cli.hysteresis.cascade import ScaleStage
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage
 from dbo_cli.hysteresis.identification import Recording
 from dbo_cli.hysteresis.identification.preparation import prepare
 from dbo_cli.hysteresis.model import DriveLimits
@@ -400,6 +399,14 @@ def written(path: str, log: Recording) -> str:
         for row in zip(log.time.tolist(), log.voltage.tolist(), log.displacement.tolist(), strict=True):
             file.write(",".join(map(repr, row)) + "\n")
     return path
+
+
+def test_a_model_that_cannot_tell_what_to_expect_has_a_row() -> None:
+    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * np.arange(400) / 400)
+    log = Recording("one cycle", drive, 0.1 * drive + 0.5 * np.sin(2.0 * np.pi * np.arange(400) / 400))
+    row = compare([log], names=("dbo",), timed=False)[0]
+    assert row.expected_rmse is None
+    assert row.rmse is not None and row.rmse < 0.1
 
 
 def test_the_command_writes_table_figures_and_models(dbo: Any) -> None:

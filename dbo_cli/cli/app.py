@@ -16,7 +16,7 @@ from dbo_cli.errors import DboError, UsageError
 from dbo_cli.logs.libraries import GAVE_UP, Host, set_host
 from dbo_cli.logs.plain_text import cleaned
 
-INTERRUPTED = 130
+INTERRUPTED = 130  # exit code: 128 and the number of SIGINT, as shells report it
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -400,8 +400,7 @@ def compare(given: Given) -> None:
         dbo compare recorded.csv --models dbo,pi --no-timings -o table.csv
     """
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import IdentifyRun
-    from dbo_cli.runs.model_table import TableOptions, compare_logs
+    from dbo_cli.runs.identifying import IdentifyRun, TableOptions, compare_logs
 
     logs = (given.log, given.validate or [], given.reading, IdentificationOptions())
     table = TableOptions(

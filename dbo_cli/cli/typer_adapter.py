@@ -32,7 +32,7 @@ from dbo_cli.version import __version__
 SHELLS = ("bash", "zsh", "fish")
 PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
 HEADINGS = ("Arguments", options.OPTIONS, options.STARTING, options.READING_LOGS, options.MESSAGES)
-CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}  # columns
 
 ASKED = "_DBO_COMPLETE"
 """The environment variable by which a shell asks for completions, as the library's scripts set it."""

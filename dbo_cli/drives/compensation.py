@@ -22,22 +22,21 @@ from dbo_cli.drives.learning import write_history
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
 from dbo_cli.drives.options import DriveOptions, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
-from dbo_cli.drives.settling import HeldLevels, StepTime, distance_in, settling_notes, step_times
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.loops import slow_model
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
-from dbo_cli.logs.clock import even_step, median_step
-from dbo_cli.logs.sample_block import FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.logs.units import in_unit
 from dbo_cli.remarks import Remarks
 
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Lesson
+    from dbo_cli.drives.settling import StepTimes
 
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
-SAME_DRIVE = 1e-9  # of the range: a state and what the amplifier is said to stand at agree
+SAME_DRIVE = 1e-9  # of the range: two drives that agree to this are one; chosen, far above rounding
 
 
 @dataclass
@@ -71,9 +70,7 @@ class Compensation(ModelRun):
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
-    settle: float | None = field(init=False)
-    held: HeldLevels = field(default_factory=HeldLevels)
-    timed: tuple[int, list[StepTime]] = (0, [])
+    settling: StepTimes | None = None
 
     compensates = True
     remedies = "`condition` sweeps it there, "
@@ -81,8 +78,10 @@ class Compensation(ModelRun):
     def __post_init__(self) -> None:
         """Take the options apart."""
         options = self.options
-        unit = self.model.output.unit
-        self.settle = None if options.settle is None else distance_in(options.settle, unit)
+        if options.settle is not None:
+            from dbo_cli.drives.settling import StepTimes
+
+            self.settling = StepTimes(self.model, options.settle)
         self.limits, self.start = options.limits(self.model), options.state
         self.why_time, self.bandwidth = options.why_time, options.bandwidth
         if self.lesson is not None:
@@ -138,8 +137,8 @@ class Compensation(ModelRun):
 
     def _see(self, desired: FloatArray, drive: FloatArray) -> None:
         self.move.see(desired, None)
-        if self.settle is not None:
-            self.held.add(desired, drive)
+        if self.settling is not None:
+            self.settling.levels.add(desired, drive)
 
     def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
@@ -331,7 +330,7 @@ class Compensation(ModelRun):
             self._first_row(),
             self._whose_volts(),
             self.expected_error(),
-            *self._settling_times(),
+            *(self.settling.notes(self.source.name, self.drive) if self.settling is not None else ()),
             self._load(),
         )
         remarks.note(text for text in texts if text)
@@ -365,22 +364,6 @@ class Compensation(ModelRun):
                 "(`approach` SECONDS ramps there)"
             )
         return ""
-
-    def _settling_times(self) -> list[str]:
-        """Say how long a step over the whole move, and each between levels, has to be held, if asked for."""
-        if self.settle is None or not self.drive.rows:
-            return []
-        whole = (self.drive.low, self.drive.high)
-        times, count = self.step_times(), len(self.held.steps)
-        return settling_notes(self.source.name, self.model, whole, times, count, self.settle)
-
-    def step_times(self) -> list[StepTime]:
-        """Return how long each step between held levels takes, where that was asked for."""
-        steps = self.held.finished().steps
-        if self.settle is None or len(steps) == self.timed[0]:
-            return self.timed[1]
-        self.timed = len(steps), step_times(self.model, steps, self.settle)
-        return self.timed[1]
 
     def _load(self) -> str:
         """Say what the drive asks of the amplifier, where its load is known."""

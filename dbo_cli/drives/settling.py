@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dbo_cli.drives.gate import DriveFigures
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.dynamics import Lag, Section
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -19,8 +20,8 @@ FOR_EVER = 50.0  # of the longest time constant: what creeps is over to 2e-22
 SHORTEST = 1e-9  # s: shorter than any converter's row
 HALVINGS = 60  # of the logarithm of time: 20 decades to the last digits
 FEW_PERIODS = 10.0  # of a resonance, in which half a period is more than 5 %
-ROWS_A_PERIOD = 64.0
-MOST_SAID = 12  # steps in a note
+ROWS_A_PERIOD = 64.0  # of the highest resonance: a crossing is timed to 1.6 % of it; 16 did no worse
+MOST_SAID = 12  # steps in a note; chosen
 MOST_TIMED = 300  # different steps that are timed: 7 ms each
 FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
 
@@ -103,6 +104,38 @@ def step_times(model: ActuatorModel, steps: Sequence[tuple[float, float]], dista
         steps = [sizes[k] for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)]
     found = {step: settling_seconds(model, *step, distance) for step in dict.fromkeys(steps)}
     return [StepTime(*step, found[step]) for step in steps]
+
+
+class StepTimes:
+    """How long the steps of a drive have to be held, as it is computed.
+
+    Parameters
+    ----------
+    model : ActuatorModel
+        The forward model.
+    settle : float or str
+        The distance within which a level counts as reached (see ``distance_in``).
+    """
+
+    def __init__(self, model: ActuatorModel, settle: float | str) -> None:
+        self.model, self.distance = model, distance_in(settle, model.output.unit)
+        self.levels = HeldLevels()
+        self._timed: list[StepTime] = []
+        self._count = 0
+
+    def times(self) -> list[StepTime]:
+        """Return how long each step between held levels takes."""
+        steps = self.levels.finished().steps
+        if len(steps) != self._count:
+            self._timed, self._count = step_times(self.model, steps, self.distance), len(steps)
+        return self._timed
+
+    def notes(self, name: str, drive: DriveFigures) -> list[str]:
+        """Say how long a step over the whole drive, and each between levels, has to be held."""
+        if not drive.rows:
+            return []
+        times, whole = self.times(), (drive.low, drive.high)
+        return settling_notes(name, self.model, whole, times, len(self.levels.steps), self.distance)
 
 
 def below_error(model: ActuatorModel, distance: float) -> str:

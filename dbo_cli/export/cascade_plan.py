@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
-from dbo_cli.hysteresis.delay import DelayStage, whole_and_part
+from dbo_cli.hysteresis.cascade import DelayStage, MemoryFree, ScaleStage, through, whole_and_part
 from dbo_cli.hysteresis.dynamics import DynamicsInverter, DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits, ModelState, Quantity

@@ -14,8 +14,8 @@ import numpy as np
 from dbo_cli.hysteresis.kernel import find_first_one, find_first_zero
 
 F = np.float32
-FARTHEST = 1 << 60
-INT32 = (-(2**31), 2**31 - 1)
+FARTHEST = 1 << 60  # as in dbo_kernel_single.c: beyond every position, and a difference of two fits 64 bits
+INT32 = (-(2**31), 2**31 - 1)  # what an int32_t holds
 
 Number = Any
 """What is float32 in one arithmetic and a whole number in the other; positions are whole in both."""

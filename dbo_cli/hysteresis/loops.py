@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.hysteresis.cascade import through
-from dbo_cli.hysteresis.delay import whole_and_part
+from dbo_cli.hysteresis.cascade import through, whole_and_part
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated, StartName
 from dbo_cli.hysteresis.operators import BacklashState, Floats

@@ -21,8 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import cascade, drive_lag, model_state
-from dbo_cli.hysteresis.cascade import OtherHysteresis, ScaleStage, Stage, slow_output_range, through
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.cascade import (
+    DelayStage,
+    OtherHysteresis,
+    ScaleStage,
+    Stage,
+    slow_output_range,
+    through,
+)
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated, StartName
 from dbo_cli.hysteresis.operators import (
@@ -353,7 +359,7 @@ class ActuatorModel:
         Parameters
         ----------
         x : array_like
-            The input. An inverse model with a delay gets it read ahead (``delay.read_ahead``), one with
+            The input. An inverse model with a delay gets it read ahead (``cascade.read_ahead``), one with
             dynamics with these undone (``dynamics.undone``): both need samples that come later.
         state : ModelState
             From ``start``, or from the block before.

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.cascade import OtherHysteresis, ScaleStage, Stage
-from dbo_cli.hysteresis.delay import DelayHistory, DelayStage
+from dbo_cli.hysteresis.cascade import DelayHistory, DelayStage, OtherHysteresis, ScaleStage, Stage
 from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Resonance, Section, SectionStates
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DynamicsStage, PointStage
 from dbo_cli.hysteresis.model_state import ModelState, Quantity

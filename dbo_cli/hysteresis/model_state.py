@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis.delay import DelayHistory
+from dbo_cli.hysteresis.cascade import DelayHistory
 from dbo_cli.hysteresis.dynamics import InverseMemory, SectionStates
 from dbo_cli.hysteresis.operators import CROSSING_TOLERANCE, BacklashState, DiscreteBacklashOperator, Floats
 

@@ -111,8 +111,8 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
 
     A value that is absent (None) is NaN.
     """
+    from dbo_cli.logs.stated_clock import stamp_seconds
     from dbo_cli.logs.text.lines import to_number
-    from dbo_cli.logs.text.time_stamps import stamp_seconds
 
     first = next((one for one in values if one is not None), None)
     stamps, unit = isinstance(first, str), None

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import repeat
+from typing import IO
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,7 +63,8 @@ def require_finite(columns: Sequence[OutColumn], headers: Sequence[str], arrays:
         An array holds one, and it is no NaN of a column that may be blank; its header is named.
     """
     for column, header, array in zip(columns, headers, arrays, strict=True):
-        if not (np.isfinite(array) | (column.may_be_blank & np.isnan(array))).all():
+        good = np.isfinite(array)
+        if not (good.all() or (column.may_be_blank and (good | np.isnan(array)).all())):
             raise OutputError(
                 f"column '{header}' would hold a number that is not finite: the model or the signal is "
                 "beyond the range of the arithmetic"
@@ -93,11 +96,39 @@ def shortest(value: float) -> str:
     return f"{digits}e{'+' if exponent[0] == '+' else '-'}{exponent[1:].lstrip('0')}"
 
 
-def rows_as_text(arrays: Sequence[ArrayLike], delimiter: str) -> bytes | memoryview:
-    """Write columns as lines of delimited text; the bytes do not depend on which way is taken."""
-    if "polars" in sys.modules or len(arrays) * np.size(arrays[0]) >= PLAIN_CELLS:
-        return _fast_rows(arrays, delimiter)
-    return _plain_rows(arrays, delimiter)
+def write_rows(
+    stream: IO[bytes],
+    arrays: Sequence[ArrayLike],
+    delimiter: str,
+    *,
+    blanks: bool = True,
+    own_file: bool = False,
+) -> None:
+    """Write columns as lines of delimited text; the bytes do not depend on which way is taken.
+
+    Parameters
+    ----------
+    stream, arrays, delimiter
+        What is written where.
+    blanks
+        Whether a NaN may be among the numbers, which is an empty cell.
+    own_file
+        The stream is a file that nobody else knows: polars writes into it by itself, and no byte is copied.
+        It would do so to standard output, too, but there a closed pipe and Ctrl-C are Python's to hear of.
+    """
+    if "polars" not in sys.modules and len(arrays) * np.size(arrays[0]) < PLAIN_CELLS:
+        stream.write(_plain_rows(arrays, delimiter))
+        return
+    names = map(str, range(len(arrays)))
+    columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
+    table = import_polars().DataFrame(dict(zip(names, columns, strict=False)), nan_to_null=blanks)
+    if own_file:
+        stream.flush()
+        table.write_csv(stream, include_header=False, separator=delimiter)
+    else:
+        buffer = io.BytesIO()
+        table.write_csv(buffer, include_header=False, separator=delimiter)
+        stream.write(buffer.getbuffer())
 
 
 def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
@@ -105,15 +136,3 @@ def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
     columns = [[shortest(value) for value in column] for column in numbers]
     lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
     return ("\n".join(lines) + "\n").encode() if lines else b""
-
-
-def _fast_rows(arrays: Sequence[ArrayLike], delimiter: str) -> memoryview:
-    import io
-
-    polars = import_polars()
-    buffer = io.BytesIO()
-    names = map(str, range(len(arrays)))
-    columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
-    table = polars.DataFrame(dict(zip(names, columns, strict=False)), nan_to_null=True)  # an empty cell
-    table.write_csv(buffer, include_header=False, separator=delimiter)
-    return buffer.getbuffer()

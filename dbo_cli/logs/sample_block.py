@@ -1,14 +1,19 @@
-"""What every format gives: a table of columns, and blocks of samples that know their place in the file."""
+"""What every format gives: a table of columns, and blocks of samples that know their place in the file.
+
+Behind them the clock: what is odd about time stamps, and even sampling only where it is asked for.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dbo_cli.errors import InputError
 
 FloatArray = NDArray[np.float64]
 Places = range | NDArray[np.int64]
@@ -23,7 +28,7 @@ class ColumnInfo:
     ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
     unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
     ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
-    ``date`` (logs.text.time_stamps); such columns are read as seconds. Rows without a value in a column that
+    ``date`` (logs.stated_clock); such columns are read as seconds. Rows without a value in a column that
     ``may_be_blank`` are left out.
     """
 
@@ -91,9 +96,11 @@ class SampleBlock:
 
     def place(self, name: str, index: int) -> str:
         """Return where a sample stands: file and line, or row where there are no lines."""
-        if self.lines is not None:
-            return f"{name}:{int(self.lines[index])}"
-        return f"{name}: row {int(self.rows[index])}"
+        return f"{name}: {self.where(index)}" if self.lines is None else f"{name}:{int(self.lines[index])}"
+
+    def where(self, index: int) -> str:
+        """Return where in its file a sample stands: ``line 5``, or ``row 4`` where there are no lines."""
+        return f"row {int(self.rows[index])}" if self.lines is None else f"line {int(self.lines[index])}"
 
 
 def joined(parts: Sequence[SampleBlock]) -> SampleBlock:
@@ -156,3 +163,251 @@ class Table:
 
     def close(self) -> None:
         """Close the file."""
+
+
+# ---- the clock
+
+_LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
+GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
+SAME_RATE = 1e-3  # two clocks may differ by this fraction: chosen, ten times what quartz is off by
+JITTER = 0.05  # of a step; what the clocks of operating systems jitter by, and no model notices
+
+
+@dataclass
+class Finding:
+    """How often something odd happened, and where first."""
+
+    count: int = 0
+    where: str = ""
+    before: float = 0.0
+    after: float = 0.0
+
+    def add(self, block: SampleBlock, at: NDArray[np.intp], before: FloatArray, after: FloatArray) -> None:
+        """Count the places ``at`` (indices into the block)."""
+        if len(at) and not self.count:
+            index = int(at[0])
+            self.where, self.before, self.after = (
+                block.where(index),
+                float(before[index]),
+                float(after[index]),
+            )
+        self.count += len(at)
+
+
+def median_step(steps: FloatArray) -> float:
+    """Return the median of time steps; ``np.median`` would load ``numpy.ma``, 8 ms of every start."""
+    ordered = np.sort(steps)
+    half = len(ordered) // 2
+    return float(ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
+
+
+@dataclass
+class TimeCheck:
+    """Watches time stamps block by block and notes what is odd about them, in constant memory.
+
+    A clock that goes back by one of its ``periods`` (s) is a counter that wraps, and refused (InputError).
+    The usual step (``step``, s; infinite where the clock stands) is the median of the first thousand, so that
+    the verdict does not depend on the block size.  Feed every block, then ask for ``notes()``; only then are
+    ``first`` and ``last``, the stamps at both ends, known.
+    """
+
+    place: str
+    periods: tuple[float, ...] = ()
+    step: float = 0.0
+    backward: Finding = field(default_factory=Finding)
+    restart: Finding = field(default_factory=Finding)
+    repeat: Finding = field(default_factory=Finding)
+    gap: Finding = field(default_factory=Finding)
+    narrowest: float = np.inf
+    widest: float = 0.0
+    _kept: list[tuple[SampleBlock, FloatArray]] = field(default_factory=list)
+    rows: int = 0
+    last: float | None = None
+    first: float = 0.0
+
+    @property
+    def is_even(self) -> bool:
+        """Whether no step is far from the usual one, gaps aside."""
+        return self.widest - self.narrowest <= JITTER * self.step
+
+    def rate(self) -> float | None:
+        """Return samples a second (Hz) where every step is about the usual one, else None."""
+        self._learn()
+        odd = self.restart.count + self.backward.count + self.repeat.count + self.gap.count
+        if odd or self.rows < 2 or self.last is None or not self.is_even:
+            return None
+        return (self.rows - 1) / (self.last - self.first)
+
+    def feed(self, block: SampleBlock) -> None:
+        """Look at the time stamps (s) of one block."""
+        if block.time is None or not len(block.time):
+            return
+        self.rows += len(block.time)
+        if self.step == 0.0:
+            self._kept.append((block, block.time))
+            if self.rows >= _LEARNING:
+                self._learn()
+        else:
+            self._judge(block, block.time)
+
+    def notes(self) -> list[str]:
+        """Return what was found, one line a finding, with the first place of each."""
+        self._learn()
+        notes = []
+        for finding, text in (
+            (self.restart, "the clock starts again at {place} ({jump})"),
+            (self.backward, "time goes backwards at {place} ({jump})"),
+            (self.repeat, "the time stamp {after} s repeats at {place}"),
+            (self.gap, "a gap at {place} ({jump}, usual step {step:.4g} s)"),
+        ):
+            if finding.count:
+                after, place = _stamp(finding.after), finding.where
+                jump = f"from {_stamp(finding.before)} s to {after} s"
+                again = f", and {finding.count - 1} more" if finding.count > 1 else ""
+                text = text.format(place=place, jump=jump, after=after, step=self.step)
+                notes.append(f"{self.place}: {text}{again}")
+        if not self.is_even and self.step > 0.0 and self.widest > 0.0:
+            notes.append(
+                f"{self.place}: time steps vary from {self.narrowest:.4g} s to {self.widest:.4g} s "
+                f"(usual step {self.step:.4g} s)"
+            )
+        return notes
+
+    def _learn(self) -> None:
+        if not self._kept:
+            return
+        kept, self._kept = self._kept, []
+        steps = np.diff(np.concatenate([time for _, time in kept])[:_LEARNING])
+        forward = steps[steps > 0.0]
+        self.step = median_step(forward) if len(forward) else np.inf
+        for block, time in kept:
+            self._judge(block, time)
+
+    def _judge(self, block: SampleBlock, time: FloatArray) -> None:
+        if self.last is None:
+            self.first = self.last = float(time[0])
+            block, time = block.part(1, len(time)), time[1:]
+            if not len(time):
+                return
+        before = np.concatenate([[self.last], time[:-1]])
+        self.last = float(time[-1])
+        steps = time - before
+        usual = steps
+        if steps.min() <= 0.0 or steps.max() > GAP_STEPS * self.step:
+            begins = (np.abs(time - self.first) <= 2.0 * self.step) & (-steps > 2.0 * self.step)
+            gap = steps > GAP_STEPS * self.step
+            forward = not self.backward.count
+            for finding, which in (
+                (self.restart, (steps < 0.0) & begins),
+                (self.backward, (steps < 0.0) & ~begins),
+                (self.repeat, steps == 0.0),
+                (self.gap, gap),
+            ):
+                finding.add(block, np.flatnonzero(which), before, time)
+            if forward and self.backward.count:
+                self._refuse_wrap()
+            usual = steps[(steps > 0.0) & ~gap]
+        if len(usual):
+            self.narrowest = min(self.narrowest, float(usual.min()))
+            self.widest = max(self.widest, float(usual.max()))
+
+    def _refuse_wrap(self) -> None:
+        """Refuse a clock that is a counter which began anew at the end of its range (InputError)."""
+        found = self.backward
+        for period in self.periods:
+            if abs(found.before - found.after + self.step - period) <= self.step <= period / 16.0:
+                raise InputError(
+                    f"{self.place}: the time begins anew after {period:.10g} s at {found.where} (from "
+                    f"{_stamp(found.before)} s to {_stamp(found.after)} s): its counter wraps "
+                    "(`sample_rate` HZ gives the time instead)"
+                )
+
+
+def _stamp(time: float) -> str:
+    """Write a time stamp (s); those that count from 1970 need more digits to differ."""
+    return f"{time:.3f}" if 1e6 <= abs(time) < 1e15 else f"{time:.6g}"
+
+
+def even_step(time: FloatArray) -> float | None:
+    """Return the common step (s) of evenly sampled time stamps, or None where they are not even.
+
+    Stamps count as even when none is further than 5 % of a step from the straight line through the first and
+    the last, or, where the log has too few digits for that, when rounding to those digits explains the
+    distance.
+    """
+    if len(time) < 2:
+        return None
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    if not step > 0.0:
+        return None
+    away = float(np.abs(time - (time[0] + step * np.arange(len(time)))).max())
+    if away <= JITTER * step:
+        return step
+    for digits in range(0, 10):
+        if np.abs(time - np.round(time, digits)).max() <= 1e-9 * max(1.0, float(np.abs(time).max())):
+            return step if away <= 1.01 * 10.0**-digits and 10.0**-digits <= step / 2.0 else None
+    return None
+
+
+def require_even(place: str, time: FloatArray, why: str) -> float:
+    """Return the common step (s), or refuse with the remedy.
+
+    Raises
+    ------
+    InputError
+        The stamps are not evenly spaced.
+    """
+    step = even_step(time)
+    if step is None:
+        odd = "the samples are not evenly spaced in time"
+        raise InputError(f"{place}: {odd}, and {why} (`resample` HZ interpolates)")
+    return step
+
+
+_NEW_ROWS = 1 << 16  # made at a time, as many as a block has
+_MOST_NEW_ROWS, _MOST_FACTOR = 20_000_000, 100  # more, and a rate or a time stamp is wrong
+
+
+def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterator[SampleBlock]:
+    """Interpolate blocks linearly to ``rate`` (Hz), from the first time stamp to the last.
+
+    The samples stand at first + k/rate and are computed from the two neighbours alone, so that the result
+    does not depend on the block size.  ``rows`` of the new blocks count the new samples; their ``lines`` are
+    None.
+
+    Raises
+    ------
+    InputError
+        There is no time, or it stands still or goes backwards, at the line named.
+    """
+    start = None
+    carried: list[SampleBlock] = []
+    done = read = 0
+    for block in filter(len, blocks):
+        piece = joined([*carried, block])
+        if piece.time is None:
+            remedy = "`time` COLUMN or `sample_rate` HZ"
+            raise InputError(f"{place}: there is no time to resample along ({remedy})")
+        start = float(piece.time[0]) if start is None else start
+        _require_rising(place, piece, piece.time)
+        carried = [piece.part(len(piece) - 1, len(piece))]
+        read += len(block)
+        reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
+        if reached > _MOST_NEW_ROWS + _MOST_FACTOR * read:
+            raise InputError(
+                f"{place}: `resample` {rate:g} makes {reached:,} rows of {read:,}: give a lower rate"
+            )
+        for first in range(done, reached, _NEW_ROWS):
+            time = start + np.arange(first, min(reached, first + _NEW_ROWS)) / rate
+            values = {role: np.interp(time, piece.time, known) for role, known in piece.values.items()}
+            yield SampleBlock(range(first + 1, first + len(time) + 1), None, time, values)
+        done = max(done, reached)
+
+
+def _require_rising(place: str, block: SampleBlock, time: FloatArray) -> None:
+    stuck = np.flatnonzero(np.diff(time) <= 0.0)
+    if len(stuck):
+        index = int(stuck[0]) + 1
+        jump = f"from {_stamp(time[index - 1])} s to {_stamp(time[index])} s"
+        cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
+        raise InputError(f"{place}: time does not advance at {block.where(index)} ({jump}), {cannot}")

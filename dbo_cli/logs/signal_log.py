@@ -25,10 +25,20 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, without_folder
 from dbo_cli.logs.byte_source import BINARY, ZIP, Request, input_record
-from dbo_cli.logs.clock import JITTER, TimeCheck, median_step, resampled
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, Table, joined
+from dbo_cli.logs.sample_block import (
+    JITTER,
+    TIME,
+    ColumnInfo,
+    FloatArray,
+    SampleBlock,
+    Table,
+    TimeCheck,
+    joined,
+    median_step,
+    resampled,
+)
 from dbo_cli.logs.sources import Source
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
@@ -547,8 +557,8 @@ class SignalLog(Source):
                     first = block.time[0] if self._times is None else self._times[0]
                     self._times = float(first), float(block.time[-1])
                     if clock is not None:
-                        check = check or TimeCheck(self.name, block.lines is not None, clock.periods())
-                        check.feed(block.time, block.rows, block.lines)
+                        check = check or TimeCheck(self.name, clock.periods())
+                        check.feed(block)
                 self.rows_read += len(block.rows)
                 yield block
         if check is not None and clock is not None:

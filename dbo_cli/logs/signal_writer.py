@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.logs.addresses import Address, Given, parse_output
-from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, rows_as_text, unique_headers
+from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, unique_headers, write_rows
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.sample_block import FloatArray
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
 
-_WORTH_A_THREAD = 1 << 14  # rows
+_WORTH_A_THREAD = 1 << 14  # rows of a block; chosen
 
 
 class SignalWriter(Protocol):
@@ -54,6 +55,10 @@ class TextWriter:
     def __post_init__(self) -> None:
         """Write the header."""
         self._headers = unique_headers(self.columns)
+        self._how = {
+            "blanks": any(column.may_be_blank for column in self.columns),
+            "own_file": self.behind and isinstance(self.stream, io.BufferedWriter),  # gzip's is none
+        }
         cells = [header_cell(header, self.delimiter) for header in self._headers]
         self.stream.write((self.comment + self.delimiter.join(cells) + "\n").encode())
         if self.flush:
@@ -95,7 +100,7 @@ class TextWriter:
             require_finite(self.columns, self._headers, arrays)
             for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
                 rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
-                self.stream.write(rows_as_text(rows, self.delimiter))
+                write_rows(self.stream, rows, self.delimiter, **self._how)
 
 
 class _Keeper:

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.clock import TimeCheck, require_even
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
 from dbo_cli.logs.reading_options import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
-from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, joined
+from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, TimeCheck, joined, require_even
 from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
 from dbo_cli.remarks import Remarks
@@ -259,8 +258,8 @@ class ArraySource(Source):
             time = np.arange(count) / self.sample_rate
         rows = range(1, count + 1)
         if self.time is not None:
-            check = TimeCheck(self.name, has_lines=False)
-            check.feed(self.time, rows, None)
+            check = TimeCheck(self.name)
+            check.feed(SampleBlock(rows, None, self.time, {}))
             self.notes.extend(check.notes())
             if check.repeat.count and not self.clock_was_judged:
                 self.warnings.append(

@@ -15,16 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, any_of, find_column, guess_columns
 from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock
+from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, TimeCheck
 from dbo_cli.logs.stated_clock import FACTORS, HHMMSS, StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
 
-_TEN_MILLION = 10**7
+_TEN_MILLION = 10**7  # ticks a second of clocks that count 100 ns
 _SECONDS = ("sec", "secs", "second", "seconds")
 
 
@@ -141,8 +140,8 @@ class TimeColumn:
         if self.bare:
             self._decide(figures, last=True)
         seconds = self.seconds({TIME: figures})
-        check = TimeCheck(self.place, has_lines=False)
-        check.feed(seconds, range(1, len(seconds) + 1), None)
+        check = TimeCheck(self.place)
+        check.feed(SampleBlock(range(1, len(seconds) + 1), None, seconds, {}))
         check.notes()  # brings the last of the stamps into the account
         warnings.extend(self.warnings(check))
         return seconds

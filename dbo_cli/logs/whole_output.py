@@ -297,7 +297,7 @@ def _is_locked(path: str) -> bool:
 
 # --- outputs under temporary names, and their renames -----------------------------------------------
 
-_HDF5_ERRNO = re.compile(r"errno = (\d+)")
+_ERRNO = re.compile(r"(?:errno = |os error )(\d+)")  # in the texts of HDF5 and of polars
 
 Prepare = Callable[[str], AbstractContextManager[bool]]
 """Takes the temporary name right before the renames, and is left after them: it may hold a lock meanwhile.
@@ -605,14 +605,14 @@ def _telling(path: str) -> Iterator[None]:
     except OSError as problem:
         raise OutputError(f"{path}: {reason_of(problem)}") from None
     except RuntimeError as problem:  # what HDF5 raises at a full disk when it closes a file
-        if _HDF5_ERRNO.search(str(problem)) is None:
+        if _ERRNO.search(str(problem)) is None:
             raise
         raise OutputError(f"{path}: {reason_of(OSError(str(problem)))}") from None
 
 
 def reason_of(problem: OSError) -> str:
-    """Return why writing failed; HDF5 gives the number of the error only inside its text."""
-    number, inside = problem.errno, _HDF5_ERRNO.search(str(problem))
+    """Return why writing failed; HDF5 and polars give the error's number only in its text."""
+    number, inside = problem.errno, _ERRNO.search(str(problem))
     if number is None and inside:
         number = int(inside[1])
     if number in (errno.ENOSPC, errno.EDQUOT):

@@ -16,8 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.cascade import ScaleStage, Stage, through
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, through
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
 from dbo_cli.hysteresis.model_file import Node
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName

@@ -33,9 +33,9 @@ from dbo_cli.hysteresis.operators import BacklashState, Floats
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 NOTHING: Floats = np.empty(0)
-MOST_PLAYS = 100_000
+MOST_PLAYS = 100_000  # chosen: a thousand times what the fit offers; bounds what a file may ask for
 FLATTEST = 1e-9  # of the largest weight, where a slope must be above 0 for an inverse
-HALVINGS = 200
+HALVINGS = 200  # a bound: so many threefold steps pass any range, so many halvings leave 1e-60 of it
 LANES = 8  # plays that the kernel adds up side by side, one order of summing for all
 MOST_STEPS = 64  # of Newton's method and of halving, in the kernel
 

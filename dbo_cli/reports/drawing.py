@@ -52,6 +52,7 @@ INK, MUTED, RULE, FIRST, SECOND, THIRD, FOURTH, FIFTH, FILL = SCHEME
 
 DOTS = 220  # an inch of a PNG: 1,100 across, sharp in print and on a dense screen
 
+# Widths in points, dashes in widths: chosen for the sizes below.
 SOLID: dict[str, Any] = {"color": FIRST, "linestyle": "-", "linewidth": 1.3}
 DASHED: dict[str, Any] = {"color": SECOND, "linestyle": (0, (3.2, 1.4)), "linewidth": 1.3}
 ALONE: dict[str, Any] = {"color": INK, "linestyle": "-", "linewidth": 0.9}
@@ -61,7 +62,7 @@ SEVERAL: tuple[dict[str, Any], ...] = tuple(
     ALONE | {"color": color} for color in (SECOND, FIRST, THIRD, FOURTH, FIFTH, INK)
 )
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
-TALL = (5.0, 4.0)
+TALL = (5.0, 4.0)  # inches: as wide as those; chosen for loops
 STYLE_FILE = Path(__file__).with_name("figures.mplstyle")
 
 Kind = Literal["png", "svg", "inline"]

@@ -22,9 +22,9 @@ Floats = NDArray[np.float64]
 
 # Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover any unit.
 _MANTISSA_BITS = 9
-_SHIFT = 52 - _MANTISSA_BITS
-_LOWEST = (1023 - 64) << _MANTISSA_BITS
-_BINS = 128 << _MANTISSA_BITS
+_SHIFT = 52 - _MANTISSA_BITS  # float64 has 52
+_LOWEST = (1023 - 64) << _MANTISSA_BITS  # 1023 is the exponent of 1 in float64
+_BINS = 128 << _MANTISSA_BITS  # on either side of 0
 
 LARGEST = 1e70  # its fourth power is still a number
 SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a width

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.hysteresis.delay import interpolated
+from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
 from dbo_cli.reports.running_statistics import BATCH, Floats, comparable

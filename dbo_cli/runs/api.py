@@ -8,9 +8,6 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set
 from dbo_cli.logs.addresses import Address, parse_address
@@ -27,11 +24,10 @@ from dbo_cli.runs.roles import recording_wishes, short_names
 if TYPE_CHECKING:
     import pandas
 
+    from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 
 __all__ = ["Model", "compensate", "identify", "read_log", "read_model", "report", "simulate"]
-
-Floats = NDArray[np.float64]
 
 
 def read_log(
@@ -128,11 +124,9 @@ def identify(
     displacement : array_like of shape (samples,), optional
         The measured displacement, where ``log`` is the voltage.
     voltage, displacement : str, optional
-        The columns of tables and files; guessed where not given. Patterns (``V{}`` and ``D{}``) name those of
-        many channels.
+        The columns of tables and files, else guessed; patterns (``V{}``, ``D{}``) name many channels'.
     time, sample_rate
-        Seconds of shape (samples,), or samples a second (Hz), for arrays; for tables and files a column's
-        name or number, or the rate of a log without time.
+        Seconds of shape (samples,), of tables and files the column; or samples a second (Hz) without one.
     validate
         Another log, or a list of logs, to say how well the model predicts.
     prior : Model or file name, optional
@@ -140,16 +134,12 @@ def identify(
         a ``ModelSet`` or the file of one.
     voltage_unit, displacement_unit : str, optional
         Units of arrays, for the model to carry.
-    jobs : int
-        Processes, for channels; changes no result. A script that asks for several needs the usual
-        ``if __name__ == "__main__":``.
-    shared_shape, coupling : bool
-        Channels: one loop shape for all; also how much each shows in the others, from a log in which all move
-        (``excite --channels``).
+    jobs, shared_shape, coupling
+        For channels: processes (change no result; a script that asks for several needs the usual
+        ``if __name__ == "__main__":``); one loop shape for all; and how much each shows in the others, from a
+        log in which all move (``excite --channels``).
     **options
-        What ``IdentificationOptions`` knows (``gears``, ``points``, ``relaxation``, ``delay``, ``slopes``,
-        ``dynamics``, ``sensor_delay``, ``sensor_lag``, ``skip_seconds``, ``method``, ``zero``, ``rated``,
-        ``force``); all else is found on data left out.
+        What ``IdentificationOptions`` knows (``gears``, ``delay``, …); all else is found on data left out.
 
     Returns
     -------
@@ -158,37 +148,46 @@ def identify(
 
     Raises
     ------
-    InputError
-        A log cannot be read, or an array is none of finite numbers.
-    FitError
-        Nothing trustworthy can be identified.
-    UsageError
-        The options contradict each other or the logs.
+    InputError, FitError, UsageError
+        A log cannot be read; nothing trustworthy can be identified; options contradict each other or a log.
     """
     from dbo_cli.hysteresis.identification import IdentificationOptions
-    from dbo_cli.runs.identifying import IdentifyRun, identify_recordings
+    from dbo_cli.runs.identifying import IdentifyRun
 
     fixed = record_of(IdentificationOptions, options, "is no parameter of identify")
-    by_name = voltage is not None or isinstance(displacement, str)
-    columns = (voltage, displacement) if by_name else (None, None)
-    logs = _addressed(log)
-    if displacement is not None and not by_name:
-        units = {"voltage": voltage_unit, "displacement": displacement_unit}
-        logs = [ArraySource({"voltage": log, "displacement": displacement}, time, sample_rate, units=units)]
-    reading = ReadingOptions(time=str(time) if isinstance(time, str | int) else None, sample_rate=sample_rate)
-    words = (logs, _addressed(validate), reading, fixed, columns[0], columns[1])
-    asked = IdentifyRun(*words, prior, shared_shape, coupling, time)
-    if any(map(is_pattern, columns)):
+    logs, columns = _given(log, displacement, voltage, time, sample_rate, voltage_unit, displacement_unit)
+    reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
+    words = (logs, _addressed(validate), reading, fixed, *columns, prior, shared_shape, coupling, time)
+    return _identified(IdentifyRun(*words), jobs)
+
+
+def _given(
+    log: Any, displacement: Any, voltage: str | None, time: Any, sample_rate: float | None, *units: str | None
+) -> tuple[list[Any], tuple[str | None, str | None]]:
+    """Return logs, or the one that two arrays are, and the columns that were named."""
+    if displacement is None or voltage is not None or isinstance(displacement, str):
+        return _addressed(log), (voltage, displacement)
+    roles = ("voltage", "displacement")
+    named = dict(zip(roles, units, strict=True))
+    source = ArraySource(dict(zip(roles, (log, displacement), strict=True)), time, sample_rate, units=named)
+    return [source], (None, None)
+
+
+def _identified(asked: IdentifyRun, jobs: int) -> Any:
+    """Identify a model, or a set of them where the columns are patterns."""
+    from dbo_cli.runs.identifying import identify_recordings
+
+    if is_pattern(asked.voltage) or is_pattern(asked.displacement):
         from dbo_cli.runs.model_set import identify_set
 
         return identify_set(asked, jobs)
     asked.refuse_channels_options()
-    kept = None if prior is None else _model(prior).actuator
+    kept = None if asked.prior is None else _model(asked.prior).actuator
     fitted, checks = asked.read(prior=kept)
-    arguments = asked.arguments({}, os.fspath(prior) if is_file(prior) else None)
-    found = identify_recordings(fitted, fixed, checks, arguments, kept)
+    arguments = asked.arguments({}, os.fspath(asked.prior) if is_file(asked.prior) else None)
+    found = identify_recordings(fitted, asked.options, checks, arguments, kept)
     for text in found.remarks.warnings:
-        warnings.warn(text, DboWarning, stacklevel=2)
+        warnings.warn(text, DboWarning, stacklevel=3)
     return Model(found.model, found.summary, found.remarks)
 
 
@@ -284,35 +283,41 @@ def report(
 
     Raises
     ------
-    InputError
-        There is nothing to compare, or units differ.
-    UsageError
-        The options contradict each other.
+    InputError, UsageError
+        There is nothing to compare, or units differ; the options contradict each other.
     """
+    from dbo_cli.runs.reporting import TrackingRun, add_log
+
     logs = [] if measured is not None else _logs(wanted)
     asked = _tracking_options(options, logs, voltage, time)
     predicting = None if model is None else _model(model).actuator
-    from dbo_cli.runs.reporting import TrackingRun, add_log
-
     tracking = TrackingRun(asked.scoring(predicting is not None), predicting, traced=True)
-    options["sample_rate"] = sample_rate
-    column = str(time) if isinstance(time, str | int) else None
-    reading = _reading(column, options.pop("rows", None), options)
+    reading = _reading(_column(time), options.pop("rows", None), options | {"sample_rate": sample_rate})
     if not logs:
-        if measured is None:
-            raise InputError(
-                "what was measured is missing: give two arrays, or a table or file with both columns"
-            )
-        arrays = {"desired" if predicting is None else "voltage": wanted, "measured": measured}
-        arrays |= {} if voltage is None or predicting is not None else {"voltage": voltage}
-        units = {"desired": unit, "measured": unit}
-        logs = [ArraySource(arrays, time, reading.sample_rate, units=units)]
+        first = "desired" if predicting is None else "voltage"
+        logs = [_pair({first: wanted, "measured": measured}, voltage, time, reading.sample_rate, unit)]
     names = short_names(logs)
     for number, one in enumerate(logs, 1):
         called = name if len(logs) < 2 else f"{name} {number}"
         shown = names.get(one) if isinstance(one, Address) else called
         add_log(tracking, one, reading, asked, shown, time=time)
     return tracking.result()
+
+
+def _pair(
+    signals: dict[str, Any], drive: Any, time: Any, sample_rate: float | None, unit: str | None
+) -> ArraySource:
+    """Return two arrays as a log, and the drive beside them; refuse one alone (InputError)."""
+    if signals["measured"] is None:
+        raise InputError(
+            "what was measured is missing: give two arrays, or a table or file with both columns"
+        )
+    signals |= {} if drive is None or "voltage" in signals else {"voltage": drive}
+    return ArraySource(signals, time, sample_rate, units={"desired": unit, "measured": unit})
+
+
+def _column(time: Any) -> str | None:
+    return str(time) if isinstance(time, str | int) else None
 
 
 def _tracking_options(

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from dbo_cli.hysteresis.excitation import Excitation
 
 
-_ROWS = 1 << 14  # of drives of many channels, written at a time
+_ROWS = 1 << 14  # of drives of many channels, written at a time; chosen, bounds the memory
 
 
 class Destination(NamedTuple):
@@ -284,8 +284,8 @@ def summary_of(
     """Return what was done as plain values (``dbo-summary``); voltages and lengths in the model's units."""
     expected, percent, clipped, asked = None, None, 0, dict[str, Any]()
     if isinstance(run, Compensation):
-        if run.settle is not None:
-            asked["settling"] = [one._asdict() for one in run.step_times()]
+        if run.settling is not None:
+            asked["settling"] = [one._asdict() for one in run.settling.times()]
         expected, percent = run.expected_rmse()
         clipped = run.clipped.count
     return {

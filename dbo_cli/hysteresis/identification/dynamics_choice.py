@@ -25,7 +25,7 @@ from dbo_cli.hysteresis.identification.dynamics_fit import (
 from dbo_cli.hysteresis.identification.evaluation import WHOSE_LAG, beyond_noise, white_noise
 from dbo_cli.hysteresis.identification.recordings import Floats
 
-MOST_RESONANCES = 2
+MOST_RESONANCES = 2  # what stages show within a sweep; more are not told apart by one (see SURE)
 EARNED = 0.9
 """Of the error on blocks left out: one more resonance, or an antiresonance, must lower it to this.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from dbo_cli.hysteresis.delay import DelayStage
+from dbo_cli.hysteresis.cascade import DelayStage
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.identification.evaluation import TINY
 from dbo_cli.hysteresis.identification.recordings import FastPart, Floats
@@ -20,9 +20,9 @@ from dbo_cli.hysteresis.model import ActuatorModel
 Booleans = NDArray[np.bool_]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
-FOLDS = 5
+FOLDS = 5  # of which each leaves out 8 of the blocks; chosen
 BLOCKS = 40  # of the fast rows, dealt out to the folds in turn, so that every fold has all frequencies
-LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
+LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98  # rings for 1,600 periods; hardly rings, and is no pair of lags yet
 MOST_BESIDE = 0.1
 """Damping of resonances where one has an antiresonance: pairs damped by 0.2 to 0.8 stood in for slow moves
 that the gears follow badly (at 6 Hz beside a resonance of 20), and hid a mode at 185 Hz."""

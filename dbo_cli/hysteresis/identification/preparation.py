@@ -9,8 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.cleaning import spiked_rows
-from dbo_cli.hysteresis.identification.drift import drift_order, level_moves, with_drift_needed
+from dbo_cli.hysteresis.identification.cleaning import SPIKE_SIGMAS, spiked_rows
+from dbo_cli.hysteresis.identification.drift import (
+    TRIAL_SLOPES,
+    TRIAL_SPLIT,
+    drift_order,
+    level_moves,
+    with_drift_needed,
+)
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
 from dbo_cli.hysteresis.identification.recordings import (
     AMPLITUDE_SCATTER,
@@ -21,15 +27,19 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     drive_shape,
     first_wiped_row,
+    known_behind_gaps,
+    pieces_behind_gaps,
 )
 from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift_columns
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather, with_folds
 from dbo_cli.hysteresis.model_state import StartName
+from dbo_cli.hysteresis.move_error import SMALLEST_TURN
 
 Booleans = NDArray[np.bool_]
 
-FOLDS = 10
-OUTLIER_SIGMAS = 8.0
+FOLDS = 10  # with 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again
+# Half and double of MOST_OUTLIERS, and a HISTORY_GAIN of 0.5 and 0.85, changed none of ten models
+# (benchmarks/halved_constants.py).
 MOST_OUTLIERS = 0.02  # more rows than this are no outliers: they are what the actuator does
 RESIDUAL_WINDOW = 21
 """Rows among which a spike of the residual must stand out: no drive turns in it, so that more of them are
@@ -39,11 +49,9 @@ CLIPPED_STEEPNESS = 0.35
 """Slope just before the displacement stands still, over the mean one, above which the sensor is to blame: a
 piezo cut off in its upper half has 0.8 to 1.3, a wire that has reached its plateau less than 0.2."""
 
-PROBE_SLOPES = 64
-PROBE_SPLIT = 8
-PROBE_SEGMENTS = 4
+PROBE_SEGMENTS = 4  # beside the slopes of a trial: 2 and 8 led to the same histories on eight invented logs
 HISTORY_GAIN = 0.7  # an open history must lower the error by so much, since rows and offsets are its price
-MOST_STRETCHES = 12
+MOST_STRETCHES = 12  # chosen: each costs an offset; 6 and 24 led to the same histories of those logs
 STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 
 
@@ -134,23 +142,31 @@ def gain_sign(recordings: Sequence[Recording]) -> float:
     return -1.0 if together < 0.0 else 1.0
 
 
+def _stretches(rows: Booleans, count: int) -> Integers:
+    """Return the number of each row's stretch where these rows are cut into ``count`` of equal length."""
+    stretch: Integers = (np.cumsum(rows) - 1) * count // max(int(rows.sum()), 1)
+    return np.clip(stretch, 0, count - 1)
+
+
 def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) -> Integers:
     """Fold of each row: whole cycles dealt out in turn; -1 where the row is not used.
 
     Rows before the first and after the last whole cycle go with their neighbour. A log with fewer than
-    three cycles to use is cut into four stretches of equal length instead.
+    three cycles to use is cut into four stretches of equal length instead, and so is a cycle that holds most
+    of the rows: what it alone went through could not be predicted without it.
     """
     samples = len(usable)
     cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
     cycle = np.clip(cycle, 0, max(shape.cycle_count - 1, 0))
-    present = np.unique(cycle[usable])
-    if len(present) >= 3:
-        number = np.searchsorted(present, cycle)
-        fold = number % max(min(wanted, len(present)), 1)
+    held = np.bincount(cycle[usable], minlength=1)
+    if np.count_nonzero(held) < 3:
+        fold = _stretches(usable, min(wanted, 4))
     else:
-        place = np.cumsum(usable) - 1
-        pieces = min(wanted, 4)
-        fold = np.clip(place * pieces // max(int(usable.sum()), 1), 0, pieces - 1)
+        long = cycle == int(held.argmax())
+        cut = np.where(long & (held.max() > 0.5 * held.sum()), _stretches(usable & long, 8), 0)
+        piece = 8 * cycle + cut
+        present = np.unique(piece[usable])
+        fold = np.searchsorted(present, piece) % max(min(wanted, len(present)), 1)
     return np.where(usable, fold + first_fold, -1)
 
 
@@ -188,7 +204,8 @@ def prepare(
         folds = folds_of(shape, usable, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
         drift, output = drift_columns(clock, order), log.displacement / scale
-        logs.append(PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled"))
+        unopened = PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled")
+        logs.append(_with_offsets_behind_gaps(log, unopened, low, high))
     # Where the rows under the unknown history are left out anyway, the start state makes no difference.
     chosen = [
         log if cut else _with_history(log, low, high, notes)
@@ -239,6 +256,7 @@ def _usable_rows(
             f"{log.name}: rows {skipped + 1} to {wiped} left out: before the drive had been at both ends of "
             "its range, the actuator's history is unknown"
         )
+    usable = _left_behind_gaps(log, usable, notes)
     left_out = int((usable & faulty).sum())
     usable &= ~faulty
     stuck = clipped_sensor(log.displacement, log.voltage) & usable
@@ -256,8 +274,38 @@ def _usable_rows(
     return usable, transient, left_out, int(stuck.sum())
 
 
+def _left_behind_gaps(log: Recording, usable: Booleans, notes: list[str]) -> Booleans:
+    """Return the usable rows whose history gaps in time do not hide, and say what was left out."""
+    known, pieces = known_behind_gaps(log, usable), pieces_behind_gaps(log)
+    lost = int(usable.sum() - known.sum())
+    if pieces:
+        gaps = f"{len(pieces)} gaps, the first" if len(pieces) > 1 else "a gap"
+        turned = f"{log.name}: {gaps} before row {pieces[0][0] + 1}, in which the drive may have turned"
+        unknown = "the actuator's history is unknown behind it; record without pauses"
+        until = f"{lost} rows left out, until it had been at both ends of its range again"
+        notes.append(f"{turned}: {until if lost else unknown}")
+    return known
+
+
+def _with_offsets_behind_gaps(recording: Recording, log: PreparedLog, low: float, high: float) -> PreparedLog:
+    """Return the log with an offset of their own for pieces behind gaps, where that explains it much better.
+
+    Where a piece does not reach both ends of the log's range, what was in the gap can leave an offset in it.
+    """
+    own = []
+    for begin, known, end in pieces_behind_gaps(recording):
+        reaches = np.ptp(log.voltage[begin:end]) >= (1.0 - SMALLEST_TURN) * np.ptp(log.voltage)
+        if not reaches and log.used[known:end].any():
+            own.append((np.arange(len(log.fold)) >= begin) & (np.arange(len(log.fold)) < end))
+    if not own:
+        return log
+    opened = replace(log, drift=np.column_stack((log.drift, *own)), stretches=len(own))
+    better = _probe_error(opened, low, high) < HISTORY_GAIN * _probe_error(log, low, high)
+    return opened if better else log
+
+
 def _probe(low: float, high: float) -> tuple[Basis, Structure]:
-    return Basis(PROBE_SLOPES, low, high, PROBE_SPLIT), Structure("free", (), 1, 1e-9)
+    return Basis(TRIAL_SLOPES, low, high, TRIAL_SPLIT), Structure("free", (), 1, 1e-9)
 
 
 def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -> PreparedLog:
@@ -272,7 +320,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
     best = int(np.argmin(errors))
     if errors[best] >= 0.99 * errors[0]:
         best = 0
-    opened = _left_open(log)
+    opened = None if log.stretches else _left_open(log)
     if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
         lost = int(log.used.sum() - opened.used.sum())
         notes.append(
@@ -341,7 +389,7 @@ def _without_drift_and_spikes(
         if not found.any():
             break
     flat = [replace(log, output=log.output - drift) for log, drift in zip(logs, drifts, strict=True)]
-    return flat, tuple(int(n) for n in outliers)
+    return with_folds(flat, [log.fold for log in flat]), tuple(int(n) for n in outliers)
 
 
 def _leave_out_spikes(
@@ -355,12 +403,12 @@ def _leave_out_spikes(
         values = residual[used]
         centre = float(np.median(values))
         sigma = 1.4826 * float(np.median(np.abs(values - centre)))
-        far = used & (np.abs(residual - centre) > OUTLIER_SIGMAS * max(sigma, 1e-12))
+        far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
         far &= spiked_rows(np.where(used, residual, centre), RESIDUAL_WINDOW)
         if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
             found[place] = int(far.sum())
             notes.append(
-                f"{log.name}: {found[place]} outlying rows left out (more than {OUTLIER_SIGMAS:g} standard "
+                f"{log.name}: {found[place]} outlying rows left out (more than {SPIKE_SIGMAS:g} standard "
                 f"deviations from the fit; first at row {int(np.argmax(far)) + 1})"
             )
             log = replace(log, fold=np.where(far, -1, log.fold))

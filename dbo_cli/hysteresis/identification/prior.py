@@ -32,6 +32,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     drive_shape,
     first_wiped_row,
+    known_behind_gaps,
     median_cycle_seconds,
     without_voltage_glitches,
 )
@@ -43,7 +44,7 @@ from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
-BLOCKS = 5
+BLOCKS = 5  # chosen; the next line follows from it
 STUDENT = 2.776  # standard errors on either side: Student's t of as many blocks, 95 %
 TRIALS = 41  # delays tried within an eighth of a cycle to either side; parabolas refine the best
 CHANGED = 2.0
@@ -185,6 +186,7 @@ def _beside(prior: ActuatorModel, log: Recording, bad: Booleans, skip_seconds: f
     wiped = first_wiped_row(log.voltage)
     if wiped <= KNOWN_PAST * len(keep):
         keep[:wiped] = False
+    keep = known_behind_gaps(log, keep)
     if int(keep.sum()) < FEWEST_ROWS:
         raise FitError(f"{log.name}: {int(keep.sum())} usable rows are too few: record longer, or skip less")
     clock = np.arange(len(keep), dtype=float) if seconds is None else np.maximum.accumulate(seconds)

@@ -14,9 +14,13 @@ from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-FEWEST_ROWS = 40
+FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
-AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
+GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
+HIDDEN_STEPS = 3.0  # the largest change between samples that many times is hidden between samples anyway
+SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion
+LEAST_BEHIND_GAPS = 0.3  # of the rows must be left; of fewer, a fit knows less than gaps spoil
+AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
 
 
 @dataclass(frozen=True)
@@ -182,6 +186,49 @@ def first_wiped_row(voltage: Floats) -> int:
     at_low = int(np.argmax(voltage <= low + near))
     at_high = int(np.argmax(voltage >= high - near))
     return max(at_low, at_high)
+
+
+def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
+    """Return the pieces of a log behind gaps in which the drive may have turned.
+
+    Each is its first row, the row from which it no longer depends on what was in the gap (see
+    ``first_wiped_row``), and its end. A gap hides nothing where the drive stood still, or went on as fast as
+    before and after; what a few samples hide anyway counts for nothing.
+    """
+    seconds, v = log.seconds(), log.voltage
+    if log.time is None or seconds is None:
+        return []
+    steps, moves = np.diff(seconds), np.diff(v)
+    at = np.flatnonzero(steps > GAP_STEPS * float(np.median(steps[steps > 0.0])))
+    most, seen = (_usual_change(values, at) for values in (v, log.displacement))
+    before, after = np.maximum(at - SPEED_ROWS, 0), np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
+    ways = np.zeros((2, len(at)))  # how far the drive would have gone on, by its speed before and after
+    for way, first, last in zip(ways, (before, at + 1), (at, after), strict=True):
+        past = seconds[last] - seconds[first]
+        np.divide((v[last] - v[first]) * steps[at], past, out=way, where=past > 0.0)
+    turned = np.abs(ways - moves[at]).max(axis=0) > HIDDEN_STEPS * most
+    still = np.abs(moves[at]) <= most  # if the displacement was, too
+    turned[still] = np.abs(np.diff(log.displacement)[at[still]]) > seen
+    gaps = (at[turned] + 1).tolist()
+    ends = [*gaps, len(v)][1:]
+    return [
+        (begin, begin + first_wiped_row(v[begin:end]), end) for begin, end in zip(gaps, ends, strict=True)
+    ]
+
+
+def known_behind_gaps(log: Recording, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the usable rows without those before whose gap the drive may have turned, if enough are left."""
+    known = usable.copy()
+    for begin, wiped, _ in pieces_behind_gaps(log):
+        known[begin:wiped] = False
+    enough = max(LEAST_BEHIND_GAPS * usable.sum(), FEWEST_ROWS)
+    return known if known.sum() >= enough else usable
+
+
+def _usual_change(values: Floats, long: Integers) -> float:
+    """Return the largest change between samples, ``long`` steps aside, or what is no turn if that is more."""
+    changes = np.delete(np.abs(np.diff(values)), long)
+    return max(SMALLEST_TURN * float(np.ptp(values)), float(changes.max(initial=0.0)))
 
 
 def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:

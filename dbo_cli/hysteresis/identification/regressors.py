@@ -32,7 +32,7 @@ Integers = NDArray[np.int64]
 
 BLOCK_ROWS = 256  # a block without a wanted row is passed over, so blocks are short
 JOINED_BLOCKS = 4  # that follow each other: fewer and larger products take half the time
-BEND_SEGMENTS = 32
+BEND_SEGMENTS = 32  # of the parabola; 16 and 64 changed the errors of one of eight invented logs, by 2 %
 EVEN = 1e-6  # of a step
 
 

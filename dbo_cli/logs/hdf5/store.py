@@ -31,10 +31,9 @@ from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs import whole_output
 from dbo_cli.logs.addresses import Address, Given
 from dbo_cli.logs.byte_source import FileWatch
-from dbo_cli.logs.clock import TimeCheck
 from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.sample_block import FloatArray, SampleBlock, TimeCheck
 
 MARK = "dbo_columns"  # the attribute of a group that this program wrote
 _PATIENCE = 2.0  # s to wait for a lock: a program that opens, appends and closes is done by then
@@ -44,8 +43,8 @@ CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
 # Names in a list in an attribute: HDF5 gives it 64 kB, 16 bytes a name; more are lines of one text.
 MOST_NAMES = 4000
 MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
-_PROBE = 2048  # bytes tried before a byte plane is squeezed
-_WORTH = 0.9  # squeezed only where the probe shrinks to less than this
+_PROBE = 2048  # bytes tried before a byte plane is squeezed; chosen
+_WORTH = 0.9  # squeezed only where the probe shrinks to less than this; chosen
 _STORED_MOST = 65535  # bytes in one stored block (RFC 1951, 3.2.4)
 _ZLIB_HEADER = b"\x78\x01"  # RFC 1950: deflate, window of 32 kB, fastest
 _LAST_BLOCK = b"\x03\x00"  # an empty block that ends the stream
@@ -288,7 +287,7 @@ class Hdf5Writer:
             kept.append(part)
         if self._clock is not None:
             rows = range(self._kept_rows, self._kept_rows + len(parts[0]))
-            self._times.feed(parts[self._clock], rows, None)
+            self._times.feed(SampleBlock(rows, None, parts[self._clock], {}))
         self._kept_rows += len(parts[0])
         if self._kept_rows >= CHUNK_ROWS:
             self._store(CHUNK_ROWS)

@@ -177,7 +177,7 @@ def find_header_block(lines: Sequence[str], first: int, delimiter: str) -> Heade
 
 def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     """Return when a segment began: the date and the time that its header states, each in seconds."""
-    from dbo_cli.logs.text.time_stamps import clock_seconds, date_seconds
+    from dbo_cli.logs.stated_clock import clock_seconds, date_seconds
 
     rows = [split_cells(line, delimiter) for line in lines]
     stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}

@@ -556,7 +556,7 @@ def _parse_plain(
 
 
 def _stamp_reader(written: str) -> Callable[[str], float | None]:
-    from dbo_cli.logs.text.time_stamps import READERS
+    from dbo_cli.logs.stated_clock import READERS
 
     return READERS[written]
 
