@@ -7,8 +7,8 @@ qemu-system-arm qemu-system-misc. Chips whose tools are missing are left out and
 
 An inverse model of n gears (64 slopes at most, points, a scale, limits; with four relaxation terms or none)
 follows a smooth move of 400 samples a cycle, then jumps from either end to 32 places. Instructions are what
-QEMU counts (-icount), -O2, soft float where the chip has none for the type; code holds the soft float it needs.
-Beside it n play operators (the inverse of Prandtl-Ishlinskii) without points, limits or memory.
+QEMU counts (-icount), -O2, soft float where the chip has none for the type; code holds the soft float that it
+needs. Beside it n play operators (the inverse of Prandtl-Ishlinskii) without points, limits or memory.
 """
 
 from __future__ import annotations
