@@ -317,6 +317,11 @@ def test_times_on_even_and_uneven_clocks_are_found_as_by_a_search() -> None:
         y, last = interpolated(clock, np.arange(float(count)), wanted)
         assert last == expected[-1]
         assert np.all((y >= expected) & (y <= np.add(expected, 1.0)))
+        values = rng.normal(size=count) * rng.integers(0, 2, count)  # a zero has a sign to keep
+        both = [np.empty(wanted.size), np.empty(wanted.size)]
+        for own, found in zip((kernel.PythonKernel, kernel.CHOSEN), both, strict=True):
+            assert own.interpolated(clock, values, wanted, found, 1e-9) == last
+        assert both[0].tobytes() == both[1].tobytes()
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [

@@ -551,6 +551,39 @@ done:
     return Py_BuildValue("(nn)", (Py_ssize_t)clipped, (Py_ssize_t)first);
 }
 
+/* A time as close to a sample's as `whole` (of a step) is that sample's. Both the times and those wanted rise. */
+static PyObject *interpolated(PyObject *module, PyObject *args) {
+    Py_buffer times, values, wanted, found;
+    double whole;
+    size_t count, last, before = 0;
+    int ready = 0;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*y*w*d", &times, &values, &wanted, &found, &whole)) return NULL;
+    count = NUMBERS(wanted);
+    last = NUMBERS(times) - 1;
+    if ((NUMBERS(times) == 0 || NUMBERS(values) != NUMBERS(times)) && too_short("values")) goto done;
+    if (NUMBERS(found) != count && too_short("found")) goto done;
+    ready = 1;
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t k = 0; k < count; k++) {
+        const double *t = times.buf, *v = values.buf, at = ((const double *)wanted.buf)[k];
+        while (before < last && t[before + 1] <= at) before++;
+        const size_t after = before < last ? before + 1 : last;
+        const double gap = t[after] - t[before];
+        const double part = gap > 0.0 ? (at - t[before]) / gap : 0.0;
+        const double between = v[before] + (part < whole ? 0.0 : part) * (v[after] - v[before]);
+        ((double *)found.buf)[k] = part > 1.0 - whole ? v[after] : between;
+    }
+    Py_END_ALLOW_THREADS
+done:
+    PyBuffer_Release(&times);
+    PyBuffer_Release(&values);
+    PyBuffer_Release(&wanted);
+    PyBuffer_Release(&found);
+    if (!ready) return NULL;
+    return PyLong_FromSize_t(before);
+}
+
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
@@ -561,6 +594,7 @@ static PyMethodDef methods[] = {
     {"plays_run", plays_run, METH_VARARGS, "A weighted sum of plays over a block of samples."},
     {"plays_rows", plays_rows, METH_VARARGS, "Every play in every sample."},
     {"plays_solve", plays_solve, METH_VARARGS, "The input of a weighted sum of plays from its output."},
+    {"interpolated", interpolated, METH_VARARGS, "A signal at other times, linearly between its samples."},
     {"smooth", smooth, METH_VARARGS, "A symmetric weighted mean over a block of samples."},
     {NULL, NULL, 0, NULL}};
 

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 
 Payload = TypeVar("Payload")
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
-_WHOLE = 1e-9  # a delay, or a time in samples, this close to a whole number of samples is that number
+WHOLE = 1e-9  # samples: a time this close to a whole number of them is that; rounding leaves less
 
 
 @dataclass(frozen=True)
@@ -59,39 +59,18 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     """Return a signal at other times, linearly between its samples, and the sample before the last of them.
 
     Before the first sample the first value holds, after the last one the last. A time within 1e-9 of a
-    sample's (in steps) is that sample's, so that shifting there and back is exact.
+    sample's (in steps) is that sample's, so that shifting there and back is exact. Neither times fall.
     """
-    first = _before(times, wanted)
-    second = np.minimum(first + 1, times.size - 1)
-    begin, lower, upper = times[first], values[first], values[second]
-    gap = times[second] - begin
-    with np.errstate(invalid="ignore", divide="ignore"):
-        part = np.where(gap > 0.0, (wanted - begin) / gap, 0.0)
-    part[part < _WHOLE] = 0.0
-    found = lower + part * (upper - lower)
-    whole = part > 1.0 - _WHOLE
-    found[whole] = upper[whole]
-    return found, int(first[-1])
-
-
-def _before(times: Floats, wanted: Floats) -> NDArray[np.intp]:
-    """Return the last sample at or before each time wanted, the first where there is none.
-
-    Clocks are even but for rounding: the next sample is tried first, and only what that misses searched for.
-    """
-    start = int(np.searchsorted(times, wanted[0], side="right")) - 1
-    first = np.clip(np.arange(start, start + wanted.size), 0, times.size - 1)
-    after = np.append(times[1:], np.inf)[first]
-    missed = np.flatnonzero((times[first] > wanted) | (wanted >= after))
-    first[missed] = np.clip(np.searchsorted(times, wanted[missed], side="right") - 1, 0, None)
-    return first
+    wanted, found = np.ascontiguousarray(wanted), np.empty(wanted.size)
+    signal = np.ascontiguousarray(times), np.ascontiguousarray(values)
+    return found, kernel.CHOSEN.interpolated(*signal, wanted, found, WHOLE)
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
     """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
-    whole = math.floor(samples + _WHOLE)
+    whole = math.floor(samples + WHOLE)
     part = max(samples - whole, 0.0)
-    return whole, part if part > _WHOLE else 0.0
+    return whole, part if part > WHOLE else 0.0
 
 
 @dataclass(frozen=True)

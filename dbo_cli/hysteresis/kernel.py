@@ -389,6 +389,19 @@ def point_run(segments: Floats, x0: float, y0: float, x: Floats, y: Floats) -> N
     y[:] = y0 + (height + slope * (u - start))
 
 
+def interpolated(times: Floats, values: Floats, wanted: Floats, found: Floats, whole: float) -> int:
+    """Fill ``found`` with a signal at the times wanted; see ``cascade.interpolated``."""
+    first = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, None)
+    second = np.minimum(first + 1, times.size - 1)
+    begin, lower, upper = times[first], values[first], values[second]
+    gap = times[second] - begin
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(gap > 0.0, (wanted - begin) / gap, 0.0)
+    found[:] = lower + np.where(part < whole, 0.0, part) * (upper - lower)
+    np.copyto(found, upper, where=part > 1.0 - whole)
+    return int(first[-1])
+
+
 def compiled_kernel() -> ModuleType | None:
     """Return the extension, or None where it was not built at installation."""
     try:
@@ -409,6 +422,7 @@ class PythonKernel:
     dynamics_run = staticmethod(dynamics_run)
     dynamics_undo = staticmethod(dynamics_undo)
     smooth = staticmethod(smooth)
+    interpolated = staticmethod(interpolated)
 
 
 def choose(wish: str) -> tuple[str, Any]:

@@ -180,12 +180,16 @@ class Relaxation:
             A time step is negative or not a number.
         """
         steps = checked_steps(time_step)
-        few, which = np.array(sorted(set(steps[:_LOOKED_AT].tolist()))), None
-        if few.size <= _FEW < steps.size:
-            which = np.minimum(np.searchsorted(few, steps), few.size - 1)
-            steps, which = (few, which) if np.array_equal(few[which], steps) else (steps, None)
+        few = sorted(set(steps[:_LOOKED_AT].tolist()))
+        known, which = 0, np.zeros(steps.size, dtype=np.intp)
+        for place, step in enumerate(few if len(few) <= _FEW < steps.size else ()):
+            same = steps == step
+            known += int(np.count_nonzero(same))
+            which += place * same
+        unlike = known < steps.size
+        steps = steps if unlike else np.array(few)
         factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))
-        return factors if which is None or steps.size == 1 else factors.take(which, axis=0)
+        return factors if unlike or steps.size == 1 else factors.take(which, axis=0)
 
     def lags(
         self, x: ArrayLike, time_step: float | ArrayLike, memory: Sequence[float] | None = None

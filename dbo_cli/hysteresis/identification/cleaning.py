@@ -33,18 +33,19 @@ LOWEST_CUTOFF = 12.0
 HUM_LINE = 30.0
 """Power of a line over the median around it; white noise reaches 12 in a log of 10,000 rows."""
 
+# Half and double of these three changed the model of none of ten logs (benchmarks/halved_constants.py).
 HUM_RMS = 3e-4  # of the range: a smaller line is not worth mentioning
 HUM_LOWEST = 8.0  # in cycles of the drive: below, a line may be what the actuator does
 HUM_OF_DRIVE = 0.03  # power in the voltage, scaled to the displacement: more, and the drive does hum
-MOST_HELD = 0.5  # of the rows: a sensor slower than the log has lines of its own
+MOST_HELD = 0.5  # of the rows that repeat the one before: beyond, the sensor is slower than the log
 MOST_LINES = 4  # the mains and their harmonics
 
-SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
+SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them; 5 and 11: the same models
 SPIKE_SIGMAS = 8.0  # with 4 and 16, errors on new moves of eight invented logs were 0.999 to 1.001
 SPIKE_SPREAD = 2.0
 """A spike leaves its neighbours by so many times what they differ among themselves; a turn does not."""
 
-MOST_SPIKES = 0.2  # of the rows: more are not spikes
+MOST_SPIKES = 0.2  # of the rows: more are not spikes; chosen
 
 STUCK_PATH = 0.08
 """Of the drive's range: how far it may travel while a working sensor, even one of 5 bits, repeats itself."""

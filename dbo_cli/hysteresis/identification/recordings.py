@@ -20,7 +20,7 @@ GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one 
 HIDDEN_STEPS = 3.0  # the largest change between samples that many times is hidden between samples anyway
 SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion
 LEAST_BEHIND_GAPS = 0.3  # of the rows must be left; of fewer, a fit knows less than gaps spoil
-AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
+AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
 
 
 @dataclass(frozen=True)
