@@ -112,7 +112,7 @@ FAULTS: list[Fault] = [
         ("past_values = history.values if history else (float(x[0]),)",
          "past_values = history.values if history else (0.0,)",
          "before the first sample the first value holds"),
-        ("whole = math.floor(samples + _WHOLE)", "whole = math.floor(samples)",
+        ("whole = math.floor(samples + WHOLE)", "whole = math.floor(samples)",
          "a delay of a whole number of samples shifts exactly"),
     ),
     *_faults(

@@ -311,6 +311,11 @@ def test_what_a_user_is_warned_of() -> None:
     assert "50 % of the rated range 0 to 20" in warnings_of(log, half)
     butterfly = replace(log, displacement=(log.voltage - 5.0) ** 2)
     assert "a butterfly" in warnings_of(butterfly)
+    stairs = np.repeat(np.tile(np.concatenate((np.linspace(0.0, 10.0, 11), np.linspace(9.0, 1.0, 9))), 3), 40)
+    told = warnings_of(record(actuator(falling=True), np.append(stairs, np.zeros(40))))
+    assert told.startswith("the log's samples stand at 11 levels of the drive alone")
+    assert "butterfly" not in told and "less than two" not in told  # three cycles, and a loop
+    assert "less than two whole cycles" in warnings_of(record(truth, nested(2)[:150]))
     stuck = replace(log, displacement=np.minimum(log.displacement, 33.0) + 0.02 * log.voltage)
     assert "saturation" in warnings_of(stuck)
     assert "no clock" in warnings_of(replace(log, sample_period=None))

@@ -99,6 +99,10 @@ def test_gaps_hide_turns_but_not_what_goes_straight_on_or_stands_still() -> None
     moved = replace(back, displacement=back.displacement + 2.0 * (np.arange(600) >= 180))
     assert pieces_behind_gaps(moved) == [(180, 299, 600)]
     assert pieces_behind_gaps(replace(back, time=None, sample_period=0.01)) == []
+    slow = np.concatenate(
+        (np.linspace(0.0, 2.0, 101), np.linspace(2.1, 10.0, 80), np.linspace(9.9, 0.0, 100))
+    )
+    assert pieces_behind_gaps(gapped(slow, 101, 233)) == [(101, 148, 149)]  # as fast as before, not as after
 
 
 def test_rows_behind_gaps_are_kept_where_too_few_would_be_left() -> None:
@@ -295,6 +299,14 @@ def test_folds_are_whole_cycles_dealt_out_in_turn() -> None:
     assert set(folds[120:160]) == {3}
     few = folds_of(drive_shape(sine(2)), np.ones(81, bool), 0, 10)
     assert np.bincount(few).tolist() == [21, 20, 20, 20]
+
+
+def test_a_cycle_of_most_rows_is_no_fold_of_its_own() -> None:
+    """Left out as a whole it would be extrapolated: 10 % were expected of a model that erred by 0.03 %."""
+    voltage = np.concatenate((sine(1, 800), sine(4, 50, 4.0, 6.0)))
+    folds = folds_of(drive_shape(voltage), np.ones(len(voltage), bool), 0, 10)
+    assert len(np.unique(folds[:800])) == 8
+    assert np.unique(folds).tolist() == list(range(10))
 
 
 def test_a_clipped_sensor_is_where_it_stands_while_the_drive_moves() -> None:

@@ -12,13 +12,12 @@ from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.sample_block import GAP_STEPS, median_step
+from dbo_cli.logs.sample_block import GAP_STEPS, SAME_RATE, median_step
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
 EXACT = 1e-12  # of a variance: what sums and transforms of double precision leave of two equal drives
 FEWEST_SHARED = 0.25  # of the shorter of the two: in a few rows everything is like everything
-ANOTHER = 0.5  # correlation below which a recording is of another drive
-SAME_RATE = 1e-3  # two clocks may differ by this fraction
+ANOTHER = 0.5  # correlation below which a recording is of another drive; chosen, in between
 OTHER_SPEED = 0.1  # of what is left at the right speed: less at another one, and it was played at that
 FEWEST_FOR_PARTS = (
     16  # rows from which on a fraction of a row is looked for: three numbers are fitted to them

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
-SAME_DRIVE = 1e-9  # of the range: a state and what the amplifier is said to stand at agree
+SAME_DRIVE = 1e-9  # of the range: two drives that agree to this are one; chosen, far above rounding
 
 
 @dataclass

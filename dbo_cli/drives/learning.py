@@ -26,7 +26,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.loops import settled_output
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.logs.sample_block import FloatArray, even_step
+from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import Remarks
@@ -86,8 +86,7 @@ ENERGY = 1e-3
 ANOTHER_MOVE = 0.5
 """Of the move's own RMS: a drive whose believed displacement is further off in shape, or in its mean where
 that is not learned, belongs to another trajectory. For a very wrong model twice the move may be asked for."""
-SAME_RATE = 1e-3  # two clocks may differ by this fraction
-SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive
+SAME_DRIVE = 0.02  # of the drive's range (RMS): recordings further apart are not of one drive; chosen
 LEARNED_BEFORE = 2e-3
 """Of the move (RMS): a smaller difference of request and trajectory is not what passes learned.
 
@@ -108,13 +107,13 @@ ORDER = 4
 """Of Q, run both ways. Order 2 lets a resonance 25 % lower, damping 0.005, grow: |Q(1 - M)| = 1.6 at a
 cut-off of f_r/3; order 4 has 0.07 there and leaves 0.4 % of the error at half the cut-off."""
 MISTUNED = 0.25  # how far off a resonance may be, either way: a payload of half the moving mass does that
-SHARPER = 0.25  # of the model's damping: that of the mistuned resonance
-FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance
+SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
+FACTOR = 0.9  # most that |Q(1 - M)| may be at any frequency for such a resonance; chosen, below 1
 ZERO_JUMP = 10.0
 """Times the usual change of the error from row to row (1.5 of the median), from which one that stays is a
 jump of the sensor's zero; Gaussian noise exceeds 7 once in 10^11 rows."""
 SMALLEST_JUMP = 5e-3  # of the move's span: a smaller one costs less than models do
-JUMP_STAYS = 20  # rows before and after whose medians differ by at least half of the jump
+JUMP_STAYS = 20  # rows before and after whose medians differ by at least half of the jump; chosen
 
 
 @dataclass(frozen=True)

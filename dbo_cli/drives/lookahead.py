@@ -12,14 +12,13 @@ import numpy as np
 
 from dbo_cli.drives.options import check_seconds
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.cascade import WHOLE
 from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
 from dbo_cli.hysteresis.dynamics import InverseMemory
 from dbo_cli.hysteresis.excitation import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState
 from dbo_cli.hysteresis.stepper import BacklashStepper
-
-WHOLE = 1e-9  # of a sample: a time this little beyond a whole number of samples is that number
 
 Window = tuple[list[float], Floats, InverseMemory | None]
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.drives.compensation import Compensation
+from dbo_cli.drives.compensation import SAME_DRIVE, Compensation
 from dbo_cli.drives.learning import Tracked, learned_source
 from dbo_cli.drives.model_run import Response, Tally
 from dbo_cli.drives.options import DriveOptions
@@ -39,7 +39,7 @@ from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import Source, WholeSource
 
-FEWEST_ROWS = 4  # of a period
+FEWEST_ROWS = 4  # of a period: fewer have no shape
 SEAM = 3.0
 """Times the largest step inside a period, from which on the step back to its first row does not close it.
 
@@ -51,7 +51,6 @@ MOST_RUN_INS = 10  # tries for a run-in or a ramp that leads to the loop it ends
 REST_PLANS = 4  # the way to a rest and the loop's own start depend on its level, each time by a few percent
 LED_IN = 2  # passes after a rest, at least: one to fade over, one of the loop for its gears and its ringing
 LOOP_ERROR = 1e-6  # of the move: a loop that the model repeats further off than this is none
-SAME_DRIVE = 1e-9  # of the range: two settled drives that agree to this are one
 FADES = ((0.5, 0.1), (0.7, 0.4), (0.8, 0.2), (0.9, 0.6))
 """Where a run-in fades over to the settled drive, in parts of it before its end, the gentlest first: where
 the settled drive itself goes at the slew limit just before its seam, an earlier one has time to catch up; and

@@ -32,14 +32,13 @@ from dbo_cli.hysteresis.model_state import (
     StartName,
 )
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.sample_block import JITTER, FloatArray, SampleBlock, require_even
+from dbo_cli.logs.sample_block import GAP_STEPS, JITTER, FloatArray, SampleBlock, require_even
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.remarks import Remarks
 
 CLOCK_SAMPLES = 101
 """A clock's step is that of so many first samples, however the signal is cut."""
 
-PAUSE_STEPS = 1.5  # after a state's last sample, beyond which the first one finds the dynamics at rest
 STARTS_MOVING = 1e-3
 """Of the range: how far off the first value a drive may begin without a word."""
 PROPOSED_PART = 3.0
@@ -217,7 +216,7 @@ class Inputs:
         if start is None:
             return None
         if start.time is not None and block.time is not None:
-            if float(block.time[0]) - start.time > PAUSE_STEPS * inverter.time_step:
+            if float(block.time[0]) - start.time > GAP_STEPS * inverter.time_step:
                 return None
         if start.undoing is not None and start.undoing.time_step == inverter.time_step:
             return start.undoing
@@ -292,13 +291,13 @@ def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock
         yield block.part(count, len(block))
 
 
-LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word
-ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word
+LONG_WORK = 2_000_000  # rows from which on the Python kernel's slowness is worth a word: it takes seconds
+ASSUMED_SPREAD = 0.01  # of the range: what the past may matter at the start without a word; chosen
 FASTER = 2.0
 """Times the fastest drive of the identification's logs: beyond, what the model says of lag is a guess. After
 logs of at most 1.3 ranges a second the error at 3 to 6 ranges a second was twice that at the logs' speeds."""
 
-FAST_PART = 0.05  # of the samples: a few faster ones are not worth a word
+FAST_PART = 0.05  # of the samples: a few faster ones are not worth a word; chosen
 SAME_STEP = 1e-6
 """A run goes on without a pause where its first sample comes one step after the last one's, to this fraction.
 

@@ -21,7 +21,7 @@ SHORTEST = 1e-9  # s: shorter than any converter's row
 HALVINGS = 60  # of the logarithm of time: 20 decades to the last digits
 FEW_PERIODS = 10.0  # of a resonance, in which half a period is more than 5 %
 ROWS_A_PERIOD = 64.0  # of the highest resonance: a crossing is timed to 1.6 % of it; 16 did no worse
-MOST_SAID = 12  # steps in a note
+MOST_SAID = 12  # steps in a note; chosen
 MOST_TIMED = 300  # different steps that are timed: 7 ms each
 FEWEST_HELD = 10  # rows at one value that count as a level; a sine sampled coarsely rests for two or three
 

@@ -22,7 +22,7 @@ from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
 
 Payload = TypeVar("Payload")
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
-_WHOLE = 1e-9  # a delay, or a time in samples, this close to a whole number of samples is that number
+WHOLE = 1e-9  # samples: a time this close to a whole number of them is that; rounding leaves less
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,14 @@ def interpolated(times: Floats, values: Floats, wanted: Floats) -> tuple[Floats,
     """
     wanted, found = np.ascontiguousarray(wanted), np.empty(wanted.size)
     signal = np.ascontiguousarray(times), np.ascontiguousarray(values)
-    return found, kernel.CHOSEN.interpolated(*signal, wanted, found, _WHOLE)
+    return found, kernel.CHOSEN.interpolated(*signal, wanted, found, WHOLE)
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
     """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
-    whole = math.floor(samples + _WHOLE)
+    whole = math.floor(samples + WHOLE)
     part = max(samples - whole, 0.0)
-    return whole, part if part > _WHOLE else 0.0
+    return whole, part if part > WHOLE else 0.0
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer show
 # ones, holds of log-uniform length, a second sweep, speeds or levels that fill their range evenly, distances
 # between turns that are log-uniform. None was better by more than the seeds scatter, a tenth of the mean.
 _FASTEST, _SLOWEST = -0.9, 0.6  # log10 of a swing's time in that of the sweep's part between the same levels
-_AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
-_HOLD_CHANCE = 0.15  # chance that a turn is held
+AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
+_HOLD_CHANCE = 0.15  # chance that a turn is held; chosen
 _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
 # Periods at rest at the end, where it began: equal voltages tell drift. Without it, the geometric mean of the
 # error was 0.121 % of the stroke, with it 0.113 % (30 runs each).
@@ -38,7 +38,7 @@ _REST = 0.5
 
 FASTER = 10.0  # a sweep's highest frequency over that of the loops: their fastest swings have 8 times it
 
-SWEEP_SECONDS = 2.0  # at least
+SWEEP_SECONDS = 2.0  # at least; chosen
 SWEEP_PERIODS = 120.0
 """Of the highest frequency, at least: 26 periods in all. Below 60 Hz the sweep is longer than 2 s; 2 s up to
 40 Hz showed no resonance at 20 Hz."""
@@ -53,8 +53,8 @@ FADED = 0.25
 """Of the amplitude, at the upper end: it falls with the logarithm of the frequency, since what a resonance
 makes of it grows and what the gears do does not."""
 SAMPLES_A_PERIOD = 10.0  # of the sweep's highest frequency, so that a resonance there is resolved
-TAPER = 0.05  # of the sweep at either end, over which it rises and falls: no jump that would ring
-SETTLE = 0.3  # s at rest before and after it, for creep to slow down
+TAPER = 0.05  # of the sweep at either end, over which it rises and falls: no jump that would ring; chosen
+SETTLE = 0.3  # s at rest before and after it, for creep to slow down; chosen
 
 Leg = tuple[float, int]  # a turning point as a part of the range, and the steps on the way there
 
@@ -304,7 +304,7 @@ class _Planner:
         turns: list[Leg] = []
         here, used = 0.0, 0
         while True:
-            turn = float(self._chance() < 0.5) if self._chance() < _AT_AN_END else self._chance()
+            turn = float(self._chance() < 0.5) if self._chance() < AT_AN_END else self._chance()
             slowness = 10.0 ** (_FASTEST + (_SLOWEST - _FASTEST) * self._chance())
             found = [(turn, self._swing(abs(turn - here), slowness))]
             if self._chance() < _HOLD_CHANCE:

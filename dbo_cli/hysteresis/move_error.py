@@ -26,9 +26,9 @@ from dbo_cli.hysteresis.model_file import read_stages, stage_values
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn
+SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn; chosen
 MOST_SWINGS = 256  # are kept with a model: some 4 kB
-NEAREST = 0.02  # of the range: swings that lie closer together are kept once
+NEAREST = 0.02  # of the range: swings that lie closer together are kept once; chosen
 
 MOST_ROWS = 131_072  # of a move are looked at: its first ones, 1 MB of drive and some 30 ms
 MOST = 8  # other models are played: identification keeps four

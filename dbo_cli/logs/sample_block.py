@@ -169,6 +169,7 @@ class Table:
 
 _LEARNING = 1000  # time stamps from which the usual step is taken, whatever the block size
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
+SAME_RATE = 1e-3  # two clocks may differ by this fraction: chosen, ten times what quartz is off by
 JITTER = 0.05  # of a step; what the clocks of operating systems jitter by, and no model notices
 
 
@@ -363,7 +364,7 @@ def require_even(place: str, time: FloatArray, why: str) -> float:
     return step
 
 
-_NEW_ROWS = 1 << 16  # made at a time
+_NEW_ROWS = 1 << 16  # made at a time, as many as a block has
 _MOST_NEW_ROWS, _MOST_FACTOR = 20_000_000, 100  # more, and a rate or a time stamp is wrong
 
 

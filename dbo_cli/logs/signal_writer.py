@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
 
-_WORTH_A_THREAD = 1 << 14  # rows
+_WORTH_A_THREAD = 1 << 14  # rows of a block; chosen
 
 
 class SignalWriter(Protocol):

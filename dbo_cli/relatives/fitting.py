@@ -23,7 +23,13 @@ from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Recording
 from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
-from dbo_cli.hysteresis.identification.search import Score, simplest_of
+from dbo_cli.hysteresis.identification.search import (
+    FINE_INDIFFERENCE,
+    LONGEST_DELAY,
+    ROWS_PER_SLOPE,
+    Score,
+    simplest_of,
+)
 from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
@@ -31,14 +37,10 @@ from dbo_cli.relatives.play_model import RelativeModel
 from dbo_cli.relatives.plays import Kind, PlayOperator
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
-PLAYS = (12, 25, 50, 100)  # to choose from
-SEGMENTS = (1, 2, 4, 8)  # of the dead zones' curve, to choose from
+PLAYS = (12, 25, 50, 100)  # to choose from; chosen, each twice the one before
+SEGMENTS = (1, 2, 4, 8)  # of the dead zones' curve, to choose from; chosen, each twice the one before
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
-FINEST_DELAY_STEP = 0.125  # of a sample period
-LONGEST_DELAY = 0.125  # of a cycle, as for the gears
-FINE_INDIFFERENCE = 0.005
-"""A gain in RMSE below this share is not worth more plays or dead zones: as strict as for the gears."""
-ROWS_PER_PLAY = 8  # fewer rows for each unknown weight are not safe, as for the gears
+FINEST_DELAY_STEP = 0.125  # of a sample period: half of what the gears take
 NOTHING_LEFT = 1e-12  # of the range: an error below it is rounding
 FASTEST_SHARE = 0.999  # of all samples are slower than the rate that the second set of slopes belongs to
 BLOCK_ROWS = 2048  # bounds the table in memory; 512 to 65,536 took the same time
@@ -382,7 +384,7 @@ def fit(
     design = replace(design, delay=delay, falling=falling)
     design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
     usable = sum(int(log.used.sum()) for log in logs)
-    counts = [count for count in relative.plays if count * ROWS_PER_PLAY <= usable] or relative.plays[:1]
+    counts = [count for count in relative.plays if count * ROWS_PER_SLOPE <= usable] or relative.plays[:1]
     design = _simplest(logs, [replace(design, plays=count) for count in counts])
     products = gather(logs, design)
     error = max(float(np.sqrt(products.fitted()[1] / sum(products.rows))), NOTHING_LEFT)

@@ -153,8 +153,8 @@ class _Judge:
         if "left_out_ratio" in model.fit:
             expected = rmse * float(str(model.fit["left_out_ratio"]))
             model = dataclasses.replace(model, fit=self._figures(model, rmse, expected, checks))
-        expected = float(str(model.fit["expected_rmse"]))
-        errors = rmse, expected, _pooled(checks) if checks else None
+        told = model.fit["expected_rmse"]
+        errors = rmse, float(str(told)) if told is not None else None, _pooled(checks) if checks else None
         forward, inverse = self._times(model) if self.timed else (None, None)
         cost = seconds if self.timed else None, forward, inverse
         return Row(name, words, *errors, _parameters(model), *cost, self._round_trip(model), None, model)

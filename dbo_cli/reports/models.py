@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from dbo_cli.relatives.judging import Row
 
-FEW = 40  # gears or segments that are marked one by one
+FEW = 40  # gears or segments that are marked one by one; chosen
 JSON_VERSION = 1  # of the form dbo-compare; a change of meaning would need another
 LOOP_POINTS = 201  # each way: half a percent of the range, finer than the line is wide
 LEGEND_COLUMNS = 3  # names of relatives are short; three fit above a figure

@@ -39,7 +39,7 @@ from dbo_cli.runs.files import Destination, SignalRun, check_order
 from dbo_cli.runs.jobs import Done, Outcome, Work
 from dbo_cli.runs.roles import bring_to, quantity_wish
 
-_ROWS = 1 << 12  # of a table of channels, written at a time
+_ROWS = 1 << 12  # of a table of channels, written at a time; chosen, bounds the memory
 
 
 def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Outcome:

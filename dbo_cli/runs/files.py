@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from dbo_cli.hysteresis.excitation import Excitation
 
 
-_ROWS = 1 << 14  # of drives of many channels, written at a time
+_ROWS = 1 << 14  # of drives of many channels, written at a time; chosen, bounds the memory
 
 
 class Destination(NamedTuple):

@@ -51,6 +51,7 @@ actuators that only creep it is in 2."""
 TRIAL_SLOPES, TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 64, 8, 8, 1e-8
 """Slopes and gears of each, in a trial and in any probing fit, segments and smoothness. Chosen: on eight
 invented logs half and double, and a tenth and ten times the smoothness, led to the same models."""
+# Half and double of these two, and of SLOW, changed none of ten models (benchmarks/halved_constants.py).
 SLOW_MEMORIES = 4  # of the displacement: from the 27th part of the slowest up
 TRIAL_RATIO = 3.0  # between the time constants of the memories that drift has to compete with
 

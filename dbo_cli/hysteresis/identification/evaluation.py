@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import MOST_HELD
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
+    KNOWN_PAST,
     DriveShape,
     Floats,
     Integers,
@@ -96,7 +98,7 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
     if seconds is not None:
         keep &= seconds >= skip_seconds
     wiped = first_wiped_row(recording.voltage)
-    if wiped <= 0.4 * len(keep):
+    if wiped <= KNOWN_PAST * len(keep):
         keep[:wiped] = False
     keep = known_behind_gaps(recording, keep)
     if not keep.any():
@@ -185,7 +187,6 @@ def loop_width_percent(model: ActuatorModel) -> float:
 
 
 POOR_PERCENT = 5.0  # of the range: a fit worse than this does not describe the actuator
-MOST_HELD = 0.5  # of the moving samples that repeat the one before: sample-and-hold
 SPEED_CORRELATION = 0.35
 """Of residual and speed: the models of 26 logs (13 kinds of benchmarks/foreign_plants.py) reach 0.23 at most,
 loops that widen slightly with the rate among them."""
@@ -205,6 +206,12 @@ SLEWED = 4.0
 
 4.5 to 15 times behind an amplifier that slews at a limit (five kinds of logs), at most 3.3 on the other ten
 kinds of plants of benchmarks/foreign_plants.py.
+"""
+FEWEST_SWINGS = 4  # twice up and down: of fewer the error that came was up to ten times the one expected
+FEWEST_LEVELS = 20
+"""Hundredths of the range that a drive visits; chosen: one that moves visits them all.
+
+After a staircase of 11 levels other moves erred up to 14 times the expected error, after 60 random ones 2.8.
 """
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
 
@@ -236,10 +243,18 @@ def log_warnings(recordings: Sequence[Recording], shapes: Sequence[DriveShape]) 
                     f"{int(np.argmax(steps == 0)) + 2}): lag and delay are less certain; log time with more "
                     "digits"
                 )
-    if all(shape.cycle_count < 2 for shape in shapes):
+    if sum(len(shape.turns) + 1 for shape in shapes) < FEWEST_SWINGS:
         warnings.append(
             "less than two whole cycles: nothing could be left out to test the model on; record at least "
             "three"
+        )
+    low, span = min(log.voltage.min() for log in recordings), max(np.ptp(log.voltage) for log in recordings)
+    places = [np.bincount((100.0 * (log.voltage - low) / span + 0.5).astype(np.int64)) for log in recordings]
+    levels = max(int(np.count_nonzero(counts)) for counts in places)
+    if levels < FEWEST_LEVELS:
+        warnings.append(
+            f"the log's samples stand at {levels} levels of the drive alone: what is expected on new moves "
+            "holds there; record a drive that moves over the range"
         )
     return warnings
 
@@ -256,7 +271,7 @@ def rated_warnings(lowest: float, highest: float, rated: tuple[float | str, floa
     if rated is None:
         return []
     low, high = map(float, rated)
-    slack = 0.01 * (high - low)
+    slack = 0.01 * (high - low)  # chosen
     warnings = []
     if lowest < low - slack or highest > high + slack:
         warnings.append(
@@ -264,7 +279,7 @@ def rated_warnings(lowest: float, highest: float, rated: tuple[float | str, floa
             f"{high:g}: check the voltage column, or give compensate `v_min` and `v_max`"
         )
     covered = 100.0 * (min(highest, high) - max(lowest, low)) / (high - low)
-    if covered < 95.0:
+    if covered < 95.0:  # chosen
         warnings.append(
             f"the logs cover {lowest:g} to {highest:g}, {covered:.0f} % of the rated range "
             f"{low:g} to {high:g}: outside, the model goes straight on; record the whole range before using "
@@ -406,11 +421,16 @@ def _shape_warnings(recordings: Sequence[Recording], prepared: Prepared) -> list
     """Butterfly and saturation, from the mean curve of displacement over voltage."""
     warnings = []
     for log, ready in zip(recordings, prepared.logs, strict=True):
-        voltage = (log.voltage[ready.used] - prepared.low) / prepared.span
-        place = np.clip((voltage * 20).astype(np.int64), 0, 19)
-        counts = np.bincount(place, minlength=20)
-        full = counts > 0
-        mean = np.bincount(place, log.displacement[ready.used], minlength=20)[full] / counts[full]
+        voltage = (log.voltage - prepared.low) / prepared.span
+        moved = np.diff(voltage, prepend=voltage[0])
+        down = moved[np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(moved)), 0))] < 0.0
+        place = np.clip((voltage * 20).astype(np.int64), 0, 19) + 20 * down
+        counts, sums = (
+            np.bincount(place[ready.used], weights, minlength=40).reshape(2, 20)
+            for weights in (None, log.displacement[ready.used])
+        )
+        full = (counts > 0).all(axis=0)  # a level driven to one way alone would be half a loop
+        mean = (sums[:, full] / counts[:, full]).mean(axis=0)
         climbs = np.diff(mean) * np.sign(prepared.scale)
         if len(climbs) < 8:
             continue

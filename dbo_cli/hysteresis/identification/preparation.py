@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.cleaning import SPIKE_SIGMAS, spiked_rows
+from dbo_cli.hysteresis.identification.cleaning import OF_NORMAL, SPIKE_SIGMAS, spiked_rows
 from dbo_cli.hysteresis.identification.drift import (
     TRIAL_SLOPES,
     TRIAL_SPLIT,
@@ -21,6 +21,7 @@ from dbo_cli.hysteresis.identification.normal_equations import Structure, solve,
 from dbo_cli.hysteresis.identification.recordings import (
     AMPLITUDE_SCATTER,
     FEWEST_ROWS,
+    KNOWN_PAST,
     DriveShape,
     Floats,
     Integers,
@@ -38,6 +39,8 @@ from dbo_cli.hysteresis.move_error import SMALLEST_TURN
 Booleans = NDArray[np.bool_]
 
 FOLDS = 10  # with 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again
+# Half and double of MOST_OUTLIERS, and a HISTORY_GAIN of 0.5 and 0.85, changed none of ten models
+# (benchmarks/halved_constants.py).
 MOST_OUTLIERS = 0.02  # more rows than this are no outliers: they are what the actuator does
 RESIDUAL_WINDOW = 21
 """Rows among which a spike of the residual must stand out: no drive turns in it, so that more of them are
@@ -140,23 +143,31 @@ def gain_sign(recordings: Sequence[Recording]) -> float:
     return -1.0 if together < 0.0 else 1.0
 
 
+def _stretches(rows: Booleans, count: int) -> Integers:
+    """Return the number of each row's stretch where these rows are cut into ``count`` of equal length."""
+    stretch: Integers = (np.cumsum(rows) - 1) * count // max(int(rows.sum()), 1)
+    return np.clip(stretch, 0, count - 1)
+
+
 def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) -> Integers:
     """Fold of each row: whole cycles dealt out in turn; -1 where the row is not used.
 
     Rows before the first and after the last whole cycle go with their neighbour. A log with fewer than
-    three cycles to use is cut into four stretches of equal length instead.
+    three cycles to use is cut into four stretches of equal length instead, and so is a cycle that holds most
+    of the rows: what it alone went through could not be predicted without it.
     """
     samples = len(usable)
     cycle = np.searchsorted(shape.cycles, np.arange(samples), side="right") - 1
     cycle = np.clip(cycle, 0, max(shape.cycle_count - 1, 0))
-    present = np.unique(cycle[usable])
-    if len(present) >= 3:
-        number = np.searchsorted(present, cycle)
-        fold = number % max(min(wanted, len(present)), 1)
+    held = np.bincount(cycle[usable], minlength=1)
+    if np.count_nonzero(held) < 3:
+        fold = _stretches(usable, min(wanted, 4))
     else:
-        place = np.cumsum(usable) - 1
-        pieces = min(wanted, 4)
-        fold = np.clip(place * pieces // max(int(usable.sum()), 1), 0, pieces - 1)
+        long = cycle == int(held.argmax())
+        cut = np.where(long & (held.max() > 0.5 * held.sum()), _stretches(usable & long, 8), 0)
+        piece = 8 * cycle + cut
+        present = np.unique(piece[usable])
+        fold = np.searchsorted(present, piece) % max(min(wanted, len(present)), 1)
     return np.where(usable, fold + first_fold, -1)
 
 
@@ -239,7 +250,7 @@ def _usable_rows(
     wiped = first_wiped_row(log.voltage)
     transient = 0
     moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
-    if wiped > skipped and samples - wiped >= 0.6 * moving:
+    if wiped > skipped and samples - wiped >= (1.0 - KNOWN_PAST) * moving:
         usable[:wiped] = False
         transient = wiped - skipped
         notes.append(
@@ -308,7 +319,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
     starts = [replace(log, start=start) for start in STARTS]
     errors = [_probe_error(one, low, high) for one in starts]
     best = int(np.argmin(errors))
-    if errors[best] >= 0.99 * errors[0]:
+    if errors[best] >= 0.99 * errors[0]:  # chosen: no evident gain
         best = 0
     opened = None if log.stretches else _left_open(log)
     if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
@@ -323,7 +334,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
 
 def _left_open(log: PreparedLog) -> PreparedLog | None:
     """Return the log without rows at new extremes, one offset a stretch; None where little would be left."""
-    near = 1e-3 * float(np.ptp(log.voltage))
+    near = 1e-3 * float(np.ptp(log.voltage))  # chosen
     top = np.maximum.accumulate(log.voltage)
     bottom = np.minimum.accumulate(log.voltage)
     inside = (log.voltage < top - near) & (log.voltage > bottom + near)
@@ -392,7 +403,7 @@ def _leave_out_spikes(
         used = log.used
         values = residual[used]
         centre = float(np.median(values))
-        sigma = 1.4826 * float(np.median(np.abs(values - centre)))
+        sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
         far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
         far &= spiked_rows(np.where(used, residual, centre), RESIDUAL_WINDOW)
         if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):

@@ -14,13 +14,14 @@ from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
 HIDDEN_STEPS = 3.0  # the largest change between samples that many times is hidden between samples anyway
 SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion
 LEAST_BEHIND_GAPS = 0.3  # of the rows must be left; of fewer, a fit knows less than gaps spoil
-AMPLITUDE_SCATTER = 0.1  # swings that differ by less than this share count as one amplitude
+AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
 
 
 @dataclass(frozen=True)

@@ -229,6 +229,8 @@ def _runs(fold: Integers) -> Iterator[tuple[int, slice]]:
             yield int(fold[begin]), slice(begin, end)
 
 
+# Of ten invented logs (benchmarks/halved_constants.py) the stated errors were 0.76 to 1 of these with a
+# MAX_RATIO of 1.5, 1 to 1.05 with 4; 0.93 to 1.16 with LARGE of 0.6, 0.9; 1 to 1.19 with SMALL of 0.2, 0.5.
 MAX_RATIO = 2.0  # a group without which the fit falls apart says how far one cannot extrapolate, not this
 
 LARGE = 0.75  # of the drive's range: without the swings above, the last gears would never be seen

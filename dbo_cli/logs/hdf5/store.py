@@ -43,8 +43,8 @@ CHUNK_ROWS = 1 << 16  # 512 kB, half of HDF5's cache for a dataset's chunks
 # Names in a list in an attribute: HDF5 gives it 64 kB, 16 bytes a name; more are lines of one text.
 MOST_NAMES = 4000
 MATRIX_ROWS = 1 << 14  # of one channel in a chunk: 128 kB, so that channels are written and read alone
-_PROBE = 2048  # bytes tried before a byte plane is squeezed
-_WORTH = 0.9  # squeezed only where the probe shrinks to less than this
+_PROBE = 2048  # bytes tried before a byte plane is squeezed; chosen
+_WORTH = 0.9  # squeezed only where the probe shrinks to less than this; chosen
 _STORED_MOST = 65535  # bytes in one stored block (RFC 1951, 3.2.4)
 _ZLIB_HEADER = b"\x78\x01"  # RFC 1950: deflate, window of 32 kB, fastest
 _LAST_BLOCK = b"\x03\x00"  # an empty block that ends the stream

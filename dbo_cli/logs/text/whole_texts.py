@@ -191,7 +191,7 @@ _TIMES = (*TIME_NAMES, *MORE_TIME_NAMES)
 SIGNALS = ("field", "series", "channel", "variable", "metric", "signal", "topic", "parameter", "sensor",
             "tag", "name", "measurement", "table")  # fmt: skip
 _MOST = 256  # signals; more, and the column is none of names
-_READ = 1 << 20  # bytes at a time
+_READ = 1 << 20  # bytes at a time; chosen
 
 
 def side_by_side(request: Request, dialect: Dialect) -> ColumnTable | None:
