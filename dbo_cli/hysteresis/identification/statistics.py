@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -52,11 +52,24 @@ class PreparedLog:
     drift: Floats
     start: StartName
     stretches: int = 0
+    _lags: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def used(self) -> NDArray[np.bool_]:
         """Rows that take part in the fit; shape (samples,)."""
         return self.fold >= 0
+
+    def lags(self, basis: Basis) -> Floats:
+        """Return the drive as the memories of a basis see it (``basis.lags``).
+
+        The last ones are kept: few of the many bases that are tried differ in what these depend on. A log
+        that is made of this one shares them, unless its voltage is another.
+        """
+        key = basis.time_constants, basis.bend, basis.low, basis.high
+        if key not in self._lags:
+            self._lags.clear()
+            self._lags[key] = basis.lags(self.voltage, self.seconds)
+        return self._lags[key]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,6 +175,7 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
         seconds=seconds,
         fold=log.fold[rows],
         drift=log.drift[rows],
+        _lags={},
     )
 
 
@@ -192,7 +206,7 @@ def gather(
         end = begin + log.drift.shape[1]
         own = end - begin + shared + 1
         mine = {int(k): np.zeros((own, own)) for k in np.flatnonzero(np.bincount(log.fold[log.used]))}
-        rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used)
+        rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis))
         for first, last, drive in rows_made.blocks():
             known, target = rows_of(drive, log.output[first:last])
             table = np.hstack((known, log.drift[first:last], target[:, None]))
