@@ -200,6 +200,8 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
     at = np.flatnonzero(steps > GAP_STEPS * float(np.median(steps[steps > 0.0])))
+    if not at.size:
+        return []
     most, seen = (_usual_change(values, at) for values in (v, log.displacement))
     before, after = np.maximum(at - SPEED_ROWS, 0), np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     ways = np.zeros((2, len(at)))  # how far the drive would have gone on, by its speed before and after
