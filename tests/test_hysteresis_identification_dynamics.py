@@ -34,10 +34,12 @@ def plant(*sections: Section) -> ActuatorModel:
     )
 
 
-def recorded(model: ActuatorModel, drive: Floats, seed: int = 1, noise: float = 0.002) -> Recording:
-    x = model.simulate(drive, model.start(float(drive[0]), "empty"), time_step=1.0 / RATE).y
+def recorded(
+    model: ActuatorModel, drive: Floats, seed: int = 1, noise: float = 0.002, rate: float = RATE
+) -> Recording:
+    x = model.simulate(drive, model.start(float(drive[0]), "empty"), time_step=1.0 / rate).y
     noisy = x + np.random.default_rng(seed).normal(0.0, noise, x.size)
-    return Recording("log.csv", drive, noisy, sample_period=1.0 / RATE)
+    return Recording("log.csv", drive, noisy, sample_period=1.0 / rate)
 
 
 def swept(seconds: float = 6.0) -> Floats:
@@ -159,9 +161,8 @@ def test_the_sweep_is_small_ends_at_rest_and_is_refused_where_it_cannot_be() -> 
 
 def test_a_slow_resonance_is_found() -> None:
     model = plant(Lag(2e-3), Resonance(12.0, 0.03))
-    found = identify(
-        [recorded(model, Excitation(0.0, 100.0, RATE, 12.0, 0.5, sweep_to=20.0).drive()[1])], FEW
-    )
+    drive = Excitation(0.0, 100.0, 0.25 * RATE, 12.0, 0.5, sweep_to=20.0).drive()[1]
+    found = identify([recorded(model, drive, rate=0.25 * RATE)], FEW)
     assert found.model.dynamics is not None
     (resonance,) = found.model.dynamics.resonances
     assert resonance.frequency == pytest.approx(12.0, rel=0.01)

@@ -34,15 +34,24 @@ with h5py.File(sys.argv[1], "a", locking={locking}) as file:
             sys.stdin.readline()
 """
 
-APPENDER = """
-import sys, numpy
+APPENDERS = """
+import os, sys, numpy
 from dbo_cli.errors import OutputError
 from dbo_cli.logs.hdf5 import store
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 store._PATIENCE = store._QUEUE = 1e9  # on a busy machine another may hold the lock for long
-sys.stdin.readline()
-with signal_writer(sys.argv[1], [OutColumn("time", "s")]) as writer:
-    writer.write(numpy.full(1000, float(sys.argv[2])))
+ready, go = os.pipe()
+running = []
+for number in range(12):
+    running.append(os.fork())
+    if running[-1] == 0:
+        os.close(go)
+        os.read(ready, 1)  # until all are there
+        with signal_writer(f"{sys.argv[1]}::/run{number}", [OutColumn("time", "s")]) as writer:
+            writer.write(numpy.full(1000, float(number)))
+        sys.exit(0)
+os.close(go)
+sys.exit(any([os.waitpid(one, 0)[1] for one in running]))
 """
 
 
@@ -96,12 +105,9 @@ def test_twelve_appenders_at_once_all_find_their_group(tmp_path: Path, existing:
     path = tmp_path / "store.h5"
     if existing:
         write(f"{path}::/first")
-    running = [process(APPENDER, f"{path}::/run{number}", str(number)) for number in range(12)]
-    for one in running:
-        assert one.stdin is not None
-        one.stdin.write("\n")
-        one.stdin.flush()
-    assert [one.communicate()[1] for one in running] == [""] * 12
+    appenders = process(APPENDERS, str(path))
+    assert appenders.communicate(timeout=300) == ("", "")
+    assert appenders.returncode == 0
     with h5py.File(path) as file:
         assert [file[f"run{number}/time_s"][0] for number in range(12)] == list(range(12))
         assert len(file) == 12 + existing

@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.model import (
 )
 
 RATE = 1000.0
-FRAMES = 300
+FRAMES = 200
 
 
 def actuator(seed: int) -> dbo.Model:

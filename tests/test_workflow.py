@@ -169,7 +169,7 @@ def test_two_makes_in_one_folder_both_succeed(bench: Path) -> None:
     expected = summary.read_text()
     words = [str(MAKE), "-f", str(WORKFLOW / "Makefile"), f"DBO={DBO}", f"IDENTIFY={OPTIONS}"]
     environment = os.environ | {"PYTHONPATH": str(WORKFLOW.parent), "MAKEFLAGS": ""}
-    for _ in range(10):
+    for _ in range(4):
         summary.unlink()
         both = [
             subprocess.Popen(words, cwd=bench, env=environment, stdout=subprocess.DEVNULL) for _ in range(3)

@@ -117,12 +117,14 @@ class Resonance(Mode):
         zeta, root = self.damping, math.sqrt(1.0 - self.damping * self.damping)
         fade = np.exp(-zeta * angle)
         sine, cosine = fade * np.sin(root * angle) / root, fade * np.cos(root * angle)
+        if angle.size == 1 and 0.0 < angle[0] < _SERIES:  # as in every fit: plain numbers, the same bits
+            turn, turned, late = angle.item(), sine.item(), cosine.item()
+            one = _series(turn, zeta, 0)
+            return np.array([[turned, one, _series(turn, zeta, 1), late - zeta * turned, turned, one / turn]])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            # One step, as in every fit, is summed in plain numbers: the same bits in a fifth of the time.
-            small: Any = angle.item() if angle.size == 1 else angle
-            step = np.where(angle < _SERIES, _series(small, zeta, 0), 1.0 - (cosine + zeta * sine))
+            step = np.where(angle < _SERIES, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine))
             ramp = np.where(
-                angle < _SERIES, _series(small, zeta, 1), 1.0 - (2.0 * zeta * step + sine) / angle
+                angle < _SERIES, _series(angle, zeta, 1), 1.0 - (2.0 * zeta * step + sine) / angle
             )
             rate = np.where(angle > 0.0, step / angle, 0.0)
         return np.column_stack([sine, step, ramp, cosine - zeta * sine, sine, rate])

@@ -124,6 +124,7 @@ class Signals:
         before = model.start(float(log.voltage[0]), "auto")
         self._state = model.simulate(log.voltage[: rows.start], before, time_step=part.time_step).state
         self._lag, self._predicted = (0.0, False), self._after(0.0, False)
+        self._late = self._lag, self._predicted
 
     def predicted(self, lag_before: float = 0.0, sampled: bool = False) -> Floats:
         """Return what the slow model predicts, its drive passed through a lag (s) first."""
@@ -155,7 +156,10 @@ class Signals:
         if structure.lag_before:
             moved = self.predicted(lag.seconds, structure.sampled_lag)
         else:
-            moved = lagged(self.predicted(), lag.seconds, self.time_step, structure.sampled_lag)
+            behind = lag.seconds, structure.sampled_lag
+            if behind != self._late[0]:  # most steps of a fit change a resonance alone
+                self._late = behind, lagged(self.predicted(), behind[0], self.time_step, behind[1])
+            moved = self._late[1]
         if resonances:
             moved, _ = DynamicsStage(tuple(resonances)).run(moved, self.time_step, None)
         return DelayStage(structure.delay).lag(moved, self.time_step, None)[0] if structure.delay else moved

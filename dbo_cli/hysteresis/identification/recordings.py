@@ -14,6 +14,7 @@ from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing

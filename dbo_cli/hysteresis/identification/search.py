@@ -425,7 +425,7 @@ class _Search:
             if step * period > LONGEST_DELAY * self._cycle:
                 break
             tried[step] = error(step * period)
-            if len(tried) > 4 and tried[step] > 1.5 * min(tried.values()):
+            if len(tried) > 4 and tried[step] > 1.5 * min(tried.values()):  # chosen: far beyond the least
                 break
         while True:  # halve the gaps beside the best until they are a quarter of a sample
             best = min(tried, key=lambda step: tried[step])
