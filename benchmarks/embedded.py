@@ -6,9 +6,9 @@ Needs (Debian, Ubuntu): apt install gcc-arm-none-eabi libnewlib-arm-none-eabi gc
 qemu-system-arm qemu-system-misc. Chips whose tools are missing are left out and named.
 
 An inverse model of n gears (64 slopes at most, points, a scale, limits; with four relaxation terms or none)
-follows a smooth move of 400 samples a cycle, then jumps from end to end. Instructions are what QEMU
-counts (-icount), -O2, soft float where the chip has none for the type; code holds the soft float it needs.
-Beside it n play operators (the inverse of Prandtl-Ishlinskii) without points, limits or memory.
+follows a smooth move of 400 samples a cycle, then jumps from either end to 32 places. Instructions are what
+QEMU counts (-icount), -O2, soft float where the chip has none for the type; code holds the soft float that it
+needs. Beside it n play operators (the inverse of Prandtl-Ishlinskii) without points, limits or memory.
 """
 
 from __future__ import annotations
@@ -73,20 +73,27 @@ def missing(chip: Chip) -> list[str]:
 
 
 def moves_header(low: float, high: float, arithmetic: str) -> str:
-    """Return smooth moves over the range and its ends as C: 400 samples a cycle, growing and shrinking."""
+    """Return smooth moves over the range, 400 samples a cycle, and jumps from its ends as C.
+
+    A jump costs most where it ends inside the last gears: places lie denser towards the ends.
+    """
     k = np.arange(800)
     values = low + (high - low) * (0.5 - 0.5 * np.cos(k * np.pi / 200.0) * (1.0 - k / 1600.0))
+    places = low + (high - low) * (0.5 - 0.5 * np.cos(np.arange(32) * np.pi / 31.0))
+    jumps = np.column_stack([np.repeat([low, high], 32), np.tile(places, 2)]).ravel()
     if arithmetic == "q31":
-        counts = [round(2.0**31 * ((v - low) / (high - low) - 0.5)) for v in (*values.tolist(), low, high)]
-        text = [integer(min(max(c, -(2**30) * 2 + 1), 2**31 - 1) // 2) for c in counts]
+        text = [
+            [integer(round(2.0**31 * ((v - low) / (high - low) - 0.5))) for v in row]
+            for row in (values, jumps)
+        ]
     else:
         spell = hex_double if arithmetic == "double" else hex_float
-        text = [spell(v) for v in (*values.tolist(), low, high)]
+        text = [[spell(v) for v in row] for row in (values.tolist(), jumps.tolist())]
     kind = TYPES[arithmetic]
     return (
         ("" if arithmetic is None else f"#ifndef PLAYS\ntypedef {kind} number_type;\n#endif\n")
-        + f"#define MOVES {len(values)}u\n" + array(kind, "moves", text[:-2])
-        + f"static const {kind} lowest_move = {text[-2]}, highest_move = {text[-1]};\n"
+        + f"#define MOVES {len(values)}u\n#define JUMPS {len(jumps)}u\n"
+        + array(kind, "moves", text[0]) + array(kind, "jumps", text[1])
     )  # fmt: skip
 
 

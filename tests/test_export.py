@@ -27,7 +27,8 @@ from exported import (
 from dbo_cli.errors import DboError, ModelError, OutputError, UsageError
 from dbo_cli.export import export_model
 from dbo_cli.export.cascade_plan import plan_cascade
-from dbo_cli.export.single_code import fold, row_shift
+from dbo_cli.export.single_code import axes_of, derive_bounds, fold, row_shift, single_tables
+from dbo_cli.export.single_kernel import SingleKernel
 from dbo_cli.export.source_text import RESERVED, check_name, hex_double, integer
 from dbo_cli.hysteresis.cascade import through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
@@ -302,6 +303,81 @@ def test_the_same_model_gives_the_same_bytes(tmp_path: Path) -> None:
             export_model(made_model(1), str(folder), name="x", arithmetic=arithmetic, sample_rate=RATE)  # type: ignore[arg-type]
             contents.append({p.name: p.read_bytes() for p in folder.rglob("*") if p.is_file()})
         assert contents[0] == contents[1]
+
+
+COUNTED = """
+#include "x.c"
+#include <stdio.h>
+extern uint32_t crossings;
+int main(void) {
+    static const NUMBER ends[2] = {LOW, HIGH};
+    static x_state state;
+    uint32_t random = 1u, most = 0u;
+    x_init(&state);
+    for (uint32_t k = 0u; k < 20000u; k++) {
+        NUMBER to = ends[k / 2u % 2u];
+        random = random * 1664525u + 1013904223u;
+        if (k % 2u)
+            to = (NUMBER)(ends[0] + ((double)ends[1] - (double)ends[0]) * (random >> 8) / 16777216.0);
+        crossings = 0u;
+        x_step(&state, to);
+        if (crossings > most) most = crossings;
+    }
+    printf("%u", (unsigned)most);
+    return 0;
+}
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+@pytest.mark.parametrize(("gears", "slopes"), [(90, 90), (300, 100), (1152, 64), (1000, 4)])
+def test_a_step_crosses_no_more_one_by_one_than_its_page_says(
+    arithmetic: Any, gears: int, slopes: int, tmp_path: Path
+) -> None:
+    """Gears and runs counted in 20,000 jumps from the ends to everywhere and back."""
+    folder, model = tmp_path / "out", made_model(3, gears=gears, slopes=slopes, terms=0)
+    summary = export_model(model, str(folder), name="x", arithmetic=arithmetic)
+    kernel, one = (folder / "dbo_kernel.c").read_text(), "const uint32_t i = 32U * k + first_one(open);"
+    assert kernel.count(one) == 2
+    (folder / "dbo_kernel.c").write_text(
+        "#include <stdint.h>\nuint32_t crossings;\n" + kernel.replace(one, one + "crossings++;")
+    )
+    number, low, high = (
+        ("float", model.output.minimum, model.output.maximum)
+        if arithmetic == "float"
+        else ("int32_t", -(2**30), 2**30)
+    )
+    source = COUNTED.replace("NUMBER", number).replace("LOW", repr(low)).replace("HIGH", repr(high))
+    (folder / "count.c").write_text(source)
+    subprocess.run([COMPILERS[0], "-O1", "count.c", "dbo_kernel.c", "-o", "count"], cwd=folder, check=True)
+    most = int(subprocess.run(["./count"], cwd=folder, capture_output=True, text=True, check=True).stdout)
+    assert summary.worst_gears / 8 <= most <= summary.worst_gears / 2  # no limits: one pass of two
+
+
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+@pytest.mark.parametrize(("gears", "slopes"), [(33, 3), (127, 9), (192, 24), (130, 130)])
+def test_jumps_end_in_the_states_of_the_gear_by_gear_twin(
+    arithmetic: Any, gears: int, slopes: int, tmp_path: Path
+) -> None:
+    """Jumps from an end to anywhere, and to just before a run's end, where the tolerance decides."""
+    folder, model = tmp_path / "out", made_model(gears, gears=gears, slopes=slopes, terms=0, bend=False)
+    plan = plan_cascade(model, "forward", None, None)
+    axes = axes_of(plan)
+    close = derive_bounds(plan, axes, arithmetic == "q31")["close_turn_fraction"]
+    tables = single_tables(plan, axes, arithmetic == "q31", close)
+    export_model(model, str(folder), name="x", arithmetic=arithmetic, direction="forward")
+    rng = np.random.default_rng(gears)
+    at = np.column_stack([rng.integers(0, 2, 2_000), rng.uniform(0.0, 1.0, 2_000)])
+    ends = np.rint(at[::2, 1] * slopes) * tables.run
+    at[::2, 1] = (ends + np.where(at[::2, 0] > 0.5, 1.0, -1.0) * rng.uniform(0.0, close, 1_000)) / gears
+    at = at.ravel()
+    given, _ = as_given(model.input.minimum + model.input.span * at, model.input, arithmetic)
+    kernel = SingleKernel(tables)
+    twin = [kernel.step(x if arithmetic == "float" else int(x)) for x in given]
+    got, _ = compiled(folder, "x", arithmetic, gears)(given)
+    assert got.tobytes() == np.array(twin, got.dtype).tobytes()
 
 
 def test_the_summary_and_the_page_agree(tmp_path: Path) -> None:

@@ -70,16 +70,16 @@ int main(void) {
         sum += ticks;
         if (ticks > most) most = ticks;
     }
-    for (unsigned k = 0; k < 8; k++) { /* from one end to the other in one step */
+    for (unsigned k = 0; k < JUMPS; k++) { /* from the ends to everywhere and back, each in one step */
         uint32_t ticks;
         begin = board_clock();
-        sink = x_step(&state, k % 2 ? lowest_move : highest_move);
+        sink = x_step(&state, jumps[k]);
         ticks = board_since(begin) - base;
         if (ticks > full) full = ticks;
     }
     end = mark();
     sink = x_step(&state, moves[MOVES / 3]);
-    sink = x_step(&state, lowest_move);
+    sink = x_step(&state, jumps[JUMPS - 1]);
     stack = depth(end);
     (void)sink;
     word("result");

@@ -23,7 +23,6 @@ from dbo_cli.logs.units import in_unit
 
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
-ONE_BY_ONE = 4 + 64  # in a pass: `SINGLE` of the kernels, and the last block
 _OF_THE_SET = {"folder", "files", "warnings", "direction", "arithmetic"}  # not of a channel in export.json
 _KERNEL_NAME = re.compile(r"\bdbo_\w+\b(?!\.)")  # types and functions, but not the names of files
 
@@ -146,6 +145,18 @@ def _limits(
     return DriveLimits(low, high, slew)
 
 
+def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
+    """Return the most blocks that crossing gears one way looks at, and the most gears it takes one by one.
+
+    In double those are the kernel's SINGLE and the last block. Else they are in the word where it begins and
+    the two of the last block, at which it may look twice more: all below the kernel's LEAP, else SINGLE, and
+    runs of equal gears instead of gears.
+    """
+    if arithmetic == "double":
+        return -(-gears // 64), min(gears, 4 + 64)
+    return gears // 64 + 2, min(gears, 3 * (32 if run < 8 else 4 + 31 // run + 2))
+
+
 def _summary(
     plan: CascadePlan, code: c.ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float],
     notes: tuple[str, ...],
@@ -154,12 +165,12 @@ def _summary(
     rows = -(-plan.backlash.n // run)
     # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
     passes = 1 if plan.direction == "forward" else 2 if plan.model.drive_lag is None else 3
+    worst = worst_pass(plan.backlash.n, run, arithmetic)
     beyond = "" if plan.limits is None else plan.limits.beyond(plan.drive)
     return ExportSummary(
         folder=folder, name=name, direction=plan.direction, arithmetic=arithmetic, files=(),
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
-        state_bytes=code.state_bytes, worst_blocks=-(-plan.backlash.n // 64) * passes,
-        worst_gears=min(plan.backlash.n, ONE_BY_ONE) * passes,
+        state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
         vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
         notes=notes, warnings=(beyond,) if beyond else (),
     )  # fmt: skip

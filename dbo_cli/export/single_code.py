@@ -472,7 +472,7 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
     tables, size = _tables(t, text)
     if spare:
         tables += array("uint32_t", "spare", spare)
-    words = (t.n + 31) // 32 + 8 * -(-t.n // 64)  # DBO_WORDS(n)
+    words = (t.n + 31) // 32 + 4 * (t.n // 64)  # DBO_WORDS(n)
     members = [f"uint32_t words[{words}];", "uint32_t segments[3];", "dbo_backlash_state gears;"]
     if t.terms:
         members.append(f"dbo_memory memory[{len(t.terms)}];")
@@ -508,6 +508,11 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     """Return all tables but that of the spare gears, and their bytes."""
     rows = [[integer(width), integer(height), text(slope)] for width, height, slope in t.rows]
     out, size = array("dbo_gear", "gears", struct_rows(rows)), 12 * len(t.rows)
+    if t.n >= 64:
+        each = np.repeat(np.array([row[:2] for row in t.rows], np.int64), t.run, axis=0)[: t.n // 64 * 64]
+        blocks = each.reshape(-1, 64, 2).sum(axis=1).tolist()
+        out += array("dbo_block", "blocks", struct_rows([[integer(v) for v in block] for block in blocks]))
+        size += 16 * len(blocks)
     if t.terms:
         factors = [
             [text(carried), text(rest), *([f"{up}U", f"{down}U"] if t.q31 else [])]
@@ -518,7 +523,8 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     shift = row_shift(t.n, t.run)
     factor = (2**shift + t.run - 1) // t.run
     out += (
-        f"static const dbo_backlash op = {{gears, {t.n}U, {factor}U, {shift}U, {t.tolerance}U,"
+        f"static const dbo_backlash op = {{gears, {'blocks' if t.n >= 64 else '0'}, {t.n}U, {t.run}U,"
+        f" {factor}U, {shift}U, {t.tolerance}U,"
         f" {'terms' if t.terms else '0'}, {len(t.terms)}U,\n"
         f"    {int(t.memory_on_output)}, {text(t.drive_offset)},"
         f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"

@@ -29,7 +29,7 @@ SAMPLES_A_CYCLE = 20  # with fewer, interpolation between samples no longer show
 # ones, holds of log-uniform length, a second sweep, speeds or levels that fill their range evenly, distances
 # between turns that are log-uniform. None was better by more than the seeds scatter, a tenth of the mean.
 _FASTEST, _SLOWEST = -0.9, 0.6  # log10 of a swing's time in that of the sweep's part between the same levels
-_AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
+AT_AN_END = 0.12  # chance that a turn lies at an end of the range: loops that hang there tell of asymmetry
 _HOLD_CHANCE = 0.15  # chance that a turn is held; chosen
 _HOLD = 0.4  # periods; only at rest does creep show apart from hysteresis
 # Periods at rest at the end, where it began: equal voltages tell drift. Without it, the geometric mean of the
@@ -304,7 +304,7 @@ class _Planner:
         turns: list[Leg] = []
         here, used = 0.0, 0
         while True:
-            turn = float(self._chance() < 0.5) if self._chance() < _AT_AN_END else self._chance()
+            turn = float(self._chance() < 0.5) if self._chance() < AT_AN_END else self._chance()
             slowness = 10.0 ** (_FASTEST + (_SLOWEST - _FASTEST) * self._chance())
             found = [(turn, self._swing(abs(turn - here), slowness))]
             if self._chance() < _HOLD_CHANCE:

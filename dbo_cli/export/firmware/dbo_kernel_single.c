@@ -6,10 +6,19 @@
 #include <stddef.h>
 
 #define ALL_ONES UINT32_MAX
-#define SINGLE 4 /* so many gears are crossed one by one before whole blocks are tried: 3 and 8 cost more */
+#define SINGLE 4 /* so many gears ahead cost less one by one than by runs; 3 and 8 cost more */
+#define LEAP 8U  /* runs shorter than this cost more as a run than gear by gear */
+#define FAR 32   /* where as many gears like the next one are to be travelled, whole blocks come first */
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && !defined(DBO_Q31)
 #error "float must be computed as float: compile for hardware or software float32, not x87"
+#endif
+
+/* Kept apart from its caller: all in one, these loops find no room in the registers of a Cortex-M0+. */
+#if defined(__GNUC__)
+#define APART static __attribute__((noinline))
+#else
+#define APART static
 #endif
 
 /* Place of the lowest one, by a de Bruijn sequence: every chip multiplies, few count zeros. */
@@ -23,6 +32,13 @@ static uint32_t first_one(uint32_t word) {
 static uint32_t last_one(uint32_t word) {
     for (uint32_t reach = 1U; reach < 32U; reach *= 2U) word |= word >> reach;
     return first_one(word ^ word >> 1);
+}
+
+static uint32_t count_ones(uint32_t word) {
+    word -= word >> 1 & UINT32_C(0x55555555);
+    word = (word & UINT32_C(0x33333333)) + (word >> 2 & UINT32_C(0x33333333));
+    word = (word + (word >> 4)) & UINT32_C(0x0F0F0F0F);
+    return (word * UINT32_C(0x01010101)) >> 24;
 }
 
 /* ---- what differs between the arithmetics ------------------------------------------------------------ */
@@ -122,10 +138,6 @@ typedef float remembered_drive;
 
 #endif
 
-static dbo_position crossed_at(int32_t width, uint32_t tolerance) {
-    return width - (width >> tolerance);
-}
-
 /* ---- the state's bits -------------------------------------------------------------------------------- */
 
 static const dbo_gear *gear_at(const dbo_backlash *op, uint32_t i) {
@@ -148,11 +160,10 @@ static uint32_t open_bits(uint32_t word, uint32_t k, uint32_t n, int rising) {
     return n - 32U * k < 32U ? open & ~(ALL_ONES << (n - 32U * k)) : open;
 }
 
-/* Sums over a block of 64 gears, each two words, behind the bits: of the gears crossed, and of all. */
-enum { CROSSED_X = 0, CROSSED_Y = 2, WHOLE_X = 4, WHOLE_Y = 6, SUMS = 8 };
-
+/* Where the sums over the gears crossed of a block of 64 stand, behind the bits: x and y, two words each. They
+ * count where some of its gears are crossed and some are open: else they would be 0, or those of op->blocks. */
 static uint32_t *sums_of(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t block) {
-    return state->words + (op->n + 31U) / 32U + (uint32_t)SUMS * block;
+    return state->words + (op->n + 31U) / 32U + 4U * block;
 }
 
 static dbo_position sum(const uint32_t *at) { return (dbo_position)((uint64_t)at[1] << 32 | at[0]); }
@@ -162,33 +173,19 @@ static void set_sum(uint32_t *at, dbo_position value) {
     at[1] = (uint32_t)((uint64_t)value >> 32);
 }
 
-static void add_crossed(uint32_t *sums, dbo_position x, dbo_position y) {
-    set_sum(sums + CROSSED_X, sum(sums + CROSSED_X) + x);
-    set_sum(sums + CROSSED_Y, sum(sums + CROSSED_Y) + y);
-}
-
-/* S and Z (4)-(5) after gears from word k on were crossed. */
-static void find_next(const dbo_backlash *op, dbo_backlash_state *state, uint32_t k, int rising) {
-    state->set = rising ? 0U : lowest(state->words, op->n, k, 0U);
-    state->zero = rising ? lowest(state->words, op->n, k, ALL_ONES) : 0U;
-}
-
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
     state->x = 0;
     state->y = 0;
-    for (uint32_t k = 0U; 64U * k < op->n; k++) {
-        uint32_t *sums = sums_of(op, state, k);
-        for (uint32_t s = 0U; s < (uint32_t)SUMS; s++) sums[s] = 0U;
-    }
+    for (uint32_t k = 0U; k < 4U * (op->n / 64U); k++) sums_of(op, state, 0U)[k] = 0U;
     for (uint32_t i = 0U; i < op->n; i++) {
         const dbo_gear *gear = gear_at(op, i);
         uint32_t *sums = sums_of(op, state, i >> 6);
-        set_sum(sums + WHOLE_X, sum(sums + WHOLE_X) + gear->width);
-        set_sum(sums + WHOLE_Y, sum(sums + WHOLE_Y) + gear->height);
         if ((state->words[i >> 5] >> (i & 31U) & 1U) == 0U) continue;
-        add_crossed(sums, gear->width, gear->height);
         state->x += gear->width;
         state->y += gear->height;
+        if (i >> 6 >= op->n / 64U) continue;
+        set_sum(sums, sum(sums) + gear->width);
+        set_sum(sums + 2, sum(sums + 2) + gear->height);
     }
     state->set = lowest(state->words, op->n, 0U, 0U);
     state->zero = lowest(state->words, op->n, 0U, ALL_ONES);
@@ -196,88 +193,185 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
 
 /* ---- the procedure, steps 1 to 4 --------------------------------------------------------------------- */
 
-/* Cross gears one by one while the input is far enough and the output has room, (6)-(9); `most` are left to
- * cross. Returns the gear crossed last, n where there was none. */
-static uint32_t walk(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u, dbo_position bound,
-                     uint32_t *most, int rising) {
-    const uint32_t begin = (rising ? state->zero : state->set) >> 5;
-    dbo_position left = rising ? u - state->x : state->x - u;
-    dbo_position room = rising ? bound - state->y : state->y - bound;
-    uint32_t last = op->n, k = begin;
-    int going = 1;
-    for (; going && 32U * k < op->n; k++) {
-        const dbo_position left_before = left, room_before = room;
-        uint32_t open = open_bits(state->words[k], k, op->n, rising), crossed = open;
-        dbo_position x, y;
-        for (; open != 0U; open &= open - 1U) {
-            const uint32_t i = 32U * k + first_one(open);
-            const dbo_gear *gear = gear_at(op, i);
-            going = *most > 0U && left >= crossed_at(gear->width, op->tolerance) &&
-                    room >= crossed_at(gear->height, op->tolerance);
-            if (!going) break;
-            left -= gear->width;
-            room -= gear->height;
-            --*most;
-            last = i;
-        }
-        crossed ^= open;
-        if (crossed == 0U) continue;
-        x = rising ? left_before - left : left - left_before;
-        y = rising ? room_before - room : room - room_before;
-        state->words[k] ^= crossed;
-        add_crossed(sums_of(op, state, k >> 1), x, y);
-        state->x += x;
-        state->y += y;
-    }
-    if (last < op->n) find_next(op, state, begin, rising);
-    return last;
+/* A way to go. What is left to travel, and of room on the output, falls with every gear crossed: below zero
+ * only behind one that is crossed by the tolerance, and no gear is crossed after that. */
+typedef struct {
+    dbo_position left;
+    dbo_position room;
+    uint32_t nearly; /* the gear that is crossed by the tolerance; n: none */
+    int going;       /* 0: the next gear is not crossed */
+} dbo_way;
+
+/* Whether a gear is crossed, where `left` and `room` are what would remain behind it. */
+static int crosses(const dbo_backlash *op, const dbo_gear *gear, dbo_position left, dbo_position room) {
+    if (left >= 0 && room >= 0) return 1;
+    return left + (gear->width >> op->tolerance) >= 0 && room + (gear->height >> op->tolerance) >= 0;
 }
 
-/* Cross whole blocks of 64 gears: all that are open where the last one is crossed, since what is left to
- * travel, and of room, falls with every gear; that one surely is where its far end is short of both. Returns
- * the gear crossed last, n where there was none. */
-static uint32_t pass_blocks(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
-                            dbo_position bound, int rising) {
-    const uint32_t begin = (rising ? state->zero : state->set) >> 6;
-    uint32_t last = op->n, block = begin;
-    for (; 64U * block < op->n; block++) {
-        uint32_t *sums = sums_of(op, state, block), *word = state->words + 2U * block;
-        const int two = 64U * block + 32U < op->n;
-        const uint32_t low = open_bits(word[0], 2U * block, op->n, rising);
-        const uint32_t high = two ? open_bits(word[1], 2U * block + 1U, op->n, rising) : 0U;
-        const dbo_position x = (rising ? sum(sums + WHOLE_X) : 0) - sum(sums + CROSSED_X);
-        const dbo_position y = (rising ? sum(sums + WHOLE_Y) : 0) - sum(sums + CROSSED_Y);
-        uint32_t top;
-        if ((low | high) == 0U) continue;
-        top = 64U * block + (high != 0U ? 32U + last_one(high) : last_one(low));
-        if (rising ? u < state->x + x || bound < state->y + y : u > state->x + x || bound > state->y + y) {
-            const dbo_gear *gear = gear_at(op, top);
-            const dbo_position far_x = rising ? u - (state->x + x) : (state->x + x) - u;
-            const dbo_position far_y = rising ? bound - (state->y + y) : (state->y + y) - bound;
-            if (far_x + gear->width < crossed_at(gear->width, op->tolerance)) break;
-            if (far_y + gear->height < crossed_at(gear->height, op->tolerance)) break;
+/* Cross `open` gears of word k one by one, at most `most`; returns those that remain. */
+APART uint32_t walk(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t open, uint32_t most) {
+    for (; open != 0U && most > 0U; most--) {
+        const uint32_t i = 32U * k + first_one(open);
+        const dbo_gear *gear = gear_at(op, i);
+        const dbo_position left = way->left - gear->width, room = way->room - gear->height;
+        if (left < 0 || room < 0) {
+            way->going = crosses(op, gear, left, room);
+            if (!way->going) break;
+            way->nearly = i;
         }
-        word[0] ^= low;
-        if (two) word[1] ^= high;
-        add_crossed(sums, x, y);
-        state->x += x;
-        state->y += y;
-        last = top;
+        way->left = left;
+        way->room = room;
+        open &= open - 1U;
     }
-    if (last < op->n) find_next(op, state, 2U * begin, rising);
-    return last;
+    return open;
 }
 
-/* Cross gears one way while the input `u` is far enough and the output has room up to `bound`; returns the
- * one crossed last, n where there was none. */
+/* How many of `most` gears of one width, 31 at most, go into `reach`: by halves. */
+static uint32_t fitting(dbo_position reach, int32_t width, uint32_t most) {
+    dbo_position wide = (dbo_position)width * 16;
+    uint32_t count = 0U;
+    for (uint32_t half = 16U; half > 0U; half /= 2U, wide = (dbo_position)((uint64_t)wide / 2U))
+        if (reach >= wide && count + half <= most) {
+            reach -= wide;
+            count += half;
+        }
+    return count;
+}
+
+/* Cross `open` gears of word k, equal ones side by side at once; returns those that remain. */
+APART uint32_t walk_runs(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t open) {
+    while (open != 0U) {
+        const uint32_t i = 32U * k + first_one(open);
+        const uint32_t row = (i * op->row_factor) >> op->row_shift, end = (row + 1U) * op->run - 32U * k;
+        const uint32_t equal = end < 32U ? open & ~(ALL_ONES << end) : open, count = count_ones(equal);
+        const dbo_gear *gear = op->gears + row;
+        dbo_position left = way->left - (dbo_position)count * gear->width;
+        dbo_position room = way->room - (dbo_position)count * gear->height;
+        uint32_t crossed = count;
+        if (!crosses(op, gear, left, room)) {
+            crossed = fitting(way->left + (gear->width >> op->tolerance), gear->width, count - 1U);
+            crossed = fitting(way->room + (gear->height >> op->tolerance), gear->height, crossed);
+            left = way->left - (dbo_position)crossed * gear->width;
+            room = way->room - (dbo_position)crossed * gear->height;
+        }
+        way->left = left;
+        way->room = room;
+        if (left < 0 && crossed > 0U) way->nearly = i;
+        if (crossed < count) {
+            for (; crossed > 0U; crossed--) open &= open - 1U;
+            break;
+        }
+        open ^= equal;
+    }
+    return open;
+}
+
+/* Cross blocks of 64 gears, words `word` to `end`, while all of a block are `open` and its far end is within
+ * the way. Returns the word where that ends. */
+APART uint32_t *pass_open_blocks(uint32_t *word, const uint32_t *end, const dbo_block *whole, dbo_way *way,
+                                 uint32_t open) {
+    dbo_position left = way->left, room = way->room;
+    while (word != end && word[0] == open && word[1] == open) {
+        left -= whole->x;
+        room -= whole->y;
+        if (left < 0 || room < 0) {
+            left += whole->x;
+            room += whole->y;
+            break;
+        }
+        word[0] = word[1] = ~open;
+        word += 2;
+        whole++;
+    }
+    way->left = left;
+    way->room = room;
+    return word;
+}
+
+/* Cross whole blocks from word k on: all that are open, where the last one of them is crossed. Returns the
+ * first word of the block that is not, or k where that lies in it. */
+APART uint32_t pass_blocks(const dbo_backlash *op, const dbo_backlash_state *state, dbo_way *way, uint32_t k,
+                           int rising) {
+    const uint32_t closed = rising ? ALL_ONES : 0U, end = op->n / 64U;
+    for (uint32_t block = k / 2U; block < end; block++) {
+        uint32_t *word = state->words + 2U * block;
+        uint32_t low, high;
+        dbo_position left, room;
+        word = pass_open_blocks(word, state->words + 2U * end, op->blocks + block, way, ~closed);
+        block = (uint32_t)(word - state->words) / 2U;
+        if (2U * block > k) k = 2U * block;
+        if (block == end) break;
+        low = word[0] ^ closed;
+        high = word[1] ^ closed;
+        if ((low | high) != 0U) {
+            const int all = (low & high) == ALL_ONES;
+            const uint32_t *sums = sums_of(op, state, block);
+            const dbo_position x = all ? 0 : sum(sums), y = all ? 0 : sum(sums + 2);
+            const dbo_position down = all || rising ? 1 : 0;
+            left = way->left - (down ? op->blocks[block].x - x : x);
+            room = way->room - (down ? op->blocks[block].y - y : y);
+            if (left < 0 || room < 0) {
+                const uint32_t top = 64U * block + (high != 0U ? 32U + last_one(high) : last_one(low));
+                if (!crosses(op, gear_at(op, top), left, room)) break;
+                way->nearly = top;
+            }
+            way->left = left;
+            way->room = room;
+            word[0] = word[1] = closed;
+        }
+        k = 2U * block + 2U;
+    }
+    return k;
+}
+
+/* Gears of word k are `crossed`, up or down, x and y in all: its bits and the sums of its block. */
+static void note_crossed(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t k, uint32_t crossed,
+                         dbo_position x, dbo_position y, int rising) {
+    const uint32_t block = k / 2U, *word = state->words + 2U * block;
+    if (block < op->n / 64U) {
+        uint32_t *sums = sums_of(op, state, block);
+        if (rising) {
+            const int none = (word[0] | word[1]) == 0U;
+            set_sum(sums, (none ? 0 : sum(sums)) + x);
+            set_sum(sums + 2, (none ? 0 : sum(sums + 2)) + y);
+        } else {
+            const int all = (word[0] & word[1]) == ALL_ONES;
+            set_sum(sums, (all ? op->blocks[block].x : sum(sums)) - x);
+            set_sum(sums + 2, (all ? op->blocks[block].y : sum(sums + 2)) - y);
+        }
+    }
+    state->words[k] ^= crossed;
+}
+
+/* Cross gears one way, (6)-(9), while the input `u` is far enough and the output has room up to `bound`;
+ * returns the one that the tolerance let pass, n where there was none. */
 static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                            dbo_position bound, int rising) {
-    uint32_t single = SINGLE, all = op->n, blocks, rest;
-    const uint32_t first = walk(op, state, u, bound, &single, rising);
-    if (single > 0U) return first;
-    blocks = pass_blocks(op, state, u, bound, rising);
-    rest = walk(op, state, u, bound, &all, rising);
-    return rest < op->n ? rest : blocks < op->n ? blocks : first;
+    uint32_t next = rising ? state->zero : state->set, k = next / 32U;
+    dbo_way way = {rising ? u - state->x : state->x - u, rising ? bound - state->y : state->y - bound, op->n,
+                   1};
+    const dbo_gear *gear;
+    if (next == op->n) return op->n;
+    gear = gear_at(op, next);
+    if (!crosses(op, gear, way.left - gear->width, way.room - gear->height)) return op->n;
+    if (way.left >= FAR * (dbo_position)gear->width) k = pass_blocks(op, state, &way, k, rising);
+    for (next = op->n; 32U * k < op->n; k = pass_blocks(op, state, &way, k + 1U, rising)) {
+        const dbo_position left = way.left, room = way.room;
+        const uint32_t open = open_bits(state->words[k], k, op->n, rising);
+        uint32_t rest = open;
+        if (op->run < LEAP || left < SINGLE * (dbo_position)gear->width)
+            rest = walk(op, &way, k, rest, op->run < LEAP ? 32U : (uint32_t)SINGLE);
+        if (way.going) rest = walk_runs(op, &way, k, rest);
+        if (rest != open) note_crossed(op, state, k, open ^ rest, left - way.left, room - way.room, rising);
+        if (rest == 0U) continue;
+        next = 32U * k + first_one(rest);
+        break;
+    }
+    state->x = rising ? u - way.left : u + way.left;
+    state->y = rising ? bound - way.room : bound + way.room;
+    state->set = rising ? 0U : next;
+    state->zero = rising ? next : 0U;
+    return way.nearly;
 }
 
 /* Drive the operator with exchanged axes one way, to the output `y`. */

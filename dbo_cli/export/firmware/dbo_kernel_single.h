@@ -48,10 +48,18 @@ typedef struct {
 #endif
 } dbo_term;
 
+/* What all gears of a block of 64 add up to, widths and heights. */
+typedef struct {
+    dbo_position x;
+    dbo_position y;
+} dbo_block;
+
 /* A backlash operator. Gear i stands in row (i * row_factor) >> row_shift: one row for a run of equal gears. */
 typedef struct {
     const dbo_gear *gears;
+    const dbo_block *blocks; /* n / 64 of them */
     uint32_t n;
+    uint32_t run; /* equal gears that share a row */
     uint32_t row_factor;
     uint32_t row_shift;
     uint32_t tolerance; /* a gear counts as crossed when all but 2^-tolerance of it is travelled */
@@ -66,9 +74,9 @@ typedef struct {
     dbo_position most;
 } dbo_backlash;
 
-/* (n + 31) / 32 words of bits, and for each 64 gears four sums of 64 bits: the widths and heights of those
- * crossed, and of all. So 64 gears take 40 bytes, and a jump crosses them at once. */
-#define DBO_WORDS(n) (((n) + 31U) / 32U + 8U * (((n) + 63U) / 64U))
+/* (n + 31) / 32 words of bits, and for each 64 gears two sums of 64 bits: the widths and heights of those
+ * crossed. So 64 gears take 24 bytes, and a jump crosses them at once. */
+#define DBO_WORDS(n) (((n) + 31U) / 32U + 4U * ((n) / 64U))
 
 typedef struct {
     uint32_t *words; /* DBO_WORDS(n) of them: bit i % 32 of word i / 32 is b_i; the rest the kernel keeps */

@@ -462,7 +462,7 @@ def _fitted_shares(
         along += (columns - offset).T @ measured
     size = np.sqrt(np.maximum(np.diag(square), 1e-300))
     scaled = square / size / size[:, None]
-    root = np.linalg.cholesky(scaled + 1e-10 * np.eye(count + 2))
+    root = np.linalg.cholesky(scaled + 1e-10 * np.eye(count + 2))  # far above rounding, far below a share
     gains = nnls(root.T, np.linalg.solve(root, along / size))[0] / size
     shares: Floats = gains[:count] / max(float(gains[count] - gains[count + 1]), 1e-300)
     return shares

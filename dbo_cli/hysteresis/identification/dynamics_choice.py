@@ -181,7 +181,7 @@ def _starts(signals: Sequence[Signals], best: Candidate, band: Band) -> list[Flo
     before = best.parameters[: 2 * len(known)]
     lag = np.log(max(best.lag, 0.02 / band[1]))
     peak = _peak(signals, best, band)
-    places = (peak, 0.8 * band[1]) if known else (peak,)
+    places = (peak, 0.8 * band[1]) if known else (peak,)  # chosen
     return [np.array([*before, np.log(at), np.log(z), lag]) for z in DAMPINGS for at in places]
 
 
@@ -214,7 +214,7 @@ def _peak(signals: Sequence[Signals], best: Candidate, band: Band) -> float:
     for known in best.resonances:
         inside &= np.abs(np.log(np.maximum(frequency, 1e-9) / known.frequency)) > APART
     if not inside.any():
-        return 0.7 * band[1]
+        return 0.7 * band[1]  # chosen
     return float(frequency[inside][np.argmax(ratio[inside])])
 
 

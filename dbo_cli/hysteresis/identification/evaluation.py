@@ -13,6 +13,7 @@ from dbo_cli.hysteresis.identification.cleaning import MOST_HELD
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
+    KNOWN_PAST,
     DriveShape,
     Floats,
     Integers,
@@ -97,7 +98,7 @@ def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: floa
     if seconds is not None:
         keep &= seconds >= skip_seconds
     wiped = first_wiped_row(recording.voltage)
-    if wiped <= 0.4 * len(keep):
+    if wiped <= KNOWN_PAST * len(keep):
         keep[:wiped] = False
     keep = known_behind_gaps(recording, keep)
     if not keep.any():
@@ -270,7 +271,7 @@ def rated_warnings(lowest: float, highest: float, rated: tuple[float | str, floa
     if rated is None:
         return []
     low, high = map(float, rated)
-    slack = 0.01 * (high - low)
+    slack = 0.01 * (high - low)  # chosen
     warnings = []
     if lowest < low - slack or highest > high + slack:
         warnings.append(
@@ -278,7 +279,7 @@ def rated_warnings(lowest: float, highest: float, rated: tuple[float | str, floa
             f"{high:g}: check the voltage column, or give compensate `v_min` and `v_max`"
         )
     covered = 100.0 * (min(highest, high) - max(lowest, low)) / (high - low)
-    if covered < 95.0:
+    if covered < 95.0:  # chosen
         warnings.append(
             f"the logs cover {lowest:g} to {highest:g}, {covered:.0f} % of the rated range "
             f"{low:g} to {high:g}: outside, the model goes straight on; record the whole range before using "

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.excitation import AT_AN_END
 from dbo_cli.hysteresis.identification.evaluation import (
     FEWEST_SWINGS,
     GAIN_EXPLAINS,
@@ -254,7 +255,7 @@ def _invented_moves(logs: Sequence[PreparedLog], basis: Basis) -> tuple[Floats, 
     slow, fast = np.percentile(speeds, [10.0, 90.0])
     turns = [0.0, 1.0, 0.0]
     turns += [
-        float(rng.choice((0.0, 1.0))) if rng.random() < 0.12 else rng.random() for _ in range(MOVES - 2)
+        float(rng.choice((0.0, 1.0))) if rng.random() < AT_AN_END else rng.random() for _ in range(MOVES - 2)
     ]
     total = float(np.abs(np.diff(turns)).sum())
     voltage, seconds = [np.zeros(1)], [np.zeros(1)]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.cleaning import SPIKE_SIGMAS, spiked_rows
+from dbo_cli.hysteresis.identification.cleaning import OF_NORMAL, SPIKE_SIGMAS, spiked_rows
 from dbo_cli.hysteresis.identification.drift import (
     TRIAL_SLOPES,
     TRIAL_SPLIT,
@@ -21,6 +21,7 @@ from dbo_cli.hysteresis.identification.normal_equations import Structure, solve,
 from dbo_cli.hysteresis.identification.recordings import (
     AMPLITUDE_SCATTER,
     FEWEST_ROWS,
+    KNOWN_PAST,
     DriveShape,
     Floats,
     Integers,
@@ -249,7 +250,7 @@ def _usable_rows(
     wiped = first_wiped_row(log.voltage)
     transient = 0
     moving = samples - int(np.argmax(log.voltage != log.voltage[0]))
-    if wiped > skipped and samples - wiped >= 0.6 * moving:
+    if wiped > skipped and samples - wiped >= (1.0 - KNOWN_PAST) * moving:
         usable[:wiped] = False
         transient = wiped - skipped
         notes.append(
@@ -318,7 +319,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
     starts = [replace(log, start=start) for start in STARTS]
     errors = [_probe_error(one, low, high) for one in starts]
     best = int(np.argmin(errors))
-    if errors[best] >= 0.99 * errors[0]:
+    if errors[best] >= 0.99 * errors[0]:  # chosen: no evident gain
         best = 0
     opened = None if log.stretches else _left_open(log)
     if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
@@ -333,7 +334,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
 
 def _left_open(log: PreparedLog) -> PreparedLog | None:
     """Return the log without rows at new extremes, one offset a stretch; None where little would be left."""
-    near = 1e-3 * float(np.ptp(log.voltage))
+    near = 1e-3 * float(np.ptp(log.voltage))  # chosen
     top = np.maximum.accumulate(log.voltage)
     bottom = np.minimum.accumulate(log.voltage)
     inside = (log.voltage < top - near) & (log.voltage > bottom + near)
@@ -402,7 +403,7 @@ def _leave_out_spikes(
         used = log.used
         values = residual[used]
         centre = float(np.median(values))
-        sigma = 1.4826 * float(np.median(np.abs(values - centre)))
+        sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
         far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
         far &= spiked_rows(np.where(used, residual, centre), RESIDUAL_WINDOW)
         if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):

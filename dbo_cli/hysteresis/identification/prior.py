@@ -28,6 +28,7 @@ from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.preparation import STARTS
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
+    KNOWN_PAST,
     Floats,
     Recording,
     drive_shape,
@@ -54,7 +55,6 @@ Six invented actuators, logs of 10 s: the same shape with another gain, offset a
 that error, noise and all; a loop a tenth wider 0.9 to 7 times, a quarter wider 1.8 to 18, another bend 4 to
 24.
 """
-KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history, as in ``validation_of``
 KEPT = ("gears", "different_slopes", "points", "drive_bend", "slopes", "smoothness", "loop_width_percent",
         "relaxation_seconds", "fastest_drive", "swings", "dynamics", "trusted_hz",
         "interpretation")  # fmt: skip

@@ -14,6 +14,7 @@ from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
@@ -199,7 +200,10 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     if log.time is None or seconds is None:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
-    at = np.flatnonzero(steps > GAP_STEPS * float(np.median(steps[steps > 0.0])))
+    usual = float(np.quantile(steps[steps > 0.0], 0.9))  # an uneven clock has long steps all along
+    at = np.flatnonzero(steps > GAP_STEPS * usual)
+    if not at.size:
+        return []
     most, seen = (_usual_change(values, at) for values in (v, log.displacement))
     before, after = np.maximum(at - SPEED_ROWS, 0), np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     ways = np.zeros((2, len(at)))  # how far the drive would have gone on, by its speed before and after

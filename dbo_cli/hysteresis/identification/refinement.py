@@ -159,7 +159,7 @@ def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -
         slopes, kinks = penalties(statistics.columns)
         form = rows * (structure.smoothness * slopes + structure.knot_smoothness * kinks)
         error = squared_error_free_of(gram, vector, drift) + quadratic(form, full)
-        if error > best * (1.0 - 1e-4):
+        if error > best * (1.0 - 1e-4):  # chosen: what WORTHWHILE would never notice
             break
         first = error if found is None else first
         best, found = error, _with_drift(current, gram, vector, drift)
