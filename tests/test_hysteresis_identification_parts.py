@@ -183,6 +183,16 @@ def test_coarse_hats_are_sums_of_fine_ones() -> None:
         assert hat_functions(at, fine) @ knot_map(fine, coarse) == pytest.approx(hat_functions(at, coarse))
 
 
+def test_lags_that_are_kept_are_those_of_the_basis_and_the_voltage() -> None:
+    voltage = sine(10, 2000)
+    whole = prepared(voltage, voltage / 10.0)
+    one = Basis(4, 0.0, 10.0, 1, (0.1, 2.0))
+    others = [replace(one, bend=0.1), replace(one, low=-1.0), replace(one, time_constants=(0.1,))]
+    for log in (whole, *fewer_rows([whole], 2000)):
+        for basis in (one, *others, replace(one, delay=0.002), one):
+            assert np.array_equal(log.lags(basis), basis.lags(log.voltage, log.seconds))
+
+
 def test_rows_of_a_delayed_log_are_those_of_the_moment_before() -> None:
     rng = np.random.default_rng(5)
     samples = 2 * BLOCK_ROWS + 77

@@ -200,7 +200,10 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     if log.time is None or seconds is None:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
-    at = np.flatnonzero(steps > GAP_STEPS * float(np.median(steps[steps > 0.0])))
+    usual = float(np.quantile(steps[steps > 0.0], 0.9))  # an uneven clock has long steps all along
+    at = np.flatnonzero(steps > GAP_STEPS * usual)
+    if not at.size:
+        return []
     most, seen = (_usual_change(values, at) for values in (v, log.displacement))
     before, after = np.maximum(at - SPEED_ROWS, 0), np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     ways = np.zeros((2, len(at)))  # how far the drive would have gone on, by its speed before and after

@@ -70,6 +70,10 @@ class Basis:
         """Return what reaches the gears, in the unit of the voltage."""
         return self.bend_points().run(voltage) if self.bend else voltage
 
+    def lags(self, voltage: Floats, seconds: Floats | None) -> Floats:
+        """Return what each memory holds of the drive, as shares of the range; see ``relaxed_drive``."""
+        return relaxed_drive((self.drive(voltage) - self.low) / self.span, seconds, self.time_constants)
+
     def operator(self) -> DiscreteBacklashOperator:
         """Return an operator of these gears with equal heights that sum to one."""
         count = self.gears * self.split
@@ -136,6 +140,7 @@ class DriveRows:
     seconds : shape (samples,), or None where the log has no clock (then neither delay nor relaxation)
     start : 'empty', 'full' or 'settled': the state before the first sample
     wanted : shape (samples,), bool: blocks without a wanted row are passed over (their states are not)
+    lags : what ``basis.lags`` gives for this log, where it is known
     """
 
     def __init__(
@@ -145,13 +150,17 @@ class DriveRows:
         seconds: Floats | None,
         start: StartName,
         wanted: NDArray[np.bool_] | None = None,
+        lags: Floats | None = None,
     ) -> None:
         self._basis = basis
-        self._voltage = voltage = basis.drive(voltage)
+        self._voltage = basis.drive(voltage)
         self._start = start
         self._wanted = np.ones(len(voltage), bool) if wanted is None else wanted
-        self._memory = relaxed_drive((voltage - basis.low) / basis.span, seconds, basis.time_constants)
-        self._before, self._share = _delayed_rows(seconds, len(voltage), basis.delay)
+        self._memory = basis.lags(voltage, seconds) if lags is None else lags
+        made = np.zeros(len(voltage), bool)
+        for first, last in self._wanted_rows():
+            made[first : last + 1] = True
+        self._before, self._share = _delayed_rows(seconds, made, basis.delay)
 
     def blocks(self) -> Iterator[tuple[int, int, Floats]]:
         """Yield (first row, row after the last, columns of shape (rows, gears + time constants))."""
@@ -202,13 +211,18 @@ class DriveRows:
         return engaged, state, keep
 
 
-def _delayed_rows(seconds: Floats | None, samples: int, delay: float) -> tuple[Integers, Floats]:
-    """For each row, the row at or before the moment ``delay`` ago, and the share of the row after it."""
-    rows = np.arange(samples)
+def _delayed_rows(seconds: Floats | None, made: NDArray[np.bool_], delay: float) -> tuple[Integers, Floats]:
+    """For each row made, the row at or before the moment ``delay`` ago, and the share of the row after it."""
+    samples = len(made)
     if delay <= 0.0 or seconds is None:
-        return rows, np.zeros(samples)
-    ago = np.maximum(seconds - delay, seconds[0])
+        return np.arange(samples), np.zeros(samples)
+    if (np.diff(seconds) < 0.0).any():
+        made = np.ones(samples, bool)  # a search among times that fall depends on what was searched before
+    rows, both = np.flatnonzero(made), (np.zeros(samples, np.int64), np.zeros(samples))
+    ago = np.maximum(seconds[rows] - delay, seconds[0])
     before = np.clip(np.searchsorted(seconds, ago, side="right") - 1, 0, samples - 2)
     gap = seconds[before + 1] - seconds[before]
-    share = np.divide(ago - seconds[before], gap, out=np.zeros(samples), where=gap > 0.0)
-    return np.maximum.accumulate(before), np.clip(share, 0.0, 1.0)
+    share = np.divide(ago - seconds[before], gap, out=np.zeros(len(rows)), where=gap > 0.0)
+    both[0][rows] = np.maximum.accumulate(before)
+    both[1][rows] = np.clip(share, 0.0, 1.0)
+    return both

@@ -137,7 +137,8 @@ def time_constant_grid(prepared: Prepared, period: float, cycle: float) -> tuple
     longest = max(float(log.seconds[-1]) for log in prepared.logs if log.seconds is not None) * LONGEST_MEMORY
     count = max(int(np.log(longest / period) / np.log(TIME_CONSTANT_RATIO)), 0)
     grid = [*(period * TIME_CONSTANT_RATIO**k for k in range(count)), longest]
-    return tuple(tau for tau in grid if tau <= slowest_lag(cycle) or _moves_slowly(prepared, tau, cycle))
+    fast = [tau for tau in grid if tau <= slowest_lag(cycle)]
+    return (*fast, *_moving_slowly(prepared, tuple(grid[len(fast) :]), cycle))
 
 
 def slowest_lag(cycle: float | None) -> float:
@@ -145,20 +146,23 @@ def slowest_lag(cycle: float | None) -> float:
     return np.inf if cycle is None else cycle / (2.0 * np.pi)
 
 
-def _moves_slowly(prepared: Prepared, tau: float, cycle: float) -> bool:
-    """Whether a memory of ``tau`` seconds, averaged over cycles and freed of drift, moves noticeably."""
-    for log in prepared.logs:
+def _moving_slowly(prepared: Prepared, taus: tuple[float, ...], cycle: float) -> list[float]:
+    """Return the memories (by seconds) that, averaged over cycles and freed of drift, move noticeably."""
+    moving = np.zeros(len(taus), bool)
+    for log in prepared.logs if taus else ():
         if log.seconds is None:
             continue
         used = log.used
-        memory = relaxed_drive((log.voltage - prepared.low) / prepared.span, log.seconds, (tau,))[used, 0]
-        drift = log.drift[used]
-        left = memory - drift @ np.linalg.lstsq(drift, memory, rcond=None)[0]
-        window = np.unique(np.floor(log.seconds[used] / cycle), return_inverse=True)[1]
-        means = np.bincount(window, left) / np.bincount(window)
-        if len(means) >= 4 and float(means.std()) > CREEP_EVIDENCE:
-            return True
-    return False
+        drift = np.linalg.qr(log.drift[used])[0]
+        memories = relaxed_drive((log.voltage - prepared.low) / prepared.span, log.seconds, taus)
+        _, window, rows = np.unique(
+            np.floor(log.seconds[used] / cycle), return_inverse=True, return_counts=True
+        )
+        for place in np.flatnonzero(~moving) if len(rows) >= 4 else ():
+            memory = memories[used, place]
+            means = np.bincount(window, memory - drift @ (drift.T @ memory)) / rows
+            moving[place] = float(means.std()) > CREEP_EVIDENCE
+    return [tau for tau, moves in zip(taus, moving, strict=True) if moves]
 
 
 def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:

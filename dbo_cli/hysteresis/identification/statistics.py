@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -52,11 +52,24 @@ class PreparedLog:
     drift: Floats
     start: StartName
     stretches: int = 0
+    _lags: dict[object, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def used(self) -> NDArray[np.bool_]:
         """Rows that take part in the fit; shape (samples,)."""
         return self.fold >= 0
+
+    def lags(self, basis: Basis) -> Floats:
+        """Return the drive as the memories of a basis see it (``basis.lags``).
+
+        The last ones are kept: few of the many bases that are tried differ in what these depend on. A log
+        that is made of this one shares them, unless its voltage is another.
+        """
+        key = basis.time_constants, basis.bend, basis.low, basis.high
+        if key not in self._lags:
+            self._lags.clear()
+            self._lags[key] = basis.lags(self.voltage, self.seconds)
+        return self._lags[key]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,6 +175,7 @@ def _thinned(log: PreparedLog, every: int) -> PreparedLog:
         seconds=seconds,
         fold=log.fold[rows],
         drift=log.drift[rows],
+        _lags={},
     )
 
 
@@ -192,7 +206,7 @@ def gather(
         end = begin + log.drift.shape[1]
         own = end - begin + shared + 1
         mine = {int(k): np.zeros((own, own)) for k in np.flatnonzero(np.bincount(log.fold[log.used]))}
-        rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used)
+        rows_made = DriveRows(basis, log.voltage, log.seconds, log.start, log.used, log.lags(basis))
         for first, last, drive in rows_made.blocks():
             known, target = rows_of(drive, log.output[first:last])
             table = np.hstack((known, log.drift[first:last], target[:, None]))
@@ -231,10 +245,7 @@ def groups_left_out(
 ) -> tuple[float, tuple[str, ...]]:
     """RMS error of groups of swings left out, the worst of three ways to group, and the ways there were."""
     worst, names = cycles**2, []
-    for name, labels in groupings(logs, basis):
-        grouped = [
-            replace(log, fold=np.where(log.used, label, -1)) for log, label in zip(logs, labels, strict=True)
-        ]
+    for name, grouped in groupings(logs, basis):
         statistics = gather(grouped, basis, structure.segments)
         found: list[tuple[float, int]] = []
         for group in range(1, len(statistics.grams)):
@@ -254,8 +265,8 @@ def groups_left_out(
     return float(np.sqrt(worst)), tuple(names)
 
 
-def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, list[Integers]]]:
-    """Yield each way to group swings: its name, and for each log the group of every row, 0 for none."""
+def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, list[PreparedLog]]]:
+    """Yield each way to group swings: its name, and the logs with the groups as folds, 0 for none."""
     swings = [swings_of(log, basis) for log in logs]
     counts = np.concatenate([one.rows for one in swings])
     speeds = np.repeat(np.concatenate([one.speed for one in swings]), counts)
@@ -272,7 +283,13 @@ def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, 
                 label = np.where(one.speed < slow, 1, np.where(one.speed > fast, 2, 0))
             labels.append(np.repeat(np.where(small, label, 0), one.rows))
         if any(label.any() for label in labels):
-            yield name, labels
+            yield (
+                name,
+                [
+                    replace(log, fold=np.where(log.used, label, -1))
+                    for log, label in zip(logs, labels, strict=True)
+                ],
+            )
 
 
 @dataclass(frozen=True)
