@@ -139,6 +139,16 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
                 )
 
 
+def widest_first(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the logs in their order, but those over most of the range first: the first one's level is kept.
+
+    Each log has an offset of its own. That of a log of small loops carries what the model misses there: with
+    one first, new moves of an asymmetric plant were off by 2.2 % of the range, 0.4 % with the wide log first.
+    """
+    widest = max(float(np.ptp(log.voltage)) for log in recordings)
+    return sorted(recordings, key=lambda log: float(np.ptp(log.voltage)) < (1.0 - AMPLITUDE_SCATTER) * widest)
+
+
 def _check_sizes(log: Recording) -> None:
     """Refuse numbers that no instrument measured, naming the first."""
     for values, what in ((log.voltage, "voltage"), (log.displacement, "displacement")):
