@@ -88,8 +88,8 @@ demo/picture.png: demo/uncompensated.csv demo/compensated.csv sample_data/draw_d
 test: $(VENV)/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -n auto
+	@echo "$(BIN)/mypy, beside $(BIN)/python -m pytest -q -n auto"
+	@$(BIN)/mypy & types=$$!; $(BIN)/python -m pytest -q -n auto; suite=$$?; wait $$types && exit $$suite
 
 # --- what is drawn and written from the program ---
 

@@ -338,11 +338,10 @@ def test_a_step_crosses_no_more_one_by_one_than_its_page_says(
     """Gears and runs counted in 20,000 jumps from the ends to everywhere and back."""
     folder, model = tmp_path / "out", made_model(3, gears=gears, slopes=slopes, terms=0)
     summary = export_model(model, str(folder), name="x", arithmetic=arithmetic)
-    kernel, one = (folder / "dbo_kernel.c").read_text(), "const uint32_t i = 32U * k + first_one(open);"
+    kernel, one = (folder / "dbo_kernel.c").read_text(), "32U * k + first_one(open)"
     assert kernel.count(one) == 2
-    (folder / "dbo_kernel.c").write_text(
-        "#include <stdint.h>\nuint32_t crossings;\n" + kernel.replace(one, one + "crossings++;")
-    )
+    counted = "#include <stdint.h>\nuint32_t crossings;\n" + kernel.replace(one, f"(crossings++, {one})")
+    (folder / "dbo_kernel.c").write_text(counted)
     number, low, high = (
         ("float", model.output.minimum, model.output.maximum)
         if arithmetic == "float"
@@ -352,7 +351,7 @@ def test_a_step_crosses_no_more_one_by_one_than_its_page_says(
     (folder / "count.c").write_text(source)
     subprocess.run([COMPILERS[0], "-O1", "count.c", "dbo_kernel.c", "-o", "count"], cwd=folder, check=True)
     most = int(subprocess.run(["./count"], cwd=folder, capture_output=True, text=True, check=True).stdout)
-    assert summary.worst_gears / 8 <= most <= summary.worst_gears / 2  # no limits: one pass of two
+    assert summary.worst_gears / 16 <= most <= summary.worst_gears / 2  # no limits: one pass of two
 
 
 @needs_compiler

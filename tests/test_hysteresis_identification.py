@@ -240,6 +240,15 @@ def test_a_fold_that_outliers_empty_is_no_fold() -> None:
     assert np.unique(folds[folds >= 0]).tolist() == list(range(folds.max() + 1))
 
 
+def test_a_log_of_small_loops_given_first_sets_no_level() -> None:
+    truth = actuator()
+    wide, small = record(truth, nested()), record(truth, nested(4, top=3.0), 2)
+    small = replace(small, name="small", displacement=small.displacement + 0.7)  # another zero
+    first, last = identify([small, wide], STATIC), identify([wide, small], STATIC)
+    assert model_to_bytes(first.model) == model_to_bytes(last.model)
+    assert [log["name"] for log in first.fit["logs"]] == ["log", "small"]  # type: ignore[attr-defined]
+
+
 def test_a_model_is_judged_on_a_log_it_has_not_seen() -> None:
     truth = actuator()
     other = replace(record(truth, nested(5, 170), 9), name="other")

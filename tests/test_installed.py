@@ -1,6 +1,6 @@
 """The program as it is installed, on whatever system: processes, files and exit codes, and nothing of POSIX.
 
-.github/workflows/wheels.yml runs these against each wheel; they need pytest and the program alone.
+.github/workflows/wheels.yml and .ci/run run these against wheels; they need pytest and the program alone.
 """
 
 from __future__ import annotations
@@ -18,6 +18,12 @@ import numpy as np
 import polars
 import pytest
 import scipy.io
+
+# A checkout that is in use lists none of the package's files.
+RECORDS = [found.read_text("RECORD") or "" for found in metadata.distributions(name="dbo-cli")]
+FILES = {line.split(",")[0] for record in RECORDS for line in record.splitlines()}
+if "dbo_cli/__init__.py" not in FILES:
+    pytest.skip("the program is used from its checkout, as in all other tests", allow_module_level=True)
 
 DBO = [sys.executable, "-m", "dbo_cli"]
 COMMANDS = [
@@ -79,16 +85,12 @@ def test_help(folder: Path, command: str) -> None:
 
 
 def test_what_a_wheel_brings_beside_the_modules() -> None:
-    record = metadata.distribution("dbo-cli").read_text("RECORD") or ""  # a checkout's own list has none
-    files = {line.split(",")[0] for line in record.splitlines()}
-    if "dbo_cli/__init__.py" not in files:
-        pytest.skip("installed from a checkout that stays in use")
     for name in (
         *(f"share/man/man1/dbo-{one}.1" for one in COMMANDS),
         "dbo_cli/py.typed",
         "/licenses/LICENSE",
     ):
-        assert any(one.endswith(name) for one in files), name
+        assert any(one.endswith(name) for one in FILES), name
 
 
 def hdf5(path: Path) -> None:

@@ -148,13 +148,11 @@ def _limits(
 def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
     """Return the most blocks that crossing gears one way looks at, and the most gears it takes one by one.
 
-    In double those are the kernel's SINGLE and the last block. Else they are in the word where it begins and
-    the two of the last block, at which it may look twice more: all below the kernel's LEAP, else SINGLE, and
-    runs of equal gears instead of gears.
+    In double those are the kernel's SINGLE and the last block. Else they are in the words of the first and
+    the last block: all gears below the kernel's LEAP, else SINGLE, and runs of equal gears instead of gears.
     """
-    if arithmetic == "double":
-        return -(-gears // 64), min(gears, 4 + 64)
-    return gears // 64 + 2, min(gears, 3 * (32 if run < 8 else 4 + 31 // run + 2))
+    one_by_one = 4 + 64 if arithmetic == "double" else 4 * (32 if run < 3 else 4 + 31 // run + 2)
+    return -(-gears // 64), min(gears, one_by_one)
 
 
 def _summary(

@@ -509,10 +509,10 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
     rows = [[integer(width), integer(height), text(slope)] for width, height, slope in t.rows]
     out, size = array("dbo_gear", "gears", struct_rows(rows)), 12 * len(t.rows)
     if t.n >= 64:
-        each = np.repeat(np.array([row[:2] for row in t.rows], np.int64), t.run, axis=0)[: t.n // 64 * 64]
-        blocks = each.reshape(-1, 64, 2).sum(axis=1).tolist()
-        out += array("dbo_block", "blocks", struct_rows([[integer(v) for v in block] for block in blocks]))
-        size += 16 * len(blocks)
+        each = np.repeat(np.array([row[:2] for row in t.rows], np.int64), t.run, axis=0)
+        sums = np.vstack([np.zeros((1, 2), np.int64), np.cumsum(each, axis=0)])[: t.n + 1 : 64].tolist()
+        out += array("dbo_block", "blocks", struct_rows([[integer(v) for v in place] for place in sums]))
+        size += 16 * len(sums)
     if t.terms:
         factors = [
             [text(carried), text(rest), *([f"{up}U", f"{down}U"] if t.q31 else [])]

@@ -310,10 +310,7 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
     from dbo_cli.hysteresis.identification import statistics as own
 
     worst = cycles**2
-    for _, labels in own.groupings(logs, Basis(1, design.low, design.high)):
-        grouped = [
-            replace(log, fold=np.where(log.used, label, -1)) for log, label in zip(logs, labels, strict=True)
-        ]
+    for _, grouped in own.groupings(logs, Basis(1, design.low, design.high)):
         products = gather(grouped, design)
         squares, rows = 0.0, 0
         for group in range(1, len(products.grams)):

@@ -20,6 +20,7 @@ from dbo_cli.hysteresis.identification.preparation import Prepared, prepare
 from dbo_cli.hysteresis.identification.recordings import (
     check_recordings,
     median_cycle_seconds,
+    widest_first,
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -108,6 +109,7 @@ def compare(
         if name not in NAMES:
             raise UsageError(f"`models` {name}: there are {', '.join(NAMES)}")
     check_recordings(recordings)
+    recordings = widest_first(recordings)
     clean, _ = without_voltage_glitches(recordings)
     logs = [cleaned(log) for log in clean]
     ready = prepare([one.recording for one in logs], skip_seconds, [one.bad for one in logs])

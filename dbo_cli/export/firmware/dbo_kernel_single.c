@@ -7,7 +7,7 @@
 
 #define ALL_ONES UINT32_MAX
 #define SINGLE 4 /* so many gears ahead cost less one by one than by runs; 3 and 8 cost more */
-#define LEAP 8U  /* runs shorter than this cost more as a run than gear by gear */
+#define LEAP 3U  /* runs shorter than this cost more as a run than gear by gear */
 #define FAR 32   /* where as many gears like the next one are to be travelled, whole blocks come first */
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && !defined(DBO_Q31)
@@ -226,13 +226,19 @@ APART uint32_t walk(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t o
     return open;
 }
 
-/* How many of `most` gears of one width, 31 at most, go into `reach`: by halves. */
-static uint32_t fitting(dbo_position reach, int32_t width, uint32_t most) {
-    dbo_position wide = (dbo_position)width * 16;
+/* count x width in halves of 16 bits: a Cortex-M0+ has no product of 64 bits. */
+static dbo_position times(uint32_t count, int32_t width) {
+    const uint32_t high = count * ((uint32_t)width >> 16), low = count * ((uint32_t)width & 0xFFFFU);
+    return (dbo_position)(((uint64_t)high << 16) + low);
+}
+
+/* How many of less than 32 gears of one width go into `reach`: by halves. */
+static uint32_t fitting(dbo_position reach, int32_t width) {
+    uint64_t wide = (uint64_t)(uint32_t)width << 4;
     uint32_t count = 0U;
-    for (uint32_t half = 16U; half > 0U; half /= 2U, wide = (dbo_position)((uint64_t)wide / 2U))
-        if (reach >= wide && count + half <= most) {
-            reach -= wide;
+    for (uint32_t half = 16U; half > 0U; half /= 2U, wide /= 2U)
+        if (reach >= (dbo_position)wide) {
+            reach -= (dbo_position)wide;
             count += half;
         }
     return count;
@@ -241,18 +247,21 @@ static uint32_t fitting(dbo_position reach, int32_t width, uint32_t most) {
 /* Cross `open` gears of word k, equal ones side by side at once; returns those that remain. */
 APART uint32_t walk_runs(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t open) {
     while (open != 0U) {
-        const uint32_t i = 32U * k + first_one(open);
-        const uint32_t row = (i * op->row_factor) >> op->row_shift, end = (row + 1U) * op->run - 32U * k;
-        const uint32_t equal = end < 32U ? open & ~(ALL_ONES << end) : open, count = count_ones(equal);
+        const uint32_t i = 32U * k + first_one(open), first = i & 31U;
+        const uint32_t row = (i * op->row_factor) >> op->row_shift, run_end = (row + 1U) * op->run - 32U * k;
+        const uint32_t beyond = run_end < 32U ? 32U - run_end : 0U, equal = open & ALL_ONES >> beyond;
+        const int none_missing = equal >> first == ALL_ONES >> (beyond + first);
+        const uint32_t count = none_missing ? 32U - beyond - first : count_ones(equal);
         const dbo_gear *gear = op->gears + row;
-        dbo_position left = way->left - (dbo_position)count * gear->width;
-        dbo_position room = way->room - (dbo_position)count * gear->height;
+        dbo_position left = way->left - times(count, gear->width);
+        dbo_position room = way->room - times(count, gear->height);
         uint32_t crossed = count;
         if (!crosses(op, gear, left, room)) {
-            crossed = fitting(way->left + (gear->width >> op->tolerance), gear->width, count - 1U);
-            crossed = fitting(way->room + (gear->height >> op->tolerance), gear->height, crossed);
-            left = way->left - (dbo_position)crossed * gear->width;
-            room = way->room - (dbo_position)crossed * gear->height;
+            const uint32_t across = fitting(way->left + (gear->width >> op->tolerance), gear->width);
+            const uint32_t up = fitting(way->room + (gear->height >> op->tolerance), gear->height);
+            crossed = across < up ? across : up;
+            left = way->left - times(crossed, gear->width);
+            room = way->room - times(crossed, gear->height);
         }
         way->left = left;
         way->room = room;
@@ -267,24 +276,17 @@ APART uint32_t walk_runs(const dbo_backlash *op, dbo_way *way, uint32_t k, uint3
 }
 
 /* Cross blocks of 64 gears, words `word` to `end`, while all of a block are `open` and its far end is within
- * the way. Returns the word where that ends. */
-APART uint32_t *pass_open_blocks(uint32_t *word, const uint32_t *end, const dbo_block *whole, dbo_way *way,
+ * the way; they begin at `at`. Returns the word where that ends. */
+APART uint32_t *pass_open_blocks(uint32_t *word, const uint32_t *end, const dbo_block *at, dbo_way *way,
                                  uint32_t open) {
-    dbo_position left = way->left, room = way->room;
-    while (word != end && word[0] == open && word[1] == open) {
-        left -= whole->x;
-        room -= whole->y;
-        if (left < 0 || room < 0) {
-            left += whole->x;
-            room += whole->y;
-            break;
-        }
+    const dbo_position x = way->left + at->x, y = way->room + at->y;
+    while (word != end && word[0] == open && word[1] == open && at[1].x <= x && at[1].y <= y) {
         word[0] = word[1] = ~open;
         word += 2;
-        whole++;
+        at++;
     }
-    way->left = left;
-    way->room = room;
+    way->left = x - at->x;
+    way->room = y - at->y;
     return word;
 }
 
@@ -304,12 +306,12 @@ APART uint32_t pass_blocks(const dbo_backlash *op, const dbo_backlash_state *sta
         low = word[0] ^ closed;
         high = word[1] ^ closed;
         if ((low | high) != 0U) {
-            const int all = (low & high) == ALL_ONES;
+            const dbo_block *at = op->blocks + block;
             const uint32_t *sums = sums_of(op, state, block);
+            const int all = (low & high) == ALL_ONES;
             const dbo_position x = all ? 0 : sum(sums), y = all ? 0 : sum(sums + 2);
-            const dbo_position down = all || rising ? 1 : 0;
-            left = way->left - (down ? op->blocks[block].x - x : x);
-            room = way->room - (down ? op->blocks[block].y - y : y);
+            left = way->left - (all || rising ? at[1].x - at->x - x : x);
+            room = way->room - (all || rising ? at[1].y - at->y - y : y);
             if (left < 0 || room < 0) {
                 const uint32_t top = 64U * block + (high != 0U ? 32U + last_one(high) : last_one(low));
                 if (!crosses(op, gear_at(op, top), left, room)) break;
@@ -330,14 +332,15 @@ static void note_crossed(const dbo_backlash *op, const dbo_backlash_state *state
     const uint32_t block = k / 2U, *word = state->words + 2U * block;
     if (block < op->n / 64U) {
         uint32_t *sums = sums_of(op, state, block);
+        const dbo_block *at = op->blocks + block;
         if (rising) {
             const int none = (word[0] | word[1]) == 0U;
             set_sum(sums, (none ? 0 : sum(sums)) + x);
             set_sum(sums + 2, (none ? 0 : sum(sums + 2)) + y);
         } else {
             const int all = (word[0] & word[1]) == ALL_ONES;
-            set_sum(sums, (all ? op->blocks[block].x : sum(sums)) - x);
-            set_sum(sums + 2, (all ? op->blocks[block].y : sum(sums + 2)) - y);
+            set_sum(sums, (all ? at[1].x - at->x : sum(sums)) - x);
+            set_sum(sums + 2, (all ? at[1].y - at->y : sum(sums + 2)) - y);
         }
     }
     state->words[k] ^= crossed;
@@ -348,24 +351,33 @@ static void note_crossed(const dbo_backlash *op, const dbo_backlash_state *state
 static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                            dbo_position bound, int rising) {
     uint32_t next = rising ? state->zero : state->set, k = next / 32U;
+    uint32_t walked; /* a block that is crossed by its words */
     dbo_way way = {rising ? u - state->x : state->x - u, rising ? bound - state->y : state->y - bound, op->n,
                    1};
     const dbo_gear *gear;
     if (next == op->n) return op->n;
     gear = gear_at(op, next);
     if (!crosses(op, gear, way.left - gear->width, way.room - gear->height)) return op->n;
-    if (way.left >= FAR * (dbo_position)gear->width) k = pass_blocks(op, state, &way, k, rising);
-    for (next = op->n; 32U * k < op->n; k = pass_blocks(op, state, &way, k + 1U, rising)) {
-        const dbo_position left = way.left, room = way.room;
-        const uint32_t open = open_bits(state->words[k], k, op->n, rising);
-        uint32_t rest = open;
+    walked = way.left < FAR * (dbo_position)gear->width ? k / 2U : op->n;
+    for (next = op->n; 32U * k < op->n; k++) {
+        dbo_position left, room;
+        uint32_t open, rest;
+        if (k / 2U != walked) {
+            k = pass_blocks(op, state, &way, k, rising);
+            walked = k / 2U;
+            if (32U * k >= op->n) break;
+        }
+        left = way.left;
+        room = way.room;
+        rest = open = open_bits(state->words[k], k, op->n, rising);
         if (op->run < LEAP || left < SINGLE * (dbo_position)gear->width)
             rest = walk(op, &way, k, rest, op->run < LEAP ? 32U : (uint32_t)SINGLE);
         if (way.going) rest = walk_runs(op, &way, k, rest);
         if (rest != open) note_crossed(op, state, k, open ^ rest, left - way.left, room - way.room, rising);
-        if (rest == 0U) continue;
-        next = 32U * k + first_one(rest);
-        break;
+        if (rest != 0U) {
+            next = 32U * k + first_one(rest);
+            break;
+        }
     }
     state->x = rising ? u - way.left : u + way.left;
     state->y = rising ? bound - way.room : bound + way.room;
@@ -479,8 +491,17 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint
 dbo_signal dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
                              uint32_t *segment, dbo_number u) {
     uint32_t c = *segment;
-    while (c + 1U < count && u >= segments[c + 1U].x) c++;
-    while (c > 0U && u < segments[c].x) c--;
+    if ((c + 1U < count && u >= segments[c + 1U].x) || (c > 0U && u < segments[c].x)) {
+        uint32_t beyond = count;
+        c = 0U;
+        while (c + 1U < beyond) { /* by halves: a jump costs little more than a step */
+            const uint32_t middle = (c + beyond) / 2U;
+            if (u >= segments[middle].x)
+                c = middle;
+            else
+                beyond = middle;
+        }
+    }
     *segment = c;
 #if defined(DBO_Q31)
     return segments[c].y + along(segments[c].slope, (dbo_position)u - segments[c].x, shift);

@@ -48,7 +48,7 @@ typedef struct {
 #endif
 } dbo_term;
 
-/* What all gears of a block of 64 add up to, widths and heights. */
+/* Where a block of 64 gears begins with all gears below it crossed: (X_B, Y_B). */
 typedef struct {
     dbo_position x;
     dbo_position y;
@@ -57,7 +57,7 @@ typedef struct {
 /* A backlash operator. Gear i stands in row (i * row_factor) >> row_shift: one row for a run of equal gears. */
 typedef struct {
     const dbo_gear *gears;
-    const dbo_block *blocks; /* n / 64 of them */
+    const dbo_block *blocks; /* n / 64 of them, and where the last one ends */
     uint32_t n;
     uint32_t run; /* equal gears that share a row */
     uint32_t row_factor;

@@ -31,6 +31,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     Recording,
     check_recordings,
     split,
+    widest_first,
 )
 from dbo_cli.hysteresis.identification.refinement import corners, zero_shift
 from dbo_cli.hysteresis.identification.regressors import Basis
@@ -86,6 +87,7 @@ def identify(
     """
     options = options or IdentificationOptions()
     check_recordings(recordings)
+    recordings = widest_first(recordings)
     if prior is not None:
         from dbo_cli.hysteresis.identification.prior import refresh
 

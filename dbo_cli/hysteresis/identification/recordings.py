@@ -139,6 +139,16 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
                 )
 
 
+def widest_first(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the logs in their order, but those over most of the range first: the first one's level is kept.
+
+    Each log has an offset of its own. That of a log of small loops carries what the model misses there: with
+    one first, new moves of an asymmetric plant were off by 2.2 % of the range, 0.4 % with the wide log first.
+    """
+    widest = max(float(np.ptp(log.voltage)) for log in recordings)
+    return sorted(recordings, key=lambda log: float(np.ptp(log.voltage)) < (1.0 - AMPLITUDE_SCATTER) * widest)
+
+
 def _check_sizes(log: Recording) -> None:
     """Refuse numbers that no instrument measured, naming the first."""
     for values, what in ((log.voltage, "voltage"), (log.displacement, "displacement")):
@@ -200,7 +210,10 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     if log.time is None or seconds is None:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
-    at = np.flatnonzero(steps > GAP_STEPS * float(np.median(steps[steps > 0.0])))
+    usual = float(np.quantile(steps[steps > 0.0], 0.9))  # an uneven clock has long steps all along
+    at = np.flatnonzero(steps > GAP_STEPS * usual)
+    if not at.size:
+        return []
     most, seen = (_usual_change(values, at) for values in (v, log.displacement))
     before, after = np.maximum(at - SPEED_ROWS, 0), np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     ways = np.zeros((2, len(at)))  # how far the drive would have gone on, by its speed before and after

@@ -245,10 +245,7 @@ def groups_left_out(
 ) -> tuple[float, tuple[str, ...]]:
     """RMS error of groups of swings left out, the worst of three ways to group, and the ways there were."""
     worst, names = cycles**2, []
-    for name, labels in groupings(logs, basis):
-        grouped = [
-            replace(log, fold=np.where(log.used, label, -1)) for log, label in zip(logs, labels, strict=True)
-        ]
+    for name, grouped in groupings(logs, basis):
         statistics = gather(grouped, basis, structure.segments)
         found: list[tuple[float, int]] = []
         for group in range(1, len(statistics.grams)):
@@ -268,8 +265,8 @@ def groups_left_out(
     return float(np.sqrt(worst)), tuple(names)
 
 
-def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, list[Integers]]]:
-    """Yield each way to group swings: its name, and for each log the group of every row, 0 for none."""
+def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, list[PreparedLog]]]:
+    """Yield each way to group swings: its name, and the logs with the groups as folds, 0 for none."""
     swings = [swings_of(log, basis) for log in logs]
     counts = np.concatenate([one.rows for one in swings])
     speeds = np.repeat(np.concatenate([one.speed for one in swings]), counts)
@@ -286,7 +283,13 @@ def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, 
                 label = np.where(one.speed < slow, 1, np.where(one.speed > fast, 2, 0))
             labels.append(np.repeat(np.where(small, label, 0), one.rows))
         if any(label.any() for label in labels):
-            yield name, labels
+            yield (
+                name,
+                [
+                    replace(log, fold=np.where(log.used, label, -1))
+                    for log, label in zip(logs, labels, strict=True)
+                ],
+            )
 
 
 @dataclass(frozen=True)

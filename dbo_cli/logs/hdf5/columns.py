@@ -36,7 +36,7 @@ _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")
 _NAME_ATTRIBUTES = ("columns", "column_names", "names", "channels", "channel_names", "labels", "fields")
 _UNUSED_FACTORS = ("gain", "factor", "multiplier", "sensitivity", "calibration", "conversion",
                    "conversion_factor")  # fmt: skip
-_MATLAB_NUMBERS = {"double", "single", "logical"} | {
+_MATLAB_NUMBERS = {"double", "single", "logical"} | {  # whole numbers of 1 to 8 bytes besides
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 
