@@ -211,6 +211,11 @@ FAULTS: list[Fault] = [
         ),
     ),
     *_faults(
+        "hysteresis/identification/dynamics_fit.py",
+        ("hysteresis_identification_dynamics",),
+        ("gtol=None, ", "", "dynamics do not depend on the displacement's unit"),
+    ),
+    *_faults(
         "hysteresis/identification/preparation.py",
         IDENTIFICATION,
         ("return -1.0 if together < 0.0 else 1.0", "return 1.0", "the sign of the gain"),
