@@ -2,7 +2,7 @@
 
     python benchmarks/hops.py [--list] [FOLDER]
 
-The same command runs over k and over k + 1 blocks of 65,536 rows while the interpreter reports every call of
+The same command runs over k and over k + 1 blocks of 131,072 rows while the interpreter reports every call of
 a function of the package (``sys.setprofile``, in every thread); the difference is what a block costs. A
 generator counts each time a block is asked of it: that is a hop, too. Then a small ``compensate`` and a small
 ``identify`` are run once: how many files and functions (comprehensions and the bodies of modules and classes
@@ -23,7 +23,7 @@ from types import FrameType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-BLOCK = 65_536
+BLOCK = 131_072
 BLOCKS = 6  # beyond the start, where the first 256 kB are looked at, and in front of the end
 HEIGHTS = [0.01 + 0.001 * k for k in range(25)]
 GEARS = {"type": "backlash", "x0": 0.0, "y0": 0.0, "dx": [4.0] * 25, "dy": HEIGHTS}

@@ -65,6 +65,31 @@ def test_a_resonance_is_found(frequency: float, damping: float, lag: float) -> N
     assert found.fit["lag_seconds"] == pytest.approx(lag + damping / (np.pi * frequency), rel=0.2, abs=2e-4)
 
 
+def test_dynamics_do_not_depend_on_the_unit_of_displacement() -> None:
+    log = recorded(plant(Lag(5e-4), Resonance(80.0, 0.05)), swept())
+    metres = replace(log, displacement=1e-6 * log.displacement)
+    ours, same = (identify([one], FEW).model.dynamics for one in (log, metres))
+    assert ours is not None and same is not None
+    (one,), (other,) = ours.resonances, same.resonances
+    assert (other.frequency, other.damping) == pytest.approx((one.frequency, one.damping), rel=1e-6)
+
+
+def test_lost_samples_hide_no_sweep() -> None:
+    log = recorded(plant(Resonance(60.0, 0.03)), swept())
+    (whole,) = split([log])[1]
+    begin = whole.rows.start
+    kept = np.delete(np.arange(log.voltage.size), [500, 501, 502, *range(begin - 300, begin + 40)])
+    time = kept / RATE
+    lost = replace(log, voltage=log.voltage[kept], displacement=log.displacement[kept], time=time)
+    ((found,),) = split([lost])[1:]
+    assert found.time_step == pytest.approx(1.0 / RATE)
+    rows = kept[found.rows]
+    assert rows[0] == begin + 40 and rows[-1] >= whole.rows.stop - 1 and (np.diff(rows) == 1).all()
+    dynamics = identify([lost], FEW).model.dynamics
+    assert dynamics is not None
+    assert dynamics.resonances[0].frequency == pytest.approx(60.0, rel=0.005)
+
+
 def test_two_resonances_are_found() -> None:
     log = recorded(plant(Resonance(50.0, 0.02), Resonance(130.0, 0.02)), swept())
     found = identify([log], FEW)

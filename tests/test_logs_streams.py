@@ -8,6 +8,7 @@ import io
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,24 @@ def test_a_pipe_reads_like_a_file(packed: bool) -> None:
     assert done.stdout == b"voltage_V\n" + b"".join(f"{k}.0\n".encode() for k in range(100_000))
     digest = hashlib.sha256(data).hexdigest()
     assert done.stderr.decode().strip() == str({"name": "-", "sha256": digest, "rows": 100_000})
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="there is no /dev/fd here")
+def test_of_a_pipe_at_most_so_many_rows_are_waited_for() -> None:
+    rows = b"1.250000\n" * 200_000
+    read, write = os.pipe()
+
+    def pour() -> None:
+        with os.fdopen(write, "wb") as pipe:
+            pipe.write(b"voltage_V\n" + rows)
+
+    pouring = threading.Thread(target=pour)
+    pouring.start()
+    with os.fdopen(read, "rb"), open_log(f"/dev/fd/{read}", WANT) as log:
+        counts = [len(block) for block in log.blocks()]
+    pouring.join()
+    assert sum(counts) == 200_000
+    assert max(counts) < 66_000
 
 
 def test_an_empty_pipe_is_refused() -> None:
@@ -198,12 +217,12 @@ def test_both_writers_give_the_same_bytes_and_they_read_back(values: list[float]
 
 
 def test_the_written_bytes_do_not_depend_on_the_cut(tmp_path: Path) -> None:
-    values = np.random.default_rng(4).normal(size=(2, 70_000))
+    values = np.random.default_rng(4).normal(size=(2, 140_000))
     contents = set()
-    for step in (70_000, 65_536, 1_000):
+    for step in (140_000, 131_072, 1_000):
         path = tmp_path / "out.csv"
         with signal_writer(str(path), [OutColumn("a"), OutColumn("b")]) as writer:
-            for start in range(0, 70_000, step):
+            for start in range(0, 140_000, step):
                 writer.write(*values[:, start : start + step])
         contents.add(path.read_bytes())
     assert len(contents) == 1

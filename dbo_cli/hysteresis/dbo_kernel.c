@@ -252,10 +252,15 @@ typedef struct {
     const dbo_fixed_gear *fixed;
 } goal;
 
+/* The input at (x, y). Without memory there is nothing to add: a branch costs less than that on small chips. */
+INLINE double input_at(const goal *to, double x, double y, int plain) {
+    return plain || (!EXPANDED_TABLES && to->kappa == 0.0) ? x : x + to->kappa * y;
+}
+
 /* Whether the gear of a row is crossed from (x, y). `plain` here and below: kappa is 0, and there is no bound. */
 INLINE int crosses(const walk *w, const goal *to, size_t row, double x, double y, int rising, int plain) {
     const dbo_gear *gear = w->gears + row;
-    const double d = plain ? to->u - x : to->u - (x + to->kappa * y), travelled = rising ? d : -d;
+    const double d = to->u - input_at(to, x, y, plain), travelled = rising ? d : -d;
     const double room = rising ? to->bound - y : y - to->bound;
     if (plain) return travelled >= gear->dx * gear->crossing_fraction;
     if (to->fixed) return travelled >= to->fixed[row].reach && room >= to->fixed[row].room;
@@ -265,8 +270,8 @@ INLINE int crosses(const walk *w, const goal *to, size_t row, double x, double y
 
 /* Whether (x, y) has not gone beyond the goal. */
 INLINE int short_of(const goal *to, double x, double y, int rising, int plain) {
-    const double d = plain ? to->u - x : to->u - (x + to->kappa * y);
-    return (rising ? d >= 0.0 : d <= 0.0) && (plain || (rising ? y <= to->bound : y >= to->bound));
+    const double at = input_at(to, x, y, plain);
+    return (rising ? at <= to->u : at >= to->u) && (plain || (rising ? y <= to->bound : y >= to->bound));
 }
 
 INLINE unsigned count_ones(uint64_t word) {
@@ -296,7 +301,7 @@ INLINE unsigned equal_crossed(const walk *w, const goal *to, size_t row, double 
     unsigned next = count - 1;
     double part;
     if (crosses(w, to, row, x + (double)next * dx, y + (double)next * dy, rising, plain)) return count;
-    part = plain ? (to->u - x) / dx : (to->u - (x + to->kappa * y)) / (dx + to->kappa * dy);
+    part = plain ? (to->u - x) / dx : (to->u - input_at(to, x, y, 0)) / (dx + to->kappa * dy);
     if (!plain && (to->bound - y) / dy < part) part = (to->bound - y) / dy;
     if (part < (double)next) next = part > 0.0 ? (unsigned)part : 0;
     while (crosses(w, to, row, x + (double)next * dx, y + (double)next * dy, rising, plain)) next++;
@@ -360,8 +365,11 @@ INLINE size_t pass_words(walk *w, const goal *to, const int rising, const int pl
         uint64_t *sums = w->sums + SUMS * k;
         const uint64_t open = open_gears(w->words[k], n - 64 * k, rising);
         const double crossed_x = number_of(sums[CROSSED_X]), crossed_y = number_of(sums[CROSSED_Y]);
-        const double far_x = rising ? x + (number_of(sums[WHOLE_X]) - crossed_x) : x - crossed_x;
-        const double far_y = rising ? y + (number_of(sums[WHOLE_Y]) - crossed_y) : y - crossed_y;
+        const int all = rising && open == ALL_ONES; /* of them none is crossed: nothing to take off */
+        const double whole_x = number_of(sums[WHOLE_X]), whole_y = number_of(sums[WHOLE_Y]);
+        const double open_x = all ? whole_x : rising ? whole_x - crossed_x : crossed_x;
+        const double open_y = all ? whole_y : rising ? whole_y - crossed_y : crossed_y;
+        const double far_x = rising ? x + open_x : x - open_x, far_y = rising ? y + open_y : y - open_y;
         if (open == 0) continue;
         if (!short_of(to, far_x, far_y, rising, plain)) {
             const size_t row = row_of(w, 64 * k + last_one(open));

@@ -15,10 +15,8 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
-from dbo_cli.drives.options import DriveOptions
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
@@ -44,6 +42,7 @@ from dbo_cli.runs.roles import bring_to, quantity_wish, start_of, tracked_of, tr
 
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Tracked
+    from dbo_cli.drives.options import DriveOptions
     from dbo_cli.hysteresis.excitation import Excitation
 
 
@@ -282,6 +281,8 @@ def summary_of(
     run: ModelRun | None = None,
 ) -> dict[str, Any]:
     """Return what was done as plain values (``dbo-summary``); voltages and lengths in the model's units."""
+    from dbo_cli.drives.compensation import Compensation
+
     expected, percent, clipped, asked = None, None, 0, dict[str, Any]()
     if isinstance(run, Compensation):
         if run.settling is not None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dbo_cli.drives.learning import Tracked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_state
@@ -20,6 +19,9 @@ from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
 from dbo_cli.remarks import SILENT, Listener
+
+if TYPE_CHECKING:
+    from dbo_cli.drives.learning import Tracked
 
 
 def quantity_wish(
@@ -129,6 +131,8 @@ def tracked_wishes(
 
 def tracked_of(source: Source, model: ActuatorModel) -> Tracked:
     """Read a recording whole, in the units of the model."""
+    from dbo_cli.drives.learning import Tracked
+
     bring_to(source, "voltage", model.input, "the model")
     bring_to(source, "measured", model.output, "the model")
     block = joined(list(source.blocks()))

@@ -216,8 +216,9 @@ def _refined(
         left = residuals(signals, parameters, structure)
         return np.concatenate([part[rows] for part, rows in zip(left, chosen, strict=True)])
 
+    # Its bound on the gradient is in the displacement's unit: in metres every start would be the end.
     found = least_squares(
-        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=SMALL, max_nfev=most
+        error, np.clip(start, *bounds), bounds=bounds, x_scale=0.1, diff_step=SMALL, gtol=None, max_nfev=most
     )
     return found.x, float(np.sqrt(np.mean(found.fun**2)))
 

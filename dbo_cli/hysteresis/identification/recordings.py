@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -206,14 +207,10 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     ``first_wiped_row``), and its end. A gap hides nothing where the drive stood still, or went on as fast as
     before and after; what a few samples hide anyway counts for nothing.
     """
-    seconds, v = log.seconds(), log.voltage
-    if log.time is None or seconds is None:
+    at, seconds, v = _long_steps(log), log.seconds(), log.voltage
+    if seconds is None or not at.size:
         return []
     steps, moves = np.diff(seconds), np.diff(v)
-    usual = float(np.quantile(steps[steps > 0.0], 0.9))  # an uneven clock has long steps all along
-    at = np.flatnonzero(steps > GAP_STEPS * usual)
-    if not at.size:
-        return []
     most, seen = (_usual_change(values, at) for values in (v, log.displacement))
     before, after = np.maximum(at - SPEED_ROWS, 0), np.minimum(at + 1 + SPEED_ROWS, len(v) - 1)
     ways = np.zeros((2, len(at)))  # how far the drive would have gone on, by its speed before and after
@@ -228,6 +225,15 @@ def pieces_behind_gaps(log: Recording) -> list[tuple[int, int, int]]:
     return [
         (begin, begin + first_wiped_row(v[begin:end]), end) for begin, end in zip(gaps, ends, strict=True)
     ]
+
+
+def _long_steps(log: Recording) -> Integers:
+    """Return the rows behind which a log's clock makes a step that is longer than usual."""
+    if log.time is None or not log.time[-1] > log.time[0]:
+        return np.empty(0, np.int64)
+    steps = np.diff(log.time)
+    usual = float(np.quantile(steps[steps > 0.0], 0.9))  # an uneven clock has long steps all along
+    return np.flatnonzero(steps > GAP_STEPS * usual)
 
 
 def known_behind_gaps(log: Recording, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -305,9 +311,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     fast: list[FastPart] = []
     span = max(float(np.ptp(log.voltage)) for log in recordings)
     steps = [grid_step(log) for log in recordings]
-    sweeps = [
-        None if step is None else _sweep(log, span, step) for log, step in zip(recordings, steps, strict=True)
-    ]
+    sweeps = [_longest_sweep(log, span) for log in recordings]
     # A log that is a sweep from end to end has nothing else to tell the gears from.
     sweeps = [
         found if found is None or _without(log, found.rows).voltage.size >= FEWEST_ROWS else None
@@ -344,6 +348,22 @@ def grid_step(log: Recording) -> float | None:
         return None
     away = np.abs(log.time - (log.time[0] + step * np.arange(log.time.size)))
     return step if float(away.max()) <= 0.5 * step else None
+
+
+def _longest_sweep(log: Recording, span: float) -> FastPart | None:
+    """Return the longest sweep of a log, or of its pieces between samples that are lost."""
+    edges = [0, log.voltage.size]
+    if grid_step(log) is None:
+        edges[1:1] = (_long_steps(log) + 1).tolist()
+    found = []
+    for begin, end in itertools.pairwise(edges):
+        piece = _rows_of(log, slice(begin, end))
+        step = grid_step(piece)
+        sweep = None if step is None else _sweep(piece, span, step)
+        if sweep is not None:
+            rows = slice(begin + sweep.rows.start, begin + sweep.rows.stop)
+            found.append(replace(sweep, recording=log, rows=rows))
+    return max(found, key=lambda part: part.rows.stop - part.rows.start, default=None)
 
 
 def _swings(voltage: Floats, span: float) -> tuple[Floats, Floats]:
@@ -401,10 +421,14 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
 
 def _without(log: Recording, rows: slice) -> Recording:
     """Return a log up to its fast rows, or from behind them where that is the longer part."""
-    keep = slice(0, rows.start) if rows.start >= log.voltage.size - rows.stop else slice(rows.stop, None)
+    before = rows.start >= log.voltage.size - rows.stop
+    return _rows_of(log, slice(0, rows.start) if before else slice(rows.stop, None))
+
+
+def _rows_of(log: Recording, rows: slice) -> Recording:
     return replace(
         log,
-        voltage=log.voltage[keep],
-        displacement=log.displacement[keep],
-        time=None if log.time is None else log.time[keep],
+        voltage=log.voltage[rows],
+        displacement=log.displacement[rows],
+        time=None if log.time is None else log.time[rows],
     )

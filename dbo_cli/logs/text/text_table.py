@@ -22,7 +22,7 @@ from dbo_cli.logs.byte_source import ByteSource, Request
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import counted, decoded
-from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, ReadingOptions, Rows, remedy_for
+from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Rows, remedy_for
 from dbo_cli.logs.sample_block import (
     TIME,
     ColumnInfo,
@@ -131,7 +131,10 @@ class TextTable(Table):
         InputError
             At the first bad row, unless ``skip_bad``.
         """
-        self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, self._options.block_rows * self._bytes_per_row))
+        rows = (
+            self._options.block_rows if self.source.is_regular else min(self._options.block_rows, PIPE_ROWS)
+        )
+        self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, rows * self._bytes_per_row))
         parser = BlockParser(self.place, self.dialect, picks, self._options.rows, self._options.skip_bad)
         found = parser.parse(self._data(parser), self._small or self._live)
         yield from one_ahead(found) if self._ahead else found
@@ -279,10 +282,10 @@ class BlockParser:
         text = self._regular(block)
         if text is None:
             return None
-        ends, marks = _counts(text, 10, ord(self.dialect.delimiter))
+        ends, marks, has_empty_line = _counts(text, ord(self.dialect.delimiter))
         lines = ends + (not text.endswith(b"\n"))
         numbers: Places = range(self.next_line, self.next_line + lines)
-        if _has_empty_line(text):
+        if has_empty_line:
             text, filled = _without_empty_lines(text)
             numbers = self.next_line + filled
         if marks > 2 * len(numbers) * self.dialect.width + 100:
@@ -478,22 +481,20 @@ def _is_rectangular(block: bytes, lines: int, dialect: Dialect) -> bool:
     return bool(ends[:, -1].all()) and np.count_nonzero(ends) == lines
 
 
-def _counts(block: bytes, *letters: int) -> list[int]:
-    """Count bytes; numpy counts what is frequent five times faster than bytes.count."""
+def _counts(block: bytes, mark: int) -> tuple[int, int, bool]:
+    """Count line ends and another letter, and tell whether a line end stands first or behind another.
+
+    Numpy counts what is frequent five times faster than bytes.count, and ``in`` looks ten times as long.
+    """
     text = np.frombuffer(block, dtype=np.uint8)
-    counts = [0] * len(letters)
+    lines, marks, empty = 0, 0, block[:1] == b"\n"
     for start in range(0, len(text), _AT_ONCE):
         part = text[start : start + _AT_ONCE]
-        for number, letter in enumerate(letters):
-            counts[number] += int(np.count_nonzero(part == letter))
-    return counts
-
-
-def _has_empty_line(block: bytes) -> bool:
-    """Return whether a line end stands first or behind another; ``in`` takes ten times as long."""
-    text = np.frombuffer(block, dtype=np.uint8)
-    pieces = (text[start : start + _AT_ONCE + 1] == 10 for start in range(0, len(text), _AT_ONCE))
-    return block[:1] == b"\n" or any(bool((ends[1:] & ends[:-1]).any()) for ends in pieces)
+        ends = part == 10
+        lines += int(np.count_nonzero(ends))
+        marks += int(np.count_nonzero(part == mark))
+        empty = empty or bool((ends[1:] & ends[:-1]).any() or block[start - 1 : start + 1] == b"\n\n")
+    return lines, marks, empty
 
 
 def _letters(block: bytes, delimiter: str) -> NDArray[np.int64]:
