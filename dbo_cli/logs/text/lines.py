@@ -321,18 +321,25 @@ class LineBlocks:
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        while True:
-            for start, end in self._cuts():  # at first what was read ahead
-                block = self._pending[start:end]
-                self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
-                yield block
-            self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
-            if self.ended:
-                break
-            self._fill(self.block_bytes)
+        for start, end in self._cuts():  # of what was read ahead
+            yield self._noted(self._pending[start:end])
+        self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
+        while not self.ended:
+            data = self._read(self.block_bytes)
+            end = data.rfind(b"\n") + 1
+            if end:
+                block = b"".join((self._pending, memoryview(data)[:end]))  # the only copy of most of the text
+                self._pending = data[end:]
+                yield self._noted(block)
+            else:
+                self._append(data)
         if self._pending:
             last, self._pending = self._pending, b""
             yield last
+
+    def _noted(self, block: bytes) -> bytes:
+        self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
+        return block
 
     def _cuts(self) -> list[tuple[int, int]]:
         """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
@@ -349,13 +356,15 @@ class LineBlocks:
         return cuts
 
     def _fill(self, size: int) -> None:
+        self._append(self._read(size))
+
+    def _read(self, size: int) -> bytes:
         data = self.source.read(size)
-        if not data:
-            self.ended = True
-        elif self._pending:
-            self._pending += data
-        else:
-            self._pending = data
+        self.ended = not data
+        return data
+
+    def _append(self, data: bytes) -> None:
+        self._pending += data
         if len(self._pending) > LONGEST_LINE and b"\n" not in self._pending:
             raise InputError(
                 f"{self.source.name}: no line end in the first {LONGEST_LINE >> 20} MB: is this a text log?"
