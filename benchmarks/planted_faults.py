@@ -63,6 +63,16 @@ FAULTS: list[Fault] = [
          "the identification sees the gear that was crossed by the tolerance"),
     ),
     *_faults(
+        "export/firmware/dbo_kernel_single.c",
+        ("export",),
+        ("if (left < 0 && crossed > 0U) way->nearly = i;", "if (left < 0) way->nearly = i;",
+         "the gear crossed by the tolerance serves its sample, at the end of a run of equal gears"),
+        ("crossed = across < up ? across : up;", "crossed = across;",
+         "of equal gears no more are crossed than the limits leave room for"),
+        ("set_sum(sums, (none ? 0 : sum(sums)) + x);", "set_sum(sums, sum(sums) + x);",
+         "the sums of a block that was open as a whole begin anew"),
+    ),
+    *_faults(
         "hysteresis/kernel.py",
         KERNEL,
         ("return min(max(towards(last, -step), low), high), max(min(towards(last, step), high), low)",

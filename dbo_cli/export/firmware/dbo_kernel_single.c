@@ -161,7 +161,7 @@ static uint32_t open_bits(uint32_t word, uint32_t k, uint32_t n, int rising) {
 }
 
 /* Where the sums over the gears crossed of a block of 64 stand, behind the bits: x and y, two words each. They
- * count where some of its gears are crossed and some are open: else they would be 0, or all that it adds up to. */
+ * count where some of its gears are crossed and some are open: else they would be 0, or what it adds up to. */
 static uint32_t *sums_of(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t block) {
     return state->words + (op->n + 31U) / 32U + 4U * block;
 }
