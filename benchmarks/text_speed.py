@@ -4,7 +4,8 @@
 
 Whole processes on a CSV of 1,000,000 rows x 2 columns, in turn, the least of five each; then the parsers and
 writers in one process, and the size from which importing polars pays. The limits are those the project
-promises.
+promises, with room for a busy machine. What is left above polars is at 1,000,000 rows the start: numpy and
+the command line take as long to load as polars needs for 300,000 rows.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNS = 5
+PROMISED = {"simulate, 25 gears": 1.3, "simulate, identified": 1.5}  # of polars' time of the processors
 HEIGHTS = [0.01 + 0.001 * k for k in range(25)]
 MODEL = {
     "format": "dbo-model",
@@ -89,8 +91,8 @@ def whole_processes(folder: Path, rows: int) -> bool:
     for name, (wall, busy) in least_of.items():
         print(f"  {name:34} {wall:6.2f} {busy:6.2f}")
     kept = True
-    for own in ("simulate, 25 gears", "simulate, identified"):
-        for other, limit in (("pandas, reads and writes it back", 0.3), ("polars, a column more", 2.5)):
+    for own, most in PROMISED.items():
+        for other, limit in (("pandas, reads and writes it back", 0.3), ("polars, a column more", most)):
             wall, busy = (
                 own_s / other_s for own_s, other_s in zip(least_of[own], least_of[other], strict=True)
             )

@@ -357,6 +357,8 @@ def _longest_sweep(log: Recording, span: float) -> FastPart | None:
         edges[1:1] = (_long_steps(log) + 1).tolist()
     found = []
     for begin, end in itertools.pairwise(edges):
+        if end - begin < FEWEST_SWINGS * FEWEST_A_PERIOD // 2:
+            continue
         piece = _rows_of(log, slice(begin, end))
         step = grid_step(piece)
         sweep = None if step is None else _sweep(piece, span, step)
