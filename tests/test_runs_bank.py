@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -305,6 +306,19 @@ def test_identify_of_patterns_gives_a_set(tmp_path: Path) -> None:
     assert str(read["1"].actuator.stages) == str(made["1"].actuator.stages)
     with pytest.raises(UsageError, match="`displacement` is not given where `voltage` 'V\\{\\}' is many"):
         dbo.identify(frame, voltage="V{}", **QUICK)
+
+
+def test_a_warning_of_identify_names_the_line_that_called_it() -> None:
+    import pandas as pd
+
+    volts = np.concatenate([np.linspace(0.0, 10.0, 50), np.linspace(10.0, 0.0, 50)])
+    moved = volts + 0.6 * np.sin(0.3 * volts)
+    frame = pd.DataFrame({"time_s": 0.01 * np.arange(100), "V1_V": volts, "D1_um": moved})
+    for names in (("V1", "D1"), ("V{}", "D{}")):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            dbo.identify(frame, voltage=names[0], displacement=names[1], **QUICK)
+        assert {one.filename for one in said} == {__file__}
 
 
 @pytest.mark.parametrize("dac", [None, np.linspace(0.0, 100.0, 4096)])

@@ -186,11 +186,8 @@ class Finding:
         """Count the places ``at`` (indices into the block)."""
         if len(at) and not self.count:
             index = int(at[0])
-            self.where, self.before, self.after = (
-                block.where(index),
-                float(before[index]),
-                float(after[index]),
-            )
+            self.where = block.where(index)
+            self.before, self.after = float(before[index]), float(after[index])
         self.count += len(at)
 
 
@@ -364,7 +361,7 @@ def require_even(place: str, time: FloatArray, why: str) -> float:
     return step
 
 
-_NEW_ROWS = 1 << 16  # made at a time, as many as a block has
+_NEW_ROWS = 1 << 16  # made at a time; chosen, half a megabyte a column
 _MOST_NEW_ROWS, _MOST_FACTOR = 20_000_000, 100  # more, and a rate or a time stamp is wrong
 
 

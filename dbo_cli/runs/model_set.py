@@ -189,7 +189,7 @@ def identify_set(asked: IdentifyRun, jobs: int) -> ModelSet:
     found = dict(channels.models(Work(jobs, all_needed=True), Outcome()))
     models = {name: Model(one.model, one.summary, one.remarks) for name, one in found.items()}
     for text in summed_up({name: model.warnings for name, model in models.items()}, "channel"):
-        warnings.warn(text, DboWarning, stacklevel=3)
+        warnings.warn(text, DboWarning, stacklevel=4)
     return ModelSet(models, channels.coupling)
 
 

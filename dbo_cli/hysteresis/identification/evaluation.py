@@ -324,7 +324,7 @@ def fit_notes(unit: str | None, prepared: Prepared, clockwise: float, trend: flo
         every = int(np.median(apart)) if len(apart) else 1
         if every > 1 and np.mean(apart == every) > REGULAR:
             notes.append(
-                f"{log.name}: the voltage changes in every {every}th row alone: right where the drive itself "
+                f"{log.name}: the voltage changes only once in {every} rows: right where the drive itself "
                 "goes in such steps; where it is read more slowly than the displacement, log both at one rate"
             )
     if prepared.doubtful_drift:

@@ -19,9 +19,9 @@ KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chos
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
-HIDDEN_STEPS = 3.0  # the largest change between samples that many times is hidden between samples anyway
-SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion
-LEAST_BEHIND_GAPS = 0.3  # of the rows must be left; of fewer, a fit knows less than gaps spoil
+HIDDEN_STEPS = 3.0  # times the largest change between samples is hidden between samples anyway; chosen
+SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion; chosen
+LEAST_BEHIND_GAPS = 0.3  # of the rows must be left; of fewer, a fit knows less than gaps spoil; chosen
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
 
 

@@ -283,13 +283,8 @@ def groupings(logs: Sequence[PreparedLog], basis: Basis) -> Iterator[tuple[str, 
                 label = np.where(one.speed < slow, 1, np.where(one.speed > fast, 2, 0))
             labels.append(np.repeat(np.where(small, label, 0), one.rows))
         if any(label.any() for label in labels):
-            yield (
-                name,
-                [
-                    replace(log, fold=np.where(log.used, label, -1))
-                    for log, label in zip(logs, labels, strict=True)
-                ],
-            )
+            folds = [np.where(log.used, label, -1) for log, label in zip(logs, labels, strict=True)]
+            yield name, [replace(log, fold=fold) for log, fold in zip(logs, folds, strict=True)]
 
 
 @dataclass(frozen=True)
