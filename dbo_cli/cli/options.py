@@ -332,7 +332,9 @@ SETTLE = Option(
 MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 
 # --- compare ---
-MODEL_NAMES = Option("--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric.")
+MODEL_NAMES = Option(
+    "--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric, same-stages."
+)
 NO_TIMINGS = Option("--no-timings", "Measure no times: the table repeats to the byte.")
 SAVE_MODELS = Option(
     "--save-models DIR", "Also write every model that was fitted, NAME.json, into this folder."

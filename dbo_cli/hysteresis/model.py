@@ -279,6 +279,11 @@ class ActuatorModel:
         return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
 
     @property
+    def has_gears(self) -> bool:
+        """Whether its hysteresis is that of gears."""
+        return True
+
+    @property
     def size(self) -> str:
         """How large the hysteresis operator is, in words."""
         return f"{self.backlash.n} gears"
