@@ -7,11 +7,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
 
 if TYPE_CHECKING:

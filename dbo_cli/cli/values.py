@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.addresses import Address

@@ -13,7 +13,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Reson
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DynamicsStage, PointStage
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Axis, BacklashState, Relaxation
+from dbo_cli.records import dataclass
 
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
+from dbo_cli.records import dataclass
 
 # How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in milli volts``.
 _BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)

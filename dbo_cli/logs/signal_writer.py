@@ -6,7 +6,6 @@ import contextlib
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
 import numpy as np
@@ -18,6 +17,7 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
+from dbo_cli.records import dataclass
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -22,6 +21,7 @@ from dbo_cli.logs.columns import contradicted_unit, is_torn, split_header
 from dbo_cli.logs.plain_text import clean_text, shortened
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import ONE, TIME_WORDS, UnitFactor, kind_of_unit, parse_factor
+from dbo_cli.records import dataclass
 
 FACTORS = {
     "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),

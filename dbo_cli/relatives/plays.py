@@ -18,7 +18,7 @@ Aye and Ang (2018); what is marked * was written from memory of the literature a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -29,6 +29,7 @@ from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.operators import BacklashState, Floats
+from dbo_cli.records import dataclass
 
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

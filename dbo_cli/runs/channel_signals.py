@@ -22,6 +22,7 @@ from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, check_outputs, write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.channels import (
     CHANNEL,
@@ -181,7 +182,7 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
     return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
-@dataclasses.dataclass
+@dataclass
 class ChannelTable:
     """One output of all channels: columns that carry a channel's name, or (in HDF5, of matrices) matrices.
 

@@ -11,7 +11,6 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -37,6 +36,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks, plain
 from dbo_cli.runs.roles import bring_to, quantity_wish, start_of, tracked_of, tracked_wishes
 

@@ -11,13 +11,14 @@ import os
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dbo_cli import errors
 from dbo_cli.errors import DboError, UsageError
 from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs, make_folder
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 
 if TYPE_CHECKING:

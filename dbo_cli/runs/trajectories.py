@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.addresses import check_format
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks
 from dbo_cli.runs.files import Destination, shown_name, summary_of_values, write_summary
 from dbo_cli.runs.model import Model, require_known

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
@@ -18,6 +17,7 @@ from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.reading_options import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
+from dbo_cli.records import dataclass
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"

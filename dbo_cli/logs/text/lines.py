@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dbo_cli.errors import InputError
@@ -16,6 +15,7 @@ from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.plain_text import shortened
 from dbo_cli.logs.reading_options import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

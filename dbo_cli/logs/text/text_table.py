@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +45,7 @@ from dbo_cli.logs.text.lines import (
     split_cells,
     to_number,
 )
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.text.instruments import InstrumentHeader
