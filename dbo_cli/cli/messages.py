@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import threading
 import time
@@ -10,14 +9,14 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.plain_text import cleaned, pattern
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
 
 if TYPE_CHECKING:
     from dbo_cli.logs.addresses import Address
 
-_PARAMETER = re.compile(r"`([a-z]\w*)`")
+_PARAMETER = pattern(r"`([a-z]\w*)`")
 
 
 def shell_line(text: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import math
 from abc import ABC, abstractmethod
@@ -289,6 +288,8 @@ def _gears_within(gears: DiscreteBacklashOperator, width: float) -> int:
 
 def digest_of(stages: Sequence[Stage]) -> str:
     """Return a name for a forward cascade; a gain inverted twice may differ in its last digits."""
+    import hashlib  # 2 ms, and most runs ask for no name
+
     parts: list[object] = []
     for stage in stages:
         if isinstance(stage, ScaleStage):

@@ -24,7 +24,6 @@ from dbo_cli.hysteresis.dynamics import Antiresonance, InverseMemory, Lag, Reson
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DynamicsStage, PointStage
 from dbo_cli.hysteresis.model_state import ModelState, Quantity
 from dbo_cli.hysteresis.operators import Axis, BacklashState, Relaxation
-from dbo_cli.records import dataclass
 
 MODEL_FORMAT = "dbo-model"
 STATE_FORMAT = "dbo-state"
@@ -41,8 +40,7 @@ _NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound
 Json = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """One JSON object with the path that leads to it; reads keys and names them where they are wrong."""
 
     file: str

@@ -154,7 +154,7 @@ def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
 def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> None:
     """Write a signal, so many rows at a time."""
     with signal_writer(
-        signal.address, signal.columns, format=signal.format, attributes=signal.attributes,
+        signal.address, signal.columns, format=signal.format, attributes=lambda: signal.attributes,
         protect=protect, commented=signal.commented,
     ) as writer:  # fmt: skip
         for row in range(0, len(signal.arrays[0]), max(rows, 1)):

@@ -11,6 +11,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -202,7 +203,7 @@ class SignalRun:
                 with signal_writer(
                     destination.output.or_format(self.reading.format),
                     columns,
-                    attributes=_attributes(run, log, destination.command),
+                    attributes=partial(_attributes, run, log, destination.command),
                     flush=destination.live,
                     protect=destination.protect,
                     commented=destination.commented,
@@ -256,8 +257,8 @@ def write_excitation(
         DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
     check_format(form, [output])
     columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
-    attributes = {"sample_rate": excitation.sample_rate}
-    with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
+    rate = excitation.sample_rate
+    with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
         for row in range(0, len(time), _ROWS):
             writer.write(*(one[row : row + _ROWS] for one in (time, *drives.values())))
     return len(time)

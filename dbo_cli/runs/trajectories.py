@@ -146,9 +146,10 @@ def write_trajectory(
     destination.check()
     made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
     columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
-    attributes = {"sample_rate": options.rate}
     with all_or_none():
-        with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
+        with signal_writer(
+            output.or_format(form), columns, attributes=lambda: {"sample_rate": options.rate}
+        ) as writer:
             writer.write(made.time, *made.axes.values())
         if summary is not None:
             told = (destination.command, None, Remarks(made.notes))
