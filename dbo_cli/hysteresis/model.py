@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any, Literal, Self
 
@@ -41,6 +41,7 @@ from dbo_cli.hysteresis.operators import (
     Outside,
     Relaxation,
 )
+from dbo_cli.records import dataclass
 
 __all__ = [
     "NEGLIGIBLE",

@@ -13,7 +13,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -40,8 +40,7 @@ _NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound
 Json = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """One JSON object with the path that leads to it; reads keys and names them where they are wrong."""
 
     file: str

@@ -10,7 +10,7 @@ the weights are rules for their increments.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from dbo_cli.hysteresis.identification.search import (
 from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
+from dbo_cli.records import dataclass
 from dbo_cli.relatives.play_model import RelativeModel
 from dbo_cli.relatives.plays import Kind, PlayOperator
 

@@ -6,7 +6,6 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -26,6 +25,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played, rms
 from dbo_cli.hysteresis.operators import Floats
+from dbo_cli.records import dataclass
 from dbo_cli.relatives.fitting import NOTHING_LEFT, RELATIVES, fit
 from dbo_cli.relatives.play_model import RelativeModel, with_plays
 

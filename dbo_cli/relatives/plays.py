@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import operator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -30,6 +30,7 @@ from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.operators import BacklashState, Floats, Relaxation
+from dbo_cli.records import dataclass
 
 Memory = tuple[float, ...] | None  # of relaxation; None: at rest at the sample to come
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]

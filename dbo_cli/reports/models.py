@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Complexes, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, Quantity
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.records import dataclass
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head, shown_unit
