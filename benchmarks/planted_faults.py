@@ -499,4 +499,25 @@ FAULTS: list[Fault] = [
         ("hysteresis_identification_prior",),
         ("bound = CHANGED * expected", "bound = 10.0 * CHANGED * expected", "a changed shape is refused"),
     ),
+    *_faults(
+        "relatives/plays.py",
+        ("relatives",),
+        ("share = sum(gain * (1.0 - a) for", "share = sum(gain * a for",
+         "a memory answers the drive of the very sample"),
+        ("rows[0] = [0.0] * len(held)", "rows[0] = rows[0]", "memories are at rest at the first sample"),
+    ),
+    *_faults(
+        "relatives/play_model.py",
+        ("relatives",),
+        ("radii = np.append(0.0, travelled)[begins]", "radii = travelled[begins]",
+         "a play begins to move where its slope begins"),
+        ("y, after = y + added, dataclasses.replace(after, memory=memory)", "y = y + added",
+         "memories beside plays go on from block to block"),
+    ),
+    *_faults(
+        "relatives/judging.py",
+        ("relatives",),
+        ("expected = None if ratio is None else rmse * float(str(ratio))", "expected = rmse",
+         "what is expected of a relative is wider than its fit"),
+    ),
 ]  # fmt: skip
