@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -19,6 +17,7 @@ from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.records import dataclass
 
 Payload = TypeVar("Payload")
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
@@ -294,6 +293,8 @@ def _gears_within(gears: DiscreteBacklashOperator, width: float) -> int:
 
 def digest_of(stages: Sequence[Stage]) -> str:
     """Return a name for a forward cascade; a gain inverted twice may differ in its last digits."""
+    import hashlib  # 2 ms, and most runs ask for no name
+
     parts: list[object] = []
     for stage in stages:
         if isinstance(stage, ScaleStage):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -17,6 +16,7 @@ from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Reson
 from dbo_cli.hysteresis.identification.evaluation import TINY
 from dbo_cli.hysteresis.identification.recordings import FastPart, Floats
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
