@@ -517,7 +517,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "relatives/judging.py",
         ("relatives",),
-        ("expected = None if ratio is None else rmse * float(str(ratio))", "expected = rmse",
+        ("told = rmse * float(str(ratio))", "told = rmse",
          "what is expected of a relative is wider than its fit"),
     ),
 ]  # fmt: skip
