@@ -46,7 +46,7 @@ def _shown(self: Any) -> str:
 
 
 def _set_once(self: Any, name: str, value: object) -> None:
-    values = self.__dict__  # as fast as the standard library's way; ``object.__setattr__`` takes twice as long
+    values = self.__dict__  # ``object.__setattr__`` would take twice as long
     if name in values or name not in self.__dataclass_fields__:
         raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
     values[name] = value
