@@ -72,6 +72,12 @@ def whole_and_part(samples: float) -> tuple[int, float]:
     return whole, part if part > WHOLE else 0.0
 
 
+def late_by(values: Floats, part: float) -> Floats:
+    """Return all values but the first, late by a part of a sample."""
+    later = values[1:]
+    return later + part * (values[:-1] - later) if part else later.copy()
+
+
 @dataclass(frozen=True)
 class DelayHistory:
     """What a delay remembers: the samples still to come out, each with its time; the last is the newest."""
@@ -152,9 +158,8 @@ class DelayStage:
         if missing > 0:
             values = np.concatenate([np.full(missing, values[0]), values])
             times = np.concatenate([times[0] - step * np.arange(missing, 0, -1), times])
-        begin = values.size - count - whole
-        later, earlier = values[begin : begin + count], values[begin - 1 : begin - 1 + count]
-        y = later + part * (earlier - later) if part else later.copy()
+        begin = values.size - count - whole - 1
+        y = late_by(values[begin : begin + count + 1], part)
         kept = slice(-(whole + 1), None)
         return y, DelayHistory(tuple(times[kept].tolist()), tuple(values[kept].tolist()))
 
