@@ -252,13 +252,16 @@ def dyadic(rng: np.random.Generator, n: int) -> Floats:
 
 @pytest.mark.parametrize("n", range(1, 13))
 def test_every_state_equals_the_reference(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond."""
+    """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond.
+
+    Beyond 10 gears from every seventh state alone.
+    """
     rng = np.random.default_rng(n)
     operator = DiscreteBacklashOperator(dyadic(rng, n), dyadic(rng, n), 1.5, -0.25)
     widths = operator.dx.tolist(), operator.dy.tolist()
     kernels = [chosen for chosen in (COMPILED, kernel.PythonKernel) if chosen is not None]
     paper = reference.Backlash(*widths, 1.5, -0.25)
-    for bits in range(1 << n):
+    for bits in range(0, 1 << n, 1 if n <= 10 else 7):
         paper.state = bits
         x_b, y_b = paper.coordinates()
         assert operator.coordinates(BacklashState(bits)) == (float(x_b), float(y_b))
