@@ -514,6 +514,13 @@ FAULTS: list[Fault] = [
          "memories beside plays go on from block to block"),
     ),
     *_faults(
+        "relatives/fitting.py",
+        ("relatives",),
+        ("sample_period(prepared.logs)", "sample_period(logs)", "a delay's step is that of the whole log"),
+        ("            if not scores:\n                raise\n            break", "            raise",
+         "plays that the solver cannot tell apart are not taken"),
+    ),
+    *_faults(
         "relatives/judging.py",
         ("relatives",),
         ("told = rmse * float(str(ratio))", "told = rmse",
