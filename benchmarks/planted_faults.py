@@ -490,4 +490,22 @@ FAULTS: list[Fault] = [
         ("hysteresis_identification_prior",),
         ("bound = CHANGED * expected", "bound = 10.0 * CHANGED * expected", "a changed shape is refused"),
     ),
+    *_faults(
+        "hysteresis/move_error.py",
+        ("hysteresis_move_error",),
+        ("steps = np.diff(travelled(drive, self.model.input.span), prepend=0.0)",
+         "steps = np.diff(drive, prepend=drive[0]).clip(0.0)", "the way back is gone, too"),
+        ("gone = np.maximum.accumulate(np.abs(drive[first : last + 1] - drive[first]))",
+         "gone = np.cumsum(np.abs(np.diff(drive[first : last + 1], prepend=drive[first])))",
+         "noise is no way gone"),
+    ),
+    *_faults(
+        "hysteresis/identification/expectation.py",
+        ("hysteresis_identification",),
+        ("left - floor > FORGETTING_EXPLAINS * (fitted**2 - floor)",
+         "left - floor > -FORGETTING_EXPLAINS * (fitted**2 - floor)",
+         "an actuator that forgets with the way gone is found out"),
+        ("memory = Relaxation(basis.low, tuple(length * basis.span for length in LENGTHS), per_volt)",
+         "memory = Relaxation(basis.low, LENGTHS, per_volt)", "ways are volts in the model"),
+    ),
 ]  # fmt: skip
