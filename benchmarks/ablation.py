@@ -4,7 +4,7 @@ Ten kinds of plants (``foreign_plants.py``), each identified from the drive of `
 moves; with DATA the authors' pair, offset removed; and a stage with a resonance, on a move at a fifth of it.
 Prints the table of docs/comparison.md: the error of the whole in % of the stroke (RMS over the moves), and
 the geometric mean of the ratios of the moves. The last two columns keep every stage and put plays in the
-place of the gears: one for each slope, and 25.
+place of the gears: one for each slope (``same-stages`` of ``dbo compare``), and 25.
 
     python benchmarks/ablation.py [DATA] [--log excite] [--only TEXT]
 """
@@ -28,13 +28,13 @@ from foreign_plants import CONDITION, HELD_OUT, KINDS, LATER, NOISE, STEP, STROK
 from test_hysteresis_identification_dynamics import RATE, plant
 from test_hysteresis_identification_dynamics import recorded as recorded_stage
 
-from dbo_cli.hysteresis import cascade
 from dbo_cli.hysteresis.dynamics import Lag, Resonance
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify, search
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator
+from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
+from dbo_cli.relatives.play_model import with_plays
 
 LATE = ("late sensor",)  # what is late there is not the actuator
 FREQUENCY = 80.0  # of the stage's resonance, Hz
@@ -43,53 +43,14 @@ FEW_PLAYS = 25  # as many as the paper has gears
 Errors = Callable[[ActuatorModel], list[float]]
 
 
-class Plays(DiscreteBacklashOperator):
-    """The curve that the gears follow after every turn, followed by plays instead (Kuhnen's [6]).
-
-    After a turn both give y(d) = sum of s_i times the part of gear i that d reaches: the gears one after
-    the other, the plays z_i = max(x - r_i, min(x + r_i, z_i)) with r_i half of where slope i begins and
-    w_i = s_i - s_(i-1). What differs is a turn inside a gear, and what fewer plays leave out. Only a run from
-    its beginning is right: the plays are no part of the state.
-    """
-
-    plays: int | None = None
-
-    def run(self, x: Any, state: BacklashState, **options: Any) -> tuple[Any, BacklashState, Any]:
-        """Return the output for a whole move from one end of the range."""
-        remembered, after, counts = super().run(x, state, **options)
-        gears = DiscreteBacklashOperator(self.dx, self.dy, self.x0, self.y0).run(
-            x, BacklashState(state.bits)
-        )[0]
-        ends = np.concatenate(([0.0], np.cumsum(self.dx)))
-        heights = np.concatenate(([0.0], np.cumsum(self.dy)))
-        begins = ends[:-1][np.diff(self.dy / self.dx, prepend=0.0) != 0.0]
-        if self.plays is not None:
-            begins = np.linspace(0.0, float(ends[-1]), self.plays, endpoint=False)
-        curve = np.interp(np.append(begins, ends[-1]), ends, heights)
-        slopes = np.diff(curve) / np.diff(np.append(begins, ends[-1]))
-        summed = np.zeros(len(gears))
-        for weight, radius in zip(np.diff(slopes, prepend=0.0), begins / 2.0, strict=True):
-            z = self.x0 + radius
-            for row, drive in enumerate(np.asarray(x).tolist()):
-                z = max(drive - radius, min(drive + radius, z))
-                summed[row] += weight * (z - self.x0 - radius)
-        return remembered - gears + self.y0 + summed, after, counts
-
-
-def by_plays(errors: Errors, model: ActuatorModel, count: int | None) -> list[float]:
-    """Return a model's errors with plays in the place of its gears, the spare ones left away as always."""
-    stages = tuple(
-        Plays(stage.dx, stage.dy, stage.x0, stage.y0, stage.relaxation)
-        if isinstance(stage, DiscreteBacklashOperator)
-        else stage
-        for stage in model.stages
-    )
-    ordinary, Plays.plays = cascade.DiscreteBacklashOperator, count
-    try:
-        cascade.DiscreteBacklashOperator = Plays  # type: ignore[misc]
-        return errors(replace(model, stages=stages))
-    finally:
-        cascade.DiscreteBacklashOperator = ordinary  # type: ignore[misc]
+def coarser(model: ActuatorModel, count: int) -> ActuatorModel:
+    """Return a model with so many even gears on the curve of its own, the spare ones left away."""
+    gears = model.covered_gears.operator
+    ends = np.concatenate(([0.0], np.cumsum(gears.dx)))
+    even = np.linspace(0.0, float(ends[-1]), count + 1)
+    heights = np.diff(np.interp(even, ends, np.concatenate(([0.0], np.cumsum(gears.dy)))))
+    few = DiscreteBacklashOperator(np.diff(even), heights, gears.x0, gears.y0, gears.relaxation)
+    return replace(model, stages=tuple(few if stage is model.backlash else stage for stage in model.stages))
 
 
 def without(part: str, logs: list[Recording], skip: float) -> ActuatorModel:
@@ -165,7 +126,7 @@ def main() -> None:
                 cells.append("")
                 continue
             cells.append(ratio(errors(without(part, logs, skip)), whole))
-        cells += [ratio(by_plays(errors, model, count), whole) for count in (None, FEW_PLAYS)]
+        cells += [ratio(errors(with_plays(one)), whole) for one in (model, coarser(model, FEW_PLAYS))]
         rms = float(np.sqrt(np.mean(np.square(whole))))
         print(f"| {name} | {rms:.3g} | {' | '.join(cells)} |", flush=True)
 

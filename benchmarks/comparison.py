@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import DboError
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import Recording
-from dbo_cli.relatives.judging import NAMES, Row, compare
+from dbo_cli.relatives.judging import NAMES, SAME_STAGES, Row, compare
 
 ROOT = Path(__file__).resolve().parents[1]
 Floats = NDArray[np.float64]
@@ -132,15 +132,19 @@ def line_of(task: Task) -> tuple[str, list[float]] | str:
         return f"| {task.name} | {problem} |"
     errors = [np.nan if row.validation_rmse is None else row.validation_rmse for row in rows]
     cells = [percent(row, task.stroke) for row in rows]
-    best = min(error for error in errors if error == error)
+    named = dict(zip(NAMES, errors, strict=True))
+    own = named.pop("dbo")
+    del named[SAME_STAGES]  # the DBO's own model with plays is no other fit
+    rival = min(error for error in named.values() if error == error)
+    best = min(own, rival)
     cells = [
         f"**{cell}**" if error <= (1.0 + TIE) * best else cell
         for cell, error in zip(cells, errors, strict=True)
     ]
-    ratio = min(errors[1:]) / errors[0]
+    ratio = rival / own
     verdict = "tie" if 1.0 / (1.0 + TIE) <= ratio <= 1.0 + TIE else "ahead" if ratio > 1.0 else "behind"
     return f"| {task.name} | {' | '.join(cells)} | {ratio:.2f} | {verdict} |", [
-        error / errors[0] for error in errors
+        error / own for error in errors
     ]
 
 

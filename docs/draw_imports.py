@@ -26,9 +26,10 @@ NAMES = "dbo_cli"
 
 PLACES: dict[str, tuple[int, float, float, str]] = {
     # level from below, left and right end of the box, what the room is for
-    "errors": (0, 0.0, 5.6, "what users meet: one class a kind"),
-    "remarks": (0, 6.0, 8.0, "notes, warnings"),
-    "version": (0, 8.4, 10.0, ""),
+    "errors": (0, 0.0, 3.4, "what users meet: one class a kind"),
+    "records": (0, 3.7, 6.0, "how a class of fields is made"),
+    "remarks": (0, 6.3, 8.2, "notes, warnings"),
+    "version": (0, 8.5, 10.0, ""),
     "hysteresis": (1, 0.0, 4.8, "operators, model, states, their files"),
     "logs": (1, 5.2, 10.0, "formats, columns, units, clocks, outputs"),
     "identification": (2, 0.0, 3.1, "a model from logs"),

@@ -75,7 +75,8 @@ def test_the_self_test_passes(arithmetic: Any, direction: Any, seed: int, tmp_pa
     )  # fmt: skip
     # All of it for every compiler would be 54 compilations; each way of compiling meets each arithmetic.
     # The first two are those of the libraries below and in test_export_safety.py, which share the kernel.
-    ways = ["-O2", "-fPIC"], ["-O1", "-fPIC"], ["-DDBO_SMALL", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
+    small = ["-DDBO_SMALL", "-DDBO_SOFT_DOUBLE", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
+    ways = ["-O2", "-fPIC"], ["-O1", "-fPIC"], small
     done = compile_and_run(tmp_path / "out", "x", COMPILERS[-1 if seed == 1 else 0], ways[seed])
     assert (done.returncode, done.stdout) == (0, "x: 526 samples, every bit as expected\n")
 

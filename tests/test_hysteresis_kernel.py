@@ -7,7 +7,10 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 from fractions import Fraction
+from importlib.machinery import ExtensionFileLoader, ModuleSpec
+from importlib.util import module_from_spec
 from pathlib import Path
 from typing import Any
 
@@ -104,22 +107,24 @@ def test_many_equal_gears_at_once_are_crossed_as_one_by_one(
         assert compiled == everything(seed, monkeypatch, kernel.PythonKernel, relaxation, run), seed
 
 
+class Grouped:
+    """A kernel that is given one row a run of equal gears."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+        self.point_run, self.memory_run = inner.point_run, inner.memory_run
+
+    def backlash_run(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
+        return self.inner.backlash_run(np.ascontiguousarray(gears[::run]), n, run, *rest)
+
+    def backlash_engagement(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
+        return self.inner.backlash_engagement(np.ascontiguousarray(gears[::run]), n, run, *rest)
+
+
 @needs_compiled
 @pytest.mark.parametrize("relaxation", [False, True])
 def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """One row a run of equal gears, in both kernels, against one row a gear."""
-
-    class Grouped:
-        def __init__(self, inner: Any) -> None:
-            self.inner = inner
-            self.point_run, self.memory_run = inner.point_run, inner.memory_run
-
-        def backlash_run(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
-            return self.inner.backlash_run(np.ascontiguousarray(gears[::run]), n, run, *rest)
-
-        def backlash_engagement(self, gears: Floats, n: int, run: int, *rest: Any) -> Any:
-            return self.inner.backlash_engagement(np.ascontiguousarray(gears[::run]), n, run, *rest)
-
     for seed in range(10):
         run = (4, 5, 18, 70, 300)[seed % 5]
         expanded = everything(seed, monkeypatch, COMPILED, relaxation, run)
@@ -127,10 +132,49 @@ def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest
         assert expanded == everything(seed, monkeypatch, Grouped(kernel.PythonKernel), relaxation, run), seed
 
 
+@pytest.fixture(scope="module", params=["-O2", "-O2 -DDBO_SOFT_DOUBLE"])
+def firmware(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The extension with the kernel as small chips have it, those with float64 in software among them."""
+    if COMPILED is None or shutil.which("cc") is None:
+        pytest.skip("no C compiler, or the compiled kernel was not built")
+    library = tmp_path_factory.mktemp("firmware") / "_kernel.so"
+    subprocess.run(
+        ["cc", "-std=c99", "-ffp-contract=off", "-shared", "-fPIC", "-DDBO_SMALL", *request.param.split(),
+         f"-I{sysconfig.get_path('include')}", *map(str, sorted(SOURCE.glob("_[bk]*.c"))),
+         *map(str, sorted(SOURCE.glob("dbo_*.c"))), "-o", str(library)],
+        check=True,
+    )  # fmt: skip
+    loader = ExtensionFileLoader("_kernel", str(library))
+    module = module_from_spec(ModuleSpec("_kernel", loader, origin=str(library)))
+    loader.exec_module(module)
+    return Grouped(module)
+
+
+@pytest.mark.parametrize("relaxation", [False, True])
+def test_the_kernel_of_small_chips_gives_the_same_bits(
+    relaxation: bool, firmware: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for seed in range(60):
+        run = (1, 4, 5, 18, 70, 300)[seed % 6]
+        expected = everything(seed, monkeypatch, COMPILED, relaxation, run)
+        assert expected == everything(seed, monkeypatch, firmware, relaxation, run), seed
+
+
+@pytest.mark.parametrize("n", [64, 65, 128, 1000, 1280])
+def test_small_chips_jump_as_others(n: int, firmware: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert jumps(n, firmware, monkeypatch) == jumps(n, COMPILED, monkeypatch)
+
+
 @needs_compiled
 @pytest.mark.parametrize("n", [64, 65, 128, 1000, 1280])
 def test_jumps_from_any_state_cross_words_as_gears(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert jumps(n, COMPILED, monkeypatch) == jumps(n, kernel.PythonKernel, monkeypatch)
+
+
+def jumps(n: int, chosen: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Every word holds ones and zeros at first; full jumps, into words, back, and with limits on the way."""
+    monkeypatch.setattr(kernel, "CHOSEN", chosen)
+    found = []
     for seed in range(8):
         rng = np.random.default_rng([n, seed])
         operator = random_operator(rng, n, seed % 2 == 1, (1, 1, 16, 70)[seed // 2])
@@ -141,13 +185,10 @@ def test_jumps_from_any_state_cross_words_as_gears(n: int, monkeypatch: pytest.M
         x, y = random_trajectory(rng, operator, 24), rng.uniform(*operator.y_range, 24)
         span = operator.x_range[1] - operator.x_range[0]
         limits = OutputLimits(operator.x_range[0] + 0.2 * span, operator.x_range[1], 0.4 * span)
-        found = []
-        for chosen in (COMPILED, kernel.PythonKernel):
-            monkeypatch.setattr(kernel, "CHOSEN", chosen)
-            forward = operator.run(x, start, decay=decay)
-            inverse = operator.inverse().run(y, start, decay=decay, limits=limits)
-            found.append([(bits_of(out), state, counts) for out, state, counts in (forward, inverse)])
-        assert found[0] == found[1], seed
+        forward = operator.run(x, start, decay=decay)
+        inverse = operator.inverse().run(y, start, decay=decay, limits=limits)
+        found.append([(bits_of(out), state, counts) for out, state, counts in (forward, inverse)])
+    return found
 
 
 def test_a_words_last_gear_is_crossed_by_the_tolerance(chosen: Any) -> None:
@@ -211,13 +252,16 @@ def dyadic(rng: np.random.Generator, n: int) -> Floats:
 
 @pytest.mark.parametrize("n", range(1, 13))
 def test_every_state_equals_the_reference(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond."""
+    """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond.
+
+    Beyond 10 gears from every seventh state alone.
+    """
     rng = np.random.default_rng(n)
     operator = DiscreteBacklashOperator(dyadic(rng, n), dyadic(rng, n), 1.5, -0.25)
     widths = operator.dx.tolist(), operator.dy.tolist()
     kernels = [chosen for chosen in (COMPILED, kernel.PythonKernel) if chosen is not None]
     paper = reference.Backlash(*widths, 1.5, -0.25)
-    for bits in range(1 << n):
+    for bits in range(0, 1 << n, 1 if n <= 10 else 7):
         paper.state = bits
         x_b, y_b = paper.coordinates()
         assert operator.coordinates(BacklashState(bits)) == (float(x_b), float(y_b))

@@ -408,7 +408,8 @@ def test_headers_are_harmless(tmp_path: Path, name: str, cell: str) -> None:
     with signal_writer(str(tmp_path / "out.csv"), [OutColumn(name)]) as writer:
         writer.write([1.0])
     assert (tmp_path / "out.csv").read_text(encoding="utf-8") == f"{cell}\n1.0\n"
-    with signal_writer(str(tmp_path / "out.h5"), [OutColumn(name, name)], attributes={"command": name}) as h5:
+    stated = {"command": name}
+    with signal_writer(str(tmp_path / "out.h5"), [OutColumn(name, name)], attributes=lambda: stated) as h5:
         h5.write([1.0])
 
 

@@ -263,7 +263,7 @@ def test_the_same_signal_gives_the_same_bytes(name: str, tmp_path: Path) -> None
     for number in range(2):
         path = tmp_path / str(number) / name
         path.parent.mkdir()
-        with signal_writer(str(path), COLUMNS, attributes={"sample_rate": 10.0}) as writer:
+        with signal_writer(str(path), COLUMNS, attributes=lambda: {"sample_rate": 10.0}) as writer:
             writer.write(np.arange(5) / 10, np.arange(5.0))
         contents.append(path.read_bytes())
         clock.sleep(0.01)
@@ -295,7 +295,7 @@ def test_hdf5_carries_units_rate_and_attributes(tmp_path: Path) -> None:
         "model_sha256": "ab",
         "command": "dbo simulate",
     }
-    with signal_writer(path + "::/run/1", COLUMNS, attributes=attributes) as writer:
+    with signal_writer(path + "::/run/1", COLUMNS, attributes=lambda: attributes) as writer:
         for start in range(0, 200_000, 7_000):
             stop = min(200_000, start + 7_000)
             writer.write(np.arange(start, stop) / 100, np.arange(start, stop) * 0.1)

@@ -18,22 +18,25 @@ from scipy.optimize import lsq_linear
 from dbo_cli.errors import FitError, ModelError, UsageError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage
+from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.identification import Recording
 from dbo_cli.hysteresis.identification.preparation import prepare
-from dbo_cli.hysteresis.model import DriveLimits
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DriveLimits
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, OutsideError, Quantity
-from dbo_cli.hysteresis.operators import DiscretePointOperator
-from dbo_cli.relatives.fitting import RELATIVES, Design, fit, gather, rows_of, solve
+from dbo_cli.hysteresis.operators import DiscretePointOperator, Relaxation
+from dbo_cli.relatives import fitting
+from dbo_cli.relatives.fitting import RELATIVES, Design, Products, fit, gather, rows_of, solve
 from dbo_cli.relatives.judging import NAMES, compare
-from dbo_cli.relatives.play_model import RelativeModel
-from dbo_cli.relatives.plays import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
+from dbo_cli.relatives.play_model import RelativeModel, with_plays
+from dbo_cli.relatives.plays import KINDS, NOTHING, UNBOUND, Bounds, Kind, PlayOperator, PlayState
 from dbo_cli.runs.model import Model
 
 Floats = NDArray[np.float64]
 COMPILED = kernel.compiled_kernel()
 SCHEMA = json.loads((ROOT / "docs" / "model-file.schema.json").read_text(encoding="utf-8"))
 STEP = 0.002
+MODELS = (*KINDS, "same-stages")
 
 
 def operator(kind: Kind, seed: int, n: int | None = None) -> PlayOperator:
@@ -175,13 +178,77 @@ def test_bad_operators_are_refused() -> None:
         with pytest.raises(ModelError) as caught:
             PlayOperator(kind, np.array(radii), np.array(weights))  # type: ignore[arg-type]
         assert str(caught.value) == message
+    with pytest.raises(ModelError, match=r"^relaxation: stands beside plays of the first kind alone$"):
+        PlayOperator("singular-plays", np.zeros(1), np.ones(1), relaxation=Relaxation(0.0, (1.0,), (0.1,)))
+
+
+@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("known", [False, True])
+def test_the_inverse_beside_memories_composes_to_the_identity(seed: int, known: bool) -> None:
+    """To rounding, at uneven steps, from rest or from a memory; and memories are those of the drive."""
+    rng = np.random.default_rng(seed)
+    terms = Relaxation(rng.normal(), (0.003, 0.1, 5.0), tuple(rng.uniform(0.0, 0.5, 3).tolist()))
+    one = dataclasses.replace(operator("plays", seed), relaxation=terms)
+    x, steps = drive(-1.0, seed), rng.uniform(0.0, 0.02, 400)
+    begun = PlayState(0, (0.3, -0.1, 0.6) if known else None, tuple(one.settled(x[0]).tolist()))
+    bare, after = one.run(x, np.array(begun.plays))
+    expected, held = bare.copy(), list(begun.memory or [])
+    for k, v in enumerate(x.tolist()):
+        a = [np.exp(-steps[k] / tau) if held else 0.0 for tau in terms.tau]
+        held = [a[j] * (held or [0.0] * 3)[j] + (1.0 - a[j]) * (v - terms.reference) for j in range(3)]
+        expected[k] += sum(gain * lag for gain, lag in zip(terms.gain, held, strict=True))
+    added, memory = one.remembered(x, begun.memory, steps)
+    y = bare + added
+    np.testing.assert_allclose(y, expected, rtol=0.0, atol=1e-13)
+    assert memory == pytest.approx(held, abs=1e-13)
+
+    back, reached, clipped = one.solve_beside(y, begun, steps, UNBOUND, np.nan)
+    assert np.abs(back - x).max() <= 1e-12 and clipped == (0, 0)
+    again = one.run(back, np.array(begun.plays))[0] + one.remembered(back, begun.memory, steps)[0]
+    assert np.abs(again - y).max() <= 1e-13 * np.abs(y).max()
+    assert reached.memory == pytest.approx(memory, abs=1e-12)
+    assert reached.plays == pytest.approx(after.tolist(), abs=1e-12)
 
 
 # --- models ---
 
 
-def model(kind: Kind, seed: int = 3, delay: float = 0.0) -> RelativeModel:
-    one = operator(kind, seed, 20)
+def geared(seed: int, *behind: Any) -> ActuatorModel:
+    """Return a model of even gears with a bend before them, two memories, points and a scale."""
+    rng = np.random.default_rng(seed)
+    terms = Relaxation(20.0, (0.01, 1.0), (0.1, 0.05))
+    slopes = np.sort(rng.uniform(0.4, 1.6, 40)).repeat(2)
+    gears = BacklashStage(np.full(80, 1.25), 1.25 * slopes, 0.0, 3.0, terms)
+    low, high = gears.y_range
+    stages: list[Any] = [DiscretePointOperator([50.0, 50.0], [45.0, 55.0]), gears]
+    stages += [DiscretePointOperator(np.array([0.3, 0.7]) * (high - low), [0.4, 0.6], low, 0.0)]
+    ends = Quantity("voltage", "V", 0.0, 100.0), Quantity("displacement", "um", 1.0, 13.0)
+    return ActuatorModel("forward", *ends, (*stages, ScaleStage(12.0, 1.0), *behind))
+
+
+@pytest.mark.parametrize("start", ["empty", "full"])
+@pytest.mark.parametrize("seed", range(5))
+def test_plays_in_the_place_of_gears_follow_the_same_curve_after_every_turn(seed: int, start: Any) -> None:
+    """On turns at the gears' corners nothing differs, whatever stands before and behind."""
+    whole = geared(seed, DynamicsStage((Lag(0.002), Resonance(60.0, 0.1))), DelayStage(0.003))
+    corners = np.cumsum(np.random.default_rng(seed).choice([-7, -3, -1, 1, 2, 8], 500)) % 160
+    inner = 1.25 * np.minimum(corners, 160 - corners)
+    bend = whole.stages[0]
+    assert isinstance(bend, DiscretePointOperator)
+    volts = bend.inverse().run(np.concatenate(([0.0, 100.0] if start == "full" else [100.0, 0.0], inner)))
+    plays = with_plays(whole)
+    assert plays.plays.n == 40
+    expected = whole.simulate(volts, whole.start(volts[0], start), time_step=STEP).y
+    got = plays.simulate(volts, plays.start(volts[0], start), time_step=STEP).y
+    assert np.abs(got - expected).max() < 1e-11
+    assert np.ptp(expected) > 3.0
+
+
+def model(kind: str, seed: int = 3, delay: float = 0.0) -> RelativeModel:
+    if kind == "same-stages":
+        late = with_plays(geared(seed, *[DelayStage(delay)] * (delay > 0.0)))
+        return dataclasses.replace(late, stages=(DynamicsStage((Lag(0.004),)), *late.stages))
+    one = operator(kind, seed, 20)  # type: ignore[arg-type]
     width = (1.0 - one.low) / 100.0
     stages: list[Any] = [ScaleStage(width, one.low), one]
     low, high = sorted(one.ends)
@@ -201,9 +268,9 @@ def volts(seed: int = 1, count: int = 900) -> Floats:
     return 50.0 + 49.0 * np.sin(np.cumsum(np.random.default_rng(seed).normal(0.0, 0.15, count)))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", MODELS)
 @pytest.mark.parametrize("start", ["auto", "empty", "full"])
-def test_a_model_after_its_inverse_is_the_identity(kind: Kind, start: Any) -> None:
+def test_a_model_after_its_inverse_is_the_identity(kind: str, start: Any) -> None:
     one = model(kind)
     drives = volts()
     step = STEP if one.needs_time else None
@@ -216,9 +283,9 @@ def test_a_model_after_its_inverse_is_the_identity(kind: Kind, start: Any) -> No
     assert one.inverse().inverse().digest == one.digest
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", MODELS)
 @pytest.mark.parametrize("direction", ["forward", "inverse", "limited"])
-def test_a_cut_at_any_sample_changes_no_bit(kind: Kind, direction: str, tmp_path: Path) -> None:
+def test_a_cut_at_any_sample_changes_no_bit(kind: str, direction: str, tmp_path: Path) -> None:
     """Through the state file, too."""
     forward = model(kind, delay=0.005 if direction == "forward" else 0.0)
     one: Any = forward if direction == "forward" else forward.inverse()
@@ -236,8 +303,8 @@ def test_a_cut_at_any_sample_changes_no_bit(kind: Kind, direction: str, tmp_path
     assert np.concatenate(parts).tobytes() == whole.y.tobytes()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_model_file_reads_back(kind: Kind, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", MODELS)
+def test_the_model_file_reads_back(kind: str, tmp_path: Path) -> None:
     for one in (model(kind, delay=0.01), model(kind, delay=0.01).inverse()):
         content = model_to_bytes(one)
         Draft202012Validator(SCHEMA).validate(json.loads(content))
@@ -367,6 +434,33 @@ def test_every_relative_finds_the_delay_and_follows_a_sum_of_plays() -> None:
     assert found["line"].validation_rmse is not None and found["line"].validation_rmse > 0.3
 
 
+def test_the_delay_of_a_long_log_is_found_to_an_eighth_of_its_own_sample() -> None:
+    """Most rows are left away for the choice; a straight line must not take the loop for a long delay."""
+    t = np.arange(100_000) * 1e-4
+    v = 50.0 * (1.0 - np.cos(2.0 * np.pi * t)) * np.resize([1.0, 0.6, 1.0, 0.3], 10)[t.astype(int)]
+    truth = PlayOperator("plays", np.arange(40) / 40.0, np.r_[0.6, np.full(39, 0.02)])
+    y, _ = truth.run(v / 50.0 - 1.0, truth.settled(-1.0))
+    y = np.concatenate((y[:3][[0, 0, 0]], y[:-3])) * 5.0 + np.random.default_rng(0).normal(0.0, 0.005, t.size)
+    line, pi = compare([Recording("long", v, y, t, None, "V", "um")], names=["line", "pi"], timed=False)
+    assert pi.model is not None and pi.model.delay_seconds == pytest.approx(3e-4, abs=0.125e-4)
+    assert line.model is not None and line.model.delay_seconds <= 33.0 * 1e-4
+
+
+def test_more_plays_than_the_solver_can_tell_apart_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 one-sided plays on the loop of sample_data's ``softening`` were so, and the row was refused."""
+
+    def fails(products: Products, gram: Floats) -> Floats:
+        if products.design.plays > 25:
+            raise FitError("the least-squares solver did not converge")
+        return solve(products, gram)
+
+    [row] = compare([recording(0)], [], ["pi"], timed=False)
+    assert isinstance(row.model, RelativeModel) and row.model.plays.n == 50
+    monkeypatch.setattr(fitting, "solve", fails)
+    [row] = compare([recording(0)], [], ["pi"], timed=False)
+    assert isinstance(row.model, RelativeModel) and row.model.plays.n == 25
+
+
 def test_loops_that_soften_after_a_turn_get_falling_weights() -> None:
     rows = compare(
         [recording(0, -0.8)], [recording(1, -0.8)], ["pi", "rate", "singularity-free"], timed=False
@@ -447,6 +541,45 @@ def test_the_command_writes_table_figures_and_models(dbo: Any) -> None:
     assert refused.code != 0 and "this needs the gears" in refused.err
 
 
+def crept(seed: int) -> Recording:
+    """Return ``recording`` with a memory of the drive beside its plays."""
+    log = recording(seed)
+    lags, _ = Relaxation(0.0, (0.05,), (0.02,)).lags(log.voltage, STEP)
+    return dataclasses.replace(log, displacement=log.displacement + 0.02 * lags[:, 0])
+
+
+def test_plays_among_the_stages_of_the_dbo(dbo: Any) -> None:
+    """They predict as its gears do, are exactly undone beside its memories, and go where a model goes."""
+    log, other = written("log.csv", crept(0)), written("other.csv", crept(1))
+    own, same = compare([crept(0)], [crept(1)], ["dbo", "same-stages"])
+    assert own.model is not None and isinstance(same.model, RelativeModel)
+    assert same.model.plays.relaxation is not None and own.model.backlash.relaxation is not None
+    assert same.model.plays.relaxation.tau == own.model.backlash.relaxation.tau
+    assert 50 < same.model.plays.n <= int(str(own.model.fit["different_slopes"]))  # neighbours may be equal
+    assert same.validation_rmse == pytest.approx(own.validation_rmse, rel=0.05)
+    assert same.rmse is not None and own.rmse is not None and own.expected_rmse is not None
+    assert same.rmse == pytest.approx(own.rmse, rel=0.05)
+    assert same.expected_rmse == own.expected_rmse
+    [pi] = compare([crept(0)], [], ["pi"], timed=False)
+    assert pi.rmse is not None and pi.expected_rmse is not None and pi.expected_rmse > 1.0005 * pi.rmse
+    assert (same.parameters, same.fit_seconds, same.inverse_ns) == (own.parameters, None, None)
+    assert same.round_trip is not None and same.round_trip < 1e-12 * same.model.output.span
+    assert same.forward_ns is not None and same.invertible
+
+    told = dbo("compare", log, "--models", "same-stages", "--save-models", "models", "--figures", "drawn").out
+    assert "exact; beside memories it is solved in Python, so it is not timed" in " ".join(told.split())
+    assert Path("drawn/models-loops.svg").exists() and not Path("drawn/models-cost.svg").exists()
+    assert dbo("simulate", "models/same-stages.json", other, "-o", "model.csv").code == 0
+    done = dbo("compensate", "models/same-stages.json", "model.csv", "-o", "drive.csv")
+    assert done.code == 0
+    with open("drive.csv", encoding="utf-8", newline="") as file:
+        drives = np.array([float(row["voltage_V"]) for row in csv.DictReader(file)])
+    assert np.abs(drives - recording(1).voltage)[:-5].max() < 0.05
+    shown = " ".join(dbo("show", "models/same-stages.json").out.split())
+    assert f"{same.model.plays.n} plays" in shown and "lag and creep with time constants of" in shown
+    assert "RMSE" in dbo("report", other, "--model", "models/same-stages.json").out
+
+
 def test_the_table_as_text_csv_and_page(dbo: Any) -> None:
     log = written("log.csv", recording(0))
     text = dbo("compare", log, "--models", "line,asymmetric").out
@@ -457,7 +590,7 @@ def test_the_table_as_text_csv_and_page(dbo: Any) -> None:
     page = dbo("compare", log, "--models", "line,pi", "--format", "html").out
     assert page.startswith("<!DOCTYPE html>") and page.count("<svg") == 2
     wrong = dbo("compare", log, "--models", "pie")
-    assert (wrong.code, wrong.err) == (
-        2, "dbo: error: --models pie: there are dbo, line, pi, rate, singularity-free, asymmetric\n"
-    )  # fmt: skip
-    assert NAMES[0] == "dbo"
+    assert (wrong.code, wrong.err) == (2, f"dbo: error: --models pie: there are {', '.join(NAMES)}\n")
+    names = ("dbo", "line", "pi", "rate", "singularity-free", "asymmetric", "same-stages")
+    assert names == NAMES
+    assert f"Onlytheseof{','.join(names)}." in "".join(dbo("compare", "--help").out.split())

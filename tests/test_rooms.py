@@ -15,8 +15,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
 ORDER = [
-    "version", "errors", "remarks", "hysteresis", "logs", "relatives", "drives", "reports", "export",
-    "waveforms", "runs", "cli",
+    "version", "errors", "records", "remarks", "hysteresis", "logs", "relatives", "drives", "reports",
+    "export", "waveforms", "runs", "cli",
 ]  # fmt: skip
 SIBLINGS = [
     {"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export", "waveforms"},

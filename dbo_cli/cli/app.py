@@ -105,10 +105,14 @@ def _open_closed_streams() -> None:
 
 def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
-    from dbo_cli.cli.typer_adapter import run as run_command
+    from dbo_cli.cli import command_line
 
     if any("\0" in word for word in words):  # from ``main`` in Python; a shell cannot hand one on
         raise UsageError("a word of the command line holds a NUL character, which no name and no value can")
+    if command_line.run(words):
+        return 0
+    from dbo_cli.cli.typer_adapter import run as run_command
+
     return run_command(words)
 
 

@@ -385,7 +385,8 @@ def compare(given: Given) -> None:
     """Compare the DBO with its relatives: each fitted to the same logs, in one table.
 
     The relatives are a straight line and the Prandtl-Ishlinskii operators that the paper names. All get the
-    same rows, start, drift and search for a delay; one that cannot be fitted has a row that says why. Times
+    same rows, start, drift and search for a delay; one that cannot be fitted has a row that says why. The
+    last, same-stages, is the DBO's own model with plays for gears: what the operator is worth. Times
     differ from run to run: with --no-timings the same logs give the same bytes.
 
     Writes

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import threading
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.plain_text import cleaned, pattern
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
 
 if TYPE_CHECKING:
     from dbo_cli.logs.addresses import Address
 
-_PARAMETER = re.compile(r"`([a-z]\w*)`")
+_PARAMETER = pattern(r"`([a-z]\w*)`")
 
 
 def shell_line(text: str) -> str:

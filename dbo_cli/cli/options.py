@@ -15,6 +15,9 @@ STARTING = "State"
 COLUMN = "COLUMN"
 REQUIRED = inspect.Parameter.empty  # the default of an option that must be given
 
+ASKED = "_DBO_COMPLETE"
+"""The environment variable by which a shell asks for completions, as the library's scripts set it."""
+
 
 class Option(NamedTuple):
     """An option or, without dashes, an argument.
@@ -66,6 +69,13 @@ class Option(NamedTuple):
         """The name of the value in Python."""
         key = (self.names or [self.spelled.lower()])[-1].lstrip("-").replace("-", "_")
         return key + "_" if keyword.iskeyword(key) else key
+
+    def value(self, given: Any) -> Any:
+        """Return what the parser makes of a text, or of each of several; None of None."""
+        parse, name = self.parser, self.key if self.names else ""
+        if parse is None or given is None:
+            return given
+        return [parse(name, one) for one in given] if self.repeated else parse(name, given)
 
 
 def _reading(spelled: str, meaning: str, parse: Parser | None = None, repeated: bool = False) -> Option:
@@ -332,7 +342,9 @@ SETTLE = Option(
 MODEL_FIGURES = Option("--figures DIR", "Draw the model's curves, PNG and SVG, into this folder.")
 
 # --- compare ---
-MODEL_NAMES = Option("--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric.")
+MODEL_NAMES = Option(
+    "--models NAME,...", "Only these of dbo, line, pi, rate, singularity-free, asymmetric, same-stages."
+)
 NO_TIMINGS = Option("--no-timings", "Measure no times: the table repeats to the byte.")
 SAVE_MODELS = Option(
     "--save-models DIR", "Also write every model that was fitted, NAME.json, into this folder."

@@ -34,9 +34,6 @@ PLAIN = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_e
 HEADINGS = ("Arguments", options.OPTIONS, options.STARTING, options.READING_LOGS, options.MESSAGES)
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}  # columns
 
-ASKED = "_DBO_COMPLETE"
-"""The environment variable by which a shell asks for completions, as the library's scripts set it."""
-
 TYPED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 """Where those scripts put the words typed so far: bash, and zsh and fish."""
 
@@ -140,7 +137,7 @@ def completions() -> int:
 
 def run(words: Sequence[str]) -> int:
     """Parse a command line and run the command it names; its exceptions come through."""
-    if ASKED in os.environ:
+    if options.ASKED in os.environ:
         return completions()
     if words and words[0] == "help":
         words = [*words[1:], "--help"]
@@ -188,7 +185,7 @@ def _root(
     elif show_completion is not None:
         if show_completion not in SHELLS:
             raise UsageError(f"`show_completion`: '{show_completion}' is none of {', '.join(SHELLS)}")
-        os.environ[ASKED] = f"source_{show_completion}"
+        os.environ[options.ASKED] = f"source_{show_completion}"
         completions()
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -254,11 +251,8 @@ def _parsed(parameter: Any, option: Option | None, context: Any, value: Any) -> 
     name = max(parameter.opts, key=len) if is_option else parameter.metavar
     if parameter.required and value in (None, (), []) and not context.resilient_parsing:
         raise UsageError(f"{name} is missing ({context.command_path} --help lists what there is)")
-    parse = None if option is None else option.parser
-    if option is not None and parse is not None and value is not None:
-        texts = value if option.repeated else [value]
-        parsed = [parse(option.key if is_option else "", one) for one in texts]
-        value = parsed if option.repeated else parsed[0]
+    if option is not None:
+        value = option.value(value)
     return parameter.callback(context, parameter, value) if parameter.callback else value
 
 

@@ -7,12 +7,12 @@ shell shows as the option.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
+from dbo_cli.logs.plain_text import pattern
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.addresses import Address
@@ -44,7 +44,7 @@ def positive(option: str, text: str) -> float:
     return value
 
 
-_WITH_UNIT = re.compile(r"(.*[\d.])\s*[^\W\d][^\d]*")
+_WITH_UNIT = pattern(r"(.*[\d.])\s*[^\W\d][^\d]*")
 
 
 def with_unit(parse: Parser) -> Parser:

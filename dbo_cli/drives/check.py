@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.sample_block import GAP_STEPS, SAME_RATE, median_step
+from dbo_cli.records import dataclass
 
 TOLERANCE = 1e-3  # of the drive's range: a converter of 10 bits rounds to half of it
 EXACT = 1e-12  # of a variance: what sums and transforms of double precision leave of two equal drives

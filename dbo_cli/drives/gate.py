@@ -8,7 +8,6 @@ nothing is written. ``dbo check`` asks the same gate about drives of other progr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import DboError, LimitError
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.hysteresis.stepper import ROUNDING
+from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

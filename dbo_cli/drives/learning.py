@@ -15,7 +15,6 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +28,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks
 
 FORMAT, VERSION = "dbo-history", 1

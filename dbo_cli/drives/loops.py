@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,7 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import Source, WholeSource
+from dbo_cli.records import dataclass
 
 FEWEST_ROWS = 4  # of a period: fewer have no shape
 SEAM = 3.0

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -34,6 +34,7 @@ from dbo_cli.hysteresis.model_state import (
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import GAP_STEPS, JITTER, FloatArray, SampleBlock, require_even
 from dbo_cli.logs.sources import Source, remarks_of
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks
 
 CLOCK_SAMPLES = 101

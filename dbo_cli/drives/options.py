@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.logs.units import UnitFactor, in_unit, unit_factor
+from dbo_cli.records import dataclass
 
 Seconds = float | Literal["auto"] | None
 Figure = float | str | None

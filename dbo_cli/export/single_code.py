@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from dbo_cli.export.source_text import ModelCode, Vectors, array, delay_line, he
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import DriveLimits, Quantity
+from dbo_cli.records import dataclass
 
 Text = Callable[[Any], str]
 

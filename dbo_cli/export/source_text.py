@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 
 import numpy as np
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import Quantity
+from dbo_cli.records import dataclass
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _LONGEST = 40  # NAME_names.h and the longest names of the kernel stay far below what linkers and disks hold

@@ -2,7 +2,7 @@
 #include "dbo_kernel.h"
 
 #define ALL_ONES UINT64_MAX
-#define ENDLESS (1.0e300 * 1.0e300)
+#define ENDLESS (1.0e300 * 1.0e300) /* infinity, without a header for it */
 
 /* The state stays in registers only where these are inlined; left to choose, compilers do not. DBO_SMALL
  * leaves the choice to them and expects grouped tables, for less than half of the code. */
@@ -18,6 +18,14 @@
 #endif
 #ifndef EXPANDED_TABLES
 #define EXPANDED_TABLES 1
+#endif
+
+/* Where float64 is software, sums and comparisons of whole numbers cost a tenth of its. The bits are the same. */
+#if defined(DBO_SOFT_DOUBLE) || (defined(__arm__) && !(defined(__ARM_FP) && (__ARM_FP & 8))) || \
+    (defined(__riscv) && !(defined(__riscv_flen) && __riscv_flen >= 64)) || defined(__XTENSA__)
+#define SOFT_DOUBLE 1
+#else
+#define SOFT_DOUBLE 0
 #endif
 
 /* ---- find first set (4), and last: the compiler's instruction, or de Bruijn as in the paper's [10] ---- */
@@ -72,11 +80,14 @@ INLINE double number_of(uint64_t bits) {
     return u.value;
 }
 
+/* The exponent, whatever the sign, with its offset. */
+INLINE unsigned exponent_of(double value) { return (unsigned)(bits_of(value) << 1 >> 53); }
+
 /* ---- the state's bits; above them which words are full, which hold a one, and each word's sums ------- */
 
-/* Four sums over the gears of a word, float64 each: of those crossed, and of all. They are exact, since all
- * widths of an axis lie on one binary grid. */
-enum { CROSSED_X, CROSSED_Y, WHOLE_X, WHOLE_Y, SUMS };
+/* Four sums for each word, float64 each: of all gears below it and of its own that are crossed, and of all
+ * gears up to its end. They are exact, since all widths of an axis lie on one binary grid. */
+enum { HERE_X, HERE_Y, END_X, END_Y, SUMS };
 
 typedef struct {
     const dbo_gear *gears;
@@ -130,27 +141,32 @@ static size_t one_above(const uint64_t *words, uint64_t *some, size_t n, size_t 
     return n;
 }
 
+/* A sum up to the end of the word below word k. */
+INLINE uint64_t begin_of(const walk *w, size_t k, size_t which) {
+    return k > 0 ? w->sums[SUMS * (k - 1) + which] : 0;
+}
+
 /* The sums of word k after `dx` and `dy` more of it have been crossed. */
 INLINE void add_crossed(walk *w, size_t k, double dx, double dy) {
     uint64_t *sums = w->sums + SUMS * k;
-    sums[CROSSED_X] = bits_of(number_of(sums[CROSSED_X]) + dx);
-    sums[CROSSED_Y] = bits_of(number_of(sums[CROSSED_Y]) + dy);
+    sums[HERE_X] = bits_of(number_of(sums[HERE_X]) + dx);
+    sums[HERE_Y] = bits_of(number_of(sums[HERE_Y]) + dy);
 }
 
 /* Gears crossed one by one change only (x, y); the sums of their word follow when it is left. */
 INLINE void leave_word(walk *w) {
     uint64_t *sums = w->sums + SUMS * w->at;
     if (w->at == NOWHERE) return;
-    sums[CROSSED_X] = bits_of(w->x - w->rest_x);
-    sums[CROSSED_Y] = bits_of(w->y - w->rest_y);
+    sums[HERE_X] = bits_of(w->x - w->rest_x);
+    sums[HERE_Y] = bits_of(w->y - w->rest_y);
     w->at = NOWHERE;
 }
 
 INLINE void enter_word(walk *w, size_t k) {
     const uint64_t *sums = w->sums + SUMS * k;
     leave_word(w);
-    w->rest_x = w->x - number_of(sums[CROSSED_X]);
-    w->rest_y = w->y - number_of(sums[CROSSED_Y]);
+    w->rest_x = w->x - number_of(sums[HERE_X]);
+    w->rest_y = w->y - number_of(sums[HERE_Y]);
     w->at = k;
 }
 
@@ -212,22 +228,27 @@ INLINE void finish(walk *w, dbo_backlash_state *state) {
 
 void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
     walk w = begin(op, state, op->grouped);
+    double end_x = 0.0, end_y = 0.0;
     w.x = w.y = 0.0;
     for (size_t i = 0; i < index_words(op->n); i++) w.full[i] = w.some[i] = 0;
     for (size_t k = 0; 64 * k < w.n; k++) {
-        double sums[SUMS] = {0.0, 0.0, 0.0, 0.0};
+        double crossed_x = 0.0, crossed_y = 0.0;
+        w.sums[SUMS * k + HERE_X] = bits_of(end_x);
+        w.sums[SUMS * k + HERE_Y] = bits_of(end_y);
         for (size_t i = 64 * k; i < 64 * (k + 1) && i < w.n; i++) {
             const dbo_gear *gear = op->gears + row_of(&w, i);
             const int crossed = (int)(w.words[k] >> (i & 63) & 1);
-            sums[WHOLE_X] += gear->dx;
-            sums[WHOLE_Y] += gear->dy;
+            end_x += gear->dx;
+            end_y += gear->dy;
             if (!crossed) continue;
-            sums[CROSSED_X] += gear->dx;
-            sums[CROSSED_Y] += gear->dy;
+            crossed_x += gear->dx;
+            crossed_y += gear->dy;
         }
-        for (size_t i = 0; i < SUMS; i++) w.sums[SUMS * k + i] = bits_of(sums[i]);
-        w.x += sums[CROSSED_X];
-        w.y += sums[CROSSED_Y];
+        add_crossed(&w, k, crossed_x, crossed_y);
+        w.sums[SUMS * k + END_X] = bits_of(end_x);
+        w.sums[SUMS * k + END_Y] = bits_of(end_y);
+        w.x += crossed_x;
+        w.y += crossed_y;
         if (w.words[k] == ALL_ONES) w.full[k >> 6] |= (uint64_t)1 << (k & 63);
         if (w.words[k] != 0) w.some[k >> 6] |= (uint64_t)1 << (k & 63);
     }
@@ -239,9 +260,9 @@ void dbo_backlash_load(const dbo_backlash *op, dbo_backlash_state *state) {
 /* ---- many gears at once ------------------------------------------------------------------------------ */
 
 /* Gears crossed one by one before words are: so many cost about as much as the way by words, and a smooth drive
- * seldom crosses more in a sample. Where what is left to travel is FAR times the next gear, words come first. */
+ * seldom crosses more in a sample. Where what is left to travel is 2^FAR times the next gear, words come first. */
 #define SINGLE 4
-#define FAR 16.0
+#define FAR 2
 
 /* What gears are crossed towards: the input `u`, as long as the output has room up to `bound`; both count from
  * (X_0, Y_0). kappa of the output is the memory's immediate part. What plays no part is infinite. */
@@ -257,21 +278,32 @@ INLINE double input_at(const goal *to, double x, double y, int plain) {
     return plain || (!EXPANDED_TABLES && to->kappa == 0.0) ? x : x + to->kappa * y;
 }
 
+/* a >= b, of which one is not zero. The bits of numbers below zero fall as the numbers rise. */
+INLINE int at_least(double a, double b) {
+#if SOFT_DOUBLE
+    const int64_t first = (int64_t)bits_of(a), second = (int64_t)bits_of(b);
+    return (first < 0 ? first ^ INT64_MAX : first) >= (second < 0 ? second ^ INT64_MAX : second);
+#else
+    return a >= b;
+#endif
+}
+
 /* Whether the gear of a row is crossed from (x, y). `plain` here and below: kappa is 0, and there is no bound. */
 INLINE int crosses(const walk *w, const goal *to, size_t row, double x, double y, int rising, int plain) {
     const dbo_gear *gear = w->gears + row;
     const double d = to->u - input_at(to, x, y, plain), travelled = rising ? d : -d;
     const double room = rising ? to->bound - y : y - to->bound;
-    if (plain) return travelled >= gear->dx * gear->crossing_fraction;
-    if (to->fixed) return travelled >= to->fixed[row].reach && room >= to->fixed[row].room;
-    return travelled >= (gear->dx + to->kappa * gear->dy) * gear->crossing_fraction &&
-           room >= gear->dy * gear->crossing_fraction;
+    if (plain) return at_least(travelled, gear->dx * gear->crossing_fraction);
+    if (to->fixed) return at_least(travelled, to->fixed[row].reach) && at_least(room, to->fixed[row].room);
+    return at_least(travelled, (gear->dx + to->kappa * gear->dy) * gear->crossing_fraction) &&
+           at_least(room, gear->dy * gear->crossing_fraction);
 }
 
-/* Whether (x, y) has not gone beyond the goal. */
+/* Whether (x, y) has surely not gone beyond the goal. */
 INLINE int short_of(const goal *to, double x, double y, int rising, int plain) {
     const double at = input_at(to, x, y, plain);
-    return (rising ? at <= to->u : at >= to->u) && (plain || (rising ? y <= to->bound : y >= to->bound));
+    return (rising ? at_least(to->u, at) : at_least(at, to->u)) &&
+           (plain || (rising ? at_least(to->bound, y) : at_least(y, to->bound)));
 }
 
 INLINE unsigned count_ones(uint64_t word) {
@@ -287,58 +319,114 @@ INLINE uint64_t open_gears(uint64_t word, size_t end, int rising) {
     return end < 64 ? open & ~(ALL_ONES << end) : open;
 }
 
-/* Those of `open`, bits of one word, that are of the run of gear i. */
-INLINE uint64_t open_of_run(const walk *w, uint64_t open, size_t i) {
-    const size_t end = ((size_t)(((uint64_t)i * w->row_factor) >> 32) + 1) * w->run - (i & ~(size_t)63);
-    return open_gears(open, end, 0);
+/* A number for a length along an axis with which sums of widths are exact, and how many of up to 64 equal ones go
+ * into another. `top` is the exponent of the axis' whole length. */
+#if SOFT_DOUBLE
+typedef int64_t span; /* in halves of the last digit of the whole; beyond 2^56 it is that, below zero it is zero */
+
+static span span_of(double length, unsigned top) {
+    const uint64_t bits = bits_of(length);
+    const unsigned exponent = (unsigned)(bits >> 52); /* from 2048 on for numbers below zero */
+    if (exponent >= 2048 || exponent + 61 < top) return 0;
+    if (exponent > top + 2) return (span)1 << 56;
+    return (span)(((bits << 12 >> 12 | (uint64_t)1 << 52) << 3) >> (top + 2 - exponent));
 }
 
-/* How many of `count` equal gears are crossed from (x, y): by a division, and what its rounding missed. */
-INLINE unsigned equal_crossed(const walk *w, const goal *to, size_t row, double x, double y, unsigned count,
+static double length_of(span number, unsigned top) {
+    return (double)number * number_of((uint64_t)(top - 53) << 52);
+}
+
+static unsigned fitting(span reach, span width) {
+    unsigned count = 0;
+    for (unsigned half = 32; half > 0; half /= 2)
+        if (reach >= (span)half * width) {
+            reach -= (span)half * width;
+            count += half;
+        }
+    return count;
+}
+#else
+typedef double span;
+
+INLINE span span_of(double length, unsigned top) {
+    (void)top;
+    return length;
+}
+
+INLINE double length_of(span number, unsigned top) { return span_of(number, top); }
+
+INLINE unsigned fitting(span reach, span width) {
+    const span count = reach / width;
+    return count > 0.0 ? count < 64.0 ? (unsigned)count : 64U : 0U;
+}
+#endif
+
+/* About which gears of word k are crossed from (x, y), not all of those open: what is left to travel is rounded
+ * each time. Returns the bits of those that remain; x and y become exact. */
+INLINE uint64_t about_crossed(const walk *w, const goal *to, size_t k, uint64_t open, double *x, double *y,
                               int rising, int plain) {
-    const double dx = rising ? w->gears[row].dx : -w->gears[row].dx;
-    const double dy = rising ? w->gears[row].dy : -w->gears[row].dy;
-    unsigned next = count - 1;
-    double part;
-    if (crosses(w, to, row, x + (double)next * dx, y + (double)next * dy, rising, plain)) return count;
-    part = plain ? (to->u - x) / dx : (to->u - input_at(to, x, y, 0)) / (dx + to->kappa * dy);
-    if (!plain && (to->bound - y) / dy < part) part = (to->bound - y) / dy;
-    if (part < (double)next) next = part > 0.0 ? (unsigned)part : 0;
-    while (crosses(w, to, row, x + (double)next * dx, y + (double)next * dy, rising, plain)) next++;
-    for (; next > 0; next--)
-        if (crosses(w, to, row, x + (double)(next - 1) * dx, y + (double)(next - 1) * dy, rising, plain)) break;
-    return next;
+    const uint64_t *total = w->sums + SUMS * ((w->n - 1) >> 6);
+    const unsigned top_x = exponent_of(number_of(total[END_X])), top_y = exponent_of(number_of(total[END_Y]));
+    const double d = to->u - input_at(to, *x, *y, plain), up = to->bound - *y;
+    const span room = span_of(rising ? up : -up, top_y);
+    span left = span_of(rising ? d : -d, top_x), sum_x = 0, sum_y = 0;
+    const int gapless = open == ALL_ONES << first_one(open);
+    while (open != 0) {
+        const size_t place = first_one(open), run = (size_t)(((uint64_t)(64 * k + place) * w->row_factor) >> 32);
+        const size_t row = w->grouped || !EXPANDED_TABLES ? run : 64 * k + place;
+        const size_t run_end = (run + 1) * w->run - 64 * k, end = run_end < 64 ? run_end : 64;
+        const uint64_t beyond = end < 64 ? open & ALL_ONES << end : 0;
+        const dbo_gear *gear = w->gears + row;
+        const double reach =
+            plain ? gear->dx : to->fixed ? to->fixed[row].reach : gear->dx + to->kappa * gear->dy;
+        const span width = span_of(reach, top_x), dy = span_of(gear->dy, top_y);
+        const unsigned side = (unsigned)(end - place), count = gapless ? side : count_ones(open ^ beyond);
+        unsigned crossed = count;
+        if (left < (span)count * width || (!plain && room - sum_y < (span)count * dy)) {
+            const unsigned across = fitting(left, width), upward = plain ? across : fitting(room - sum_y, dy);
+            crossed = across < upward ? across : upward;
+        }
+        left -= (span)crossed * width;
+        sum_x += (span)crossed * (plain ? width : span_of(gear->dx, top_x));
+        sum_y += (span)crossed * dy;
+        if (crossed < count) {
+            if (count == side)
+                open &= ALL_ONES << (place + crossed);
+            else
+                for (; crossed > 0; crossed--) open &= open - 1;
+            break;
+        }
+        open = beyond;
+    }
+    *x += length_of(rising ? sum_x : -sum_x, top_x);
+    *y += length_of(rising ? sum_y : -sum_y, top_y);
+    return open;
 }
 
 /* Cross gears of word k, not all of those open, from (x, y); returns the bits of those crossed. */
 INLINE uint64_t pass_in_word(const walk *w, const goal *to, size_t k, const uint64_t open, double *x, double *y,
                              int rising, int plain) {
-    uint64_t left = open;
-    double at_x = *x, at_y = *y;
-    for (;;) {
-        const size_t i = 64 * k + first_one(left), row = row_of(w, i);
-        const double dx = rising ? w->gears[row].dx : -w->gears[row].dx;
-        const double dy = rising ? w->gears[row].dy : -w->gears[row].dy;
-        if (w->run == 1) {
-            if (!crosses(w, to, row, at_x, at_y, rising, plain)) break;
-            at_x += dx;
-            at_y += dy;
-            left &= left - 1;
-        } else {
-            const uint64_t equal = open_of_run(w, left, i);
-            const unsigned count = count_ones(equal);
-            const unsigned crossed = equal_crossed(w, to, row, at_x, at_y, count, rising, plain);
-            at_x += (double)crossed * dx;
-            at_y += (double)crossed * dy;
-            if (crossed < count) {
-                for (unsigned c = 0; c < crossed; c++) left &= left - 1;
-                break;
-            }
-            left ^= equal;
-        }
+    const int about = SOFT_DOUBLE || w->run > 1; /* else each gear takes as long there as here */
+    uint64_t left = about ? about_crossed(w, to, k, open, x, y, rising, plain) : open;
+    int missed = 0;
+    while (left != 0) { /* what rounding missed, one way and the other */
+        const size_t row = row_of(w, 64 * k + first_one(left));
+        if (!crosses(w, to, row, *x, *y, rising, plain)) break;
+        *x += rising ? w->gears[row].dx : -w->gears[row].dx;
+        *y += rising ? w->gears[row].dy : -w->gears[row].dy;
+        left &= left - 1;
+        missed = 1;
     }
-    *x = at_x;
-    *y = at_y;
+    while (!missed && left != open) {
+        const unsigned i = last_one(open ^ left);
+        const size_t row = row_of(w, 64 * k + i);
+        const double back_x = rising ? *x - w->gears[row].dx : *x + w->gears[row].dx;
+        const double back_y = rising ? *y - w->gears[row].dy : *y + w->gears[row].dy;
+        if (crosses(w, to, row, back_x, back_y, rising, plain)) break;
+        *x = back_x;
+        *y = back_y;
+        left |= (uint64_t)1 << i;
+    }
     return open ^ left;
 }
 
@@ -349,6 +437,37 @@ INLINE void mark_words(walk *w, size_t from, size_t end, int rising) {
         w->full[k >> 6] = rising ? w->full[k >> 6] | marked : w->full[k >> 6] & ~marked;
         w->some[k >> 6] = rising ? w->some[k >> 6] | marked : w->some[k >> 6] & ~marked;
     }
+}
+
+/* Cross words from k on of which all gears are open, as many as end short of the goal; returns the next one. */
+INLINE size_t pass_open_words(walk *w, const goal *to, size_t k, double *x, double *y, int rising, int plain) {
+    const size_t words = (w->n + 63) / 64;
+    const uint64_t other = (rising ? w->some[k >> 6] : ~w->full[k >> 6]) >> (k & 63);
+    const size_t most = other != 0 ? first_one(other) : 64 - (k & 63);
+    const size_t end = words - k < most ? words : k + most;
+    const double begin_x = number_of(begin_of(w, k, END_X)), begin_y = number_of(begin_of(w, k, END_Y));
+    const double from_x = rising ? *x - begin_x : *x + begin_x, from_y = rising ? *y - begin_y : *y + begin_y;
+    size_t reached = k;
+    for (size_t half = 32; half > 0 && reached < end; half /= 2) {
+        const uint64_t *sums = w->sums + SUMS * (reached + half - 1);
+        double far_x, far_y;
+        if (half > end - reached) continue;
+        far_x = rising ? from_x + number_of(sums[END_X]) : from_x - number_of(sums[END_X]);
+        far_y = rising ? from_y + number_of(sums[END_Y]) : from_y - number_of(sums[END_Y]);
+        if (!short_of(to, far_x, far_y, rising, plain)) continue;
+        reached += half;
+        *x = far_x;
+        *y = far_y;
+    }
+    return reached;
+}
+
+/* All gears of word k are crossed that are `open`. */
+INLINE void cross_word(walk *w, size_t k, uint64_t open, int rising) {
+    uint64_t *sums = w->sums + SUMS * k;
+    w->words[k] ^= open;
+    sums[HERE_X] = rising ? sums[END_X] : begin_of(w, k, END_X);
+    sums[HERE_Y] = rising ? sums[END_Y] : begin_of(w, k, END_Y);
 }
 
 /* Cross gears one way, (6)-(9), whole words where that is possible: what is left to travel, and the room, fall
@@ -362,15 +481,26 @@ INLINE size_t pass_words(walk *w, const goal *to, const int rising, const int pl
     double x = w->x, y = w->y;
     leave_word(w);
     for (; 64 * k < n; k++) {
-        uint64_t *sums = w->sums + SUMS * k;
-        const uint64_t open = open_gears(w->words[k], n - 64 * k, rising);
-        const double crossed_x = number_of(sums[CROSSED_X]), crossed_y = number_of(sums[CROSSED_Y]);
-        const int all = rising && open == ALL_ONES; /* of them none is crossed: nothing to take off */
-        const double whole_x = number_of(sums[WHOLE_X]), whole_y = number_of(sums[WHOLE_Y]);
-        const double open_x = all ? whole_x : rising ? whole_x - crossed_x : crossed_x;
-        const double open_y = all ? whole_y : rising ? whole_y - crossed_y : crossed_y;
-        const double far_x = rising ? x + open_x : x - open_x, far_y = rising ? y + open_y : y - open_y;
+        const uint64_t *sums = w->sums + SUMS * k;
+        uint64_t open = open_gears(w->words[k], n - 64 * k, rising);
+        double far_x, far_y;
         if (open == 0) continue;
+        if (!EXPANDED_TABLES && (rising ? w->words[k] == 0 : w->words[k] == ALL_ONES)) {
+            const size_t end = pass_open_words(w, to, k, &x, &y, rising, plain);
+            for (; k < end; k++) {
+                last = k;
+                passed = open_gears(w->words[k], n - 64 * k, rising);
+                cross_word(w, k, passed, rising);
+            }
+            if (64 * k >= n) break;
+            sums = w->sums + SUMS * k;
+            open = open_gears(w->words[k], n - 64 * k, rising);
+            if (open == 0) continue;
+        }
+        far_x = rising ? x + (number_of(sums[END_X]) - number_of(sums[HERE_X]))
+                       : x - (number_of(sums[HERE_X]) - number_of(begin_of(w, k, END_X)));
+        far_y = rising ? y + (number_of(sums[END_Y]) - number_of(sums[HERE_Y]))
+                       : y - (number_of(sums[HERE_Y]) - number_of(begin_of(w, k, END_Y)));
         if (!short_of(to, far_x, far_y, rising, plain)) {
             const size_t row = row_of(w, 64 * k + last_one(open));
             const double dx = rising ? w->gears[row].dx : -w->gears[row].dx;
@@ -379,9 +509,7 @@ INLINE size_t pass_words(walk *w, const goal *to, const int rising, const int pl
         }
         last = k;
         passed = open;
-        w->words[k] ^= open;
-        sums[CROSSED_X] = rising ? sums[WHOLE_X] : 0;
-        sums[CROSSED_Y] = rising ? sums[WHOLE_Y] : 0;
+        cross_word(w, k, open, rising);
         x = far_x;
         y = far_y;
     }
@@ -463,7 +591,7 @@ INLINE size_t run_within(const walk *w, engaged gear, int rising, double x0, dou
 INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                        engaged first, int *outside) {
     double slope = up->slope, d = u - w->x;
-    size_t single = d >= FAR * up->reach ? 0 : SINGLE;
+    size_t single = exponent_of(d) > exponent_of(up->reach) + FAR ? 0 : SINGLE;
     while (w->zero < w->n && d >= up->reach) {
         if (single-- == 0) {
             slope = engage(op, w, pass_words_plain(w, u, 1)).slope;
@@ -483,7 +611,7 @@ INLINE double cross_up(const dbo_backlash *op, walk *w, double u, engaged *up, e
 INLINE double cross_down(const dbo_backlash *op, walk *w, double u, engaged *up, engaged *down,
                          engaged first, int *outside) {
     double slope = down->slope, d = u - w->x;
-    size_t single = -d >= FAR * down->reach ? 0 : SINGLE;
+    size_t single = exponent_of(d) > exponent_of(down->reach) + FAR ? 0 : SINGLE;
     while (w->set < w->n && -d >= down->reach) {
         if (single-- == 0) {
             slope = engage(op, w, pass_words_plain(w, u, 0)).slope;
@@ -545,6 +673,14 @@ INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const
 
 /* ---- memory on the output, and limits on the output ------------------------------------------------- */
 
+/* Whether some FAR gears like that of a row, which is crossed, fit into the way: as exponents tell, which is cheap. */
+INLINE int far_off(const walk *w, const goal *to, size_t row) {
+    const dbo_gear *gear = w->gears + row;
+    const double reach = to->fixed ? to->fixed[row].reach : gear->dx + to->kappa * gear->dy;
+    return exponent_of(to->u - input_at(to, w->x, w->y, 0)) > exponent_of(reach) + FAR &&
+           exponent_of(to->bound - w->y) > exponent_of(gear->dy) + FAR;
+}
+
 /* Cross gears one way. Returns the gear crossed last, n where there was none. */
 INLINE size_t pass_gears(walk *w, double u, double kappa, double bound, int rising,
                          const dbo_fixed_gear *fixed) {
@@ -553,6 +689,7 @@ INLINE size_t pass_gears(walk *w, double u, double kappa, double bound, int risi
     while (next < w->n) {
         const size_t row = row_of(w, next);
         if (!crosses(w, &to, row, w->x, w->y, rising, 0)) break;
+        if (last == w->n && far_off(w, &to, row)) single = 0;
         if (single-- == 0) return pass_words_within(w, &to, rising);
         last = next;
         if (rising)
@@ -569,15 +706,18 @@ static void follow_output(walk *w, double y, int rising, const dbo_fixed_gear *f
     pass_gears(w, rising ? ENDLESS : -ENDLESS, 0.0, y, rising, fixed);
 }
 
-/* The relative output for the relative input `u`, never crossing a gear that would leave [low, high]. */
-INLINE double solve(const dbo_backlash *op, walk *w, double u, double kappa, double low, double high,
+/* The relative output for the relative input `u`, `d` beyond that of the state, never crossing a gear that would
+ * leave [low, high]. */
+INLINE double solve(const dbo_backlash *op, walk *w, double u, double d, double kappa, double low, double high,
                     const dbo_fixed_gear *fixed, int *outside) {
-    const int rising = u - (w->x + kappa * w->y) >= 0.0;
+    const int rising = d >= 0.0;
     const size_t last = rising ? pass_gears(w, u, kappa, high, 1, fixed)
                                : pass_gears(w, u, kappa, low, 0, fixed);
-    const double d = u - (w->x + kappa * w->y);
     size_t next = rising ? w->zero : w->set;
-    if (last < w->n && (rising ? d < 0.0 : d > 0.0)) next = last; /* crossed by the tolerance */
+    if (last < w->n) {
+        d = u - (w->x + kappa * w->y);
+        if (rising ? d < 0.0 : d > 0.0) next = last; /* crossed by the tolerance */
+    }
     {
         const size_t row = row_of(w, next < w->n ? next : w->n - 1);
         const dbo_gear *gear = w->gears + row;
@@ -603,7 +743,7 @@ INLINE double solve_within(const dbo_backlash *op, walk *w, double u, double kap
         *clipped = 1;
         return d >= 0.0 ? high : low;
     }
-    y = op->y0 + solve(op, w, u, kappa, low_part, high_part, fixed, outside);
+    y = op->y0 + solve(op, w, u, d, kappa, low_part, high_part, fixed, outside);
     if (y > high) {
         *clipped = y - high > slack;
         if (d < 0.0) follow_output(w, high_part, 0, fixed);
@@ -652,7 +792,7 @@ INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, 
             window(limits, limits->step[k * limits->step_stride], state->last, &low, &high);
         y = solve_within(op, w, u, kappa, low, high, limits->slack, fixed, &outside, &clipped);
     } else {
-        y = op->y0 + solve(op, w, u, kappa, -ENDLESS, ENDLESS, fixed, &outside);
+        y = op->y0 + solve(op, w, u, u - (w->x + kappa * w->y), kappa, -ENDLESS, ENDLESS, fixed, &outside);
     }
     if (outside && counts) note(&counts->outside, &counts->first_outside, k);
     if (clipped && counts) note(&counts->clipped, &counts->first_clipped, k);

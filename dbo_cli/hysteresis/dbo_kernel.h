@@ -50,8 +50,9 @@ typedef struct {
 /* The state. Fill `words` (bit i of the state is bit i%64 of word i/64) and `memory`, then call
  * dbo_backlash_load; the other members follow from the bits. `words` has dbo_backlash_words(n) entries, of
  * which the first (n+63)/64 are the state. The rest the kernel keeps: for each word of 64 gears four sums
- * (float64), the dx and dy of those crossed and of all, and an index of the words that are full, and of those
- * that hold a one. So 64 gears take 40 bytes, and the index 16 for 4,096. */
+ * (float64), the dx and dy of all gears below it and of its own that are crossed, and of all up to its end; and
+ * an index of the words that are full, and of those that hold a one. So 64 gears take 40 bytes, and the index 16
+ * for 4,096. */
 typedef struct {
     uint64_t *words;
     double *memory; /* L_j, one per term */

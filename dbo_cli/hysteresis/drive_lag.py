@@ -101,6 +101,10 @@ class Prompt(Protocol):
         """See ``ActuatorModel.uncovered``."""
 
     @property
+    def has_gears(self) -> bool:
+        """See ``ActuatorModel.has_gears``."""
+
+    @property
     def drive_span(self) -> float:
         """See ``ActuatorModel.drive_span``."""
 
@@ -156,6 +160,7 @@ def _limited(rest: Prompt, block: Block, state: ModelState) -> Simulated:
             side, count = 0, FIRST_CHUNK
         else:
             done, side = _held_back(rest, block.of(slice(at, at + 1)), state)
+            side *= rest.has_gears  # how far these go on without the inverse is known of gears alone
             count = FIRST_CHUNK
         found = Counts(done.outside_count, done.first_outside, done.clipped_count, done.first_clipped)
         total, missed = total + found.shifted(at), missed or done.first_missed

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any, Literal, Self
 
@@ -41,6 +41,7 @@ from dbo_cli.hysteresis.operators import (
     Outside,
     Relaxation,
 )
+from dbo_cli.records import dataclass
 
 __all__ = [
     "NEGLIGIBLE",
@@ -277,6 +278,11 @@ class ActuatorModel:
         """Whether the time between samples matters."""
         parts = self.backlash.relaxation, self.dynamics, self.drive_lag
         return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
+
+    @property
+    def has_gears(self) -> bool:
+        """Whether its hysteresis is that of gears."""
+        return True
 
     @property
     def size(self) -> str:

@@ -13,7 +13,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -40,8 +40,7 @@ _NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound
 Json = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """One JSON object with the path that leads to it; reads keys and names them where they are wrong."""
 
     file: str
@@ -197,7 +196,7 @@ def _unit(node: Node, key: str) -> str | None:
     return None if node.values[key] is None else node.text(key)
 
 
-def _relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
+def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     """Return the relaxation of a backlash stage, and the axis that it follows."""
     terms = node.node(key)
     terms.only(("on", "reference", "tau", "gain"))
@@ -271,7 +270,7 @@ CURVE = (
     Field("dx", Node.widths, lambda stage: _with_runs(stage.dx.tolist())),
     Field("dy", Node.widths, lambda stage: _with_runs(stage.dy.tolist())),
 )
-GEARS = (*CURVE, Field("relaxation", _relaxation, _relaxation_values, optional=True))
+GEARS = (*CURVE, Field("relaxation", read_relaxation, _relaxation_values, optional=True))
 SECTIONS = (Field("sections", _sections, lambda stage: [section_values(one) for one in stage.sections]),)
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_stages, stage_values
 from dbo_cli.hysteresis.operators import Relaxation
+from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

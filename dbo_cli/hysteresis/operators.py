@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
+from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Axis = Literal["input", "output"]
@@ -181,11 +181,11 @@ class Relaxation:
         """
         steps = checked_steps(time_step)
         few = sorted(set(steps[:_LOOKED_AT].tolist()))
-        known, which = 0, np.zeros(steps.size, dtype=np.intp)
+        known, which = 0, np.zeros(steps.size, dtype=np.int8)
         for place, step in enumerate(few if len(few) <= _FEW < steps.size else ()):
             same = steps == step
             known += int(np.count_nonzero(same))
-            which += place * same
+            which += np.int8(place) * same
         unlike = known < steps.size
         steps = steps if unlike else np.array(few)
         factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))

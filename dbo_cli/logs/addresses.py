@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 from dbo_cli.errors import UsageError
+from dbo_cli.records import dataclass
 
 # What loggers, oscilloscopes and LabVIEW call delimited text, and HDF5 by its users (HDF-EOS, MATLAB, NeXus).
 TEXT_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".prn", ".log")

@@ -10,7 +10,7 @@ import stat
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import IO, Any, cast
 
 from dbo_cli.errors import DboError, InputError
@@ -18,6 +18,7 @@ from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import GAVE_UP
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.records import dataclass
 
 _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
 _UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise

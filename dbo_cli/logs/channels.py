@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.addresses import Address
@@ -20,6 +20,7 @@ from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.signal_log import open_table
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.time_column import FoundTime, find_time_column
+from dbo_cli.records import dataclass
 
 PLACE = re.compile(r"\{(?:channel)?\}")
 _LISTED = 5  # channels that a message names at most

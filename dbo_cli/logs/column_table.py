@@ -7,7 +7,7 @@ A reader of a format finds the columns, their units, scales and the clock; every
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from dbo_cli.logs.plain_text import counted
 from dbo_cli.logs.reading_options import remedy_for
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, Table, are_measured, dropped_note
 from dbo_cli.logs.stated_clock import Statement, agreed_rate, read_statements
+from dbo_cli.records import dataclass
 
 Fetch = Callable[[int, int], Any]
 """Gives the stored values of rows start..stop (from 0, stop not included)."""

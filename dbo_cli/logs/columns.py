@@ -9,39 +9,38 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.plain_text import cleaned, counted
+from dbo_cli.logs.plain_text import cleaned, counted, pattern
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
+from dbo_cli.records import dataclass
 
 # How headers state units: ``voltage (V)``, ``voltage/V``, ``voltage_V``, ``voltage in milli volts``.
-_BRACKETED = re.compile(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
-_SLASHED = re.compile(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
-_SUFFIXED = re.compile(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
+_BRACKETED = pattern(r"^(?P<quantity>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]\s*$", re.DOTALL)
+_SLASHED = pattern(r"^(?P<quantity>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})$", re.DOTALL)
+_SUFFIXED = pattern(r"^(?P<quantity>.+)[_ ](?P<unit>[^_ ]+)$", re.DOTALL)
 
-_PREFIXED = re.compile(
+_PREFIXED = pattern(
     r"(?P<quantity>.+?)[_ /-](?P<prefix>milli|micro|nano|pico|kilo|mega|centi)", re.IGNORECASE
 )
 
-_INDEX = re.compile(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
+_INDEX = pattern(r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:")  # data[2], x(1), Voltage (CH1)
 _BESIDES = frozenset(
     ("n", "no", "index", "idx", "row", "sample", "flag", "temp", "temperature", "loop", "cycle", "trigger",
      "status", "marker", "segment", "remark", "comment", "date", "time")
 )  # fmt: skip
 """Names of columns that stand beside the signals in many logs and are none."""
-_SYMBOL = re.compile(
-    r"[A-SU-Za-su-z]\([^()]*\)"
-)  # V(drive), as simulators name a node; t(ticks) has its unit
-_CHANNEL = re.compile(
+_SYMBOL = pattern(r"[A-SU-Za-su-z]\([^()]*\)")  # V(drive), as simulators name a node; t(ticks) has its unit
+_CHANNEL = pattern(
     r"(ch|chan|channel|kanal|canal|voie|ai|ao|in|out|input|output|signal|probe|column|col|data|trace)"
     r"[ _.#-]?[a-z]?\d{0,3}",
     re.IGNORECASE,
 )
 _READINGS = frozenset(("monitor", "mon", "readback", "actual", "meas", "ist", "istwert", "laser", "read"))
 """Words that say that a column was measured, on which scale nobody knows."""
-_CARD = re.compile(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
+_CARD = pattern(r"(?:^|[/ ])(ao|ai)[ _]?\d{1,3}$", re.IGNORECASE)
 _REMARKS = frozenset(
     ("raw", "measured", "actual", "filtered", "calibrated", "corrected", "desired", "target", "setpoint",
      "commanded", "command", "sensor", "feedback", "monitor", "smoothed", "mean", "avg", "average", "drive",
@@ -49,7 +48,7 @@ _REMARKS = frozenset(
 )  # fmt: skip
 """What stands in brackets behind a name and is no unit."""
 
-_HASHED = re.compile(r"/#[^\W\d]")  # TIME/#secs may have been ms
+_HASHED = pattern(r"/#[^\W\d]")  # TIME/#secs may have been ms
 
 _LISTED = 20  # names of columns that a message holds at most
 _NAMING = ("length", "angle")  # a column called "um" is in um; "m" and "Volts" may be anything
@@ -212,8 +211,8 @@ def split_header(header: str) -> tuple[str, str | None]:
         if symbol or _INDEX.fullmatch(inner) or inner in _REMARKS:
             return text, None
         return found["quantity"].strip().rstrip("_,"), normalise_unit(found["unit"])
-    for pattern in (_SLASHED, _SUFFIXED):
-        found = pattern.match(text)
+    for written in (_SLASHED, _SUFFIXED):
+        found = written.match(text)
         if found is None or found["unit"].strip("[](){}<>") != found["unit"]:  # half a bracket is no unit
             continue
         quantity, unit = found["quantity"].strip(), found["unit"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import repeat
 from typing import IO
 
@@ -17,6 +16,7 @@ from dbo_cli.logs.columns import split_header
 from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.units import is_known_unit
+from dbo_cli.records import dataclass
 
 PLAIN_CELLS = 1 << 16  # with fewer cells importing polars costs more than it saves (benchmarks/text_speed.py)
 _FORMULA_SIGNS = ("=", "+", "-", "@")  # what begins a formula in Excel and LibreOffice

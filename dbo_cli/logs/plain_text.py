@@ -3,10 +3,27 @@
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    pattern = re.compile
+else:
+
+    class pattern:
+        """A regular expression, compiled when it is first used: most never are (3 of the start's 100 ms)."""
+
+        def __init__(self, *given: Any) -> None:
+            self._given = given
+
+        def __getattr__(self, name: str) -> Any:
+            """Compile it, and keep the method that is asked for."""
+            method = self.__dict__[name] = getattr(re.compile(*self._given), name)
+            return method
+
 
 # C0 and C1 controls (among them the escape that begins a terminal's commands), the marks that turn the
 # direction of writing round, and halves of surrogate pairs, which no encoding takes.
-_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]")
+_UNSAFE = pattern("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]")
 
 
 _SHOWN = 40  # characters of what a user or a file gave are enough for a message

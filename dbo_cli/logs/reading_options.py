@@ -6,12 +6,12 @@ import dataclasses
 import math
 import numbers
 import re
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import UsageError
 from dbo_cli.logs.addresses import FORMATS
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.units import Scale

@@ -17,7 +17,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,7 @@ from dbo_cli.logs.sources import Source
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
+from dbo_cli.records import dataclass
 
 _HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab"
 _EXCEL = "binary.library_files.open_excel"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
 import numpy as np
@@ -18,6 +17,7 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import BLOCK_ROWS
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
+from dbo_cli.records import dataclass
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def signal_writer(
     columns: Sequence[OutColumn],
     *,
     format: str | None = None,
-    attributes: Mapping[str, str | float] | None = None,
+    attributes: Callable[[], Mapping[str, str | float]] = dict,
     flush: bool = False,
     protect: Sequence[Given] = (),
     commented: bool = False,
@@ -143,7 +143,7 @@ def signal_writer(
     format
         ``csv``, ``tsv`` or ``hdf5``, where the name does not tell.
     attributes
-        What an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``).
+        Finds what an HDF5 output carries beside the columns (``sample_rate``, ``model_sha256``, ``command``).
     flush
         Hand every write on at once.
     protect
@@ -163,18 +163,18 @@ def signal_writer(
     if kept is not None:
         keeper = _Keeper(columns)
         yield keeper
-        kept.signals.append(KeptSignal(target, columns, format, attributes or {}, keeper.arrays(), commented))
+        kept.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":
-        with _hdf5(target, columns, attributes or {}) as hdf5:
+        with _hdf5(target, columns, attributes()) as hdf5:
             yield hdf5
         return
     with opened(target.path, 1 << 20) as file, _packed(file, target) as stream:
         behind = not flush and is_replaceable(target.path)
         comment = ""
         if commented:  # where the output comes from
-            stated = (f"{key}: {value}" for key, value in (attributes or {}).items())
+            stated = (f"{key}: {value}" for key, value in attributes().items())
             comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
         writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
         try:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, BLOCK_ROWS, ReadingOptions, R
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, TimeCheck, joined, require_even
 from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks
 
 if TYPE_CHECKING:

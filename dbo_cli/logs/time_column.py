@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from dbo_cli.logs.reading_options import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, TimeCheck
 from dbo_cli.logs.stated_clock import FACTORS, HHMMSS, StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor
+from dbo_cli.records import dataclass
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
 

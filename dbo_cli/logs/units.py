@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.plain_text import shortened
+from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray
+from dbo_cli.records import dataclass
 
 # SI units and prefixes as instruments spell them; below, other spellings that lower-case names have in use.
 _BASES = {
@@ -114,7 +115,7 @@ class UnitFactor(NamedTuple):
 ONE = UnitFactor()
 
 
-_MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
+_MICRO = pattern(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
 
 
 def normalise_unit(text: str) -> str | None:
@@ -185,11 +186,11 @@ class Scale:
 
 
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-_SCALE = re.compile(
+_SCALE = pattern(
     rf"\s*(?P<role>[^=\s]+)\s*=\s*(?P<factor>{_NUMBER})"
     r"\s*(?:(?P<out>[^\s/\d.][^\s/]*)\s*/\s*(?P<in>[^\s/]+))?\s*"
 )
-_FIGURE = re.compile(rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+))?\s*")
+_FIGURE = pattern(rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d/]*)?(?:/(?P<per>[^\s\d/]+))?\s*")
 _LARGEST_POWER = 250  # of ten; float64 ends at 308, and a conversion of units besides takes up to 42 of them
 
 

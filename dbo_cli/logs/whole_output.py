@@ -17,19 +17,20 @@ import contextlib
 import errno
 import os
 import re
-import secrets
 import stat
 import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import host
+from dbo_cli.logs.plain_text import pattern
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.out_column import OutColumn
@@ -38,12 +39,12 @@ if TYPE_CHECKING:
 # --- which file an output is ------------------------------------------------------------------------
 
 # Linux' names of open files, and the names that ``partial_path`` gives.
-_DESCRIPTOR = re.compile(r"/(?:dev/fd|proc/(?:self|thread-self|\d+(?:/task/\d+)?)/fd)/(\d{1,9})")
-_PARTIAL = re.compile(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
+_DESCRIPTOR = pattern(r"/(?:dev/fd|proc/(?:self|thread-self|\d+(?:/task/\d+)?)/fd)/(\d{1,9})")
+_PARTIAL = pattern(r"\..*\.(\d{1,10})-[0-9a-f]{8}\.partial", re.DOTALL)
 _NAME_BYTES = 100  # of the output's own name; most file systems allow 255 bytes for all of it
 WINDOWS = os.name == "nt"
 # Names that Windows gives to devices, with any ending, and names that it cannot give to a file at all.
-_NO_FILE = re.compile(
+_NO_FILE = pattern(
     r"(con|prn|aux|com[0-9]|lpt[0-9])(\..*)?|nul\..*|.*[<>:\"|?*].*|.*[. ]", re.IGNORECASE | re.DOTALL
 )
 _MOST_LINKS = 40  # a longer chain of symbolic links is a circle; the kernel's own limit
@@ -225,7 +226,7 @@ def partial_path(target: str) -> str:
     """Return a name beside ``target`` that nobody else uses: hidden, with the writer's process id in it."""
     folder, name = os.path.split(target)
     short = os.fsencode(name)[:_NAME_BYTES].decode("utf-8", "ignore")
-    return os.path.join(folder, f".{short}.{os.getpid()}-{secrets.token_hex(4)}.partial")
+    return os.path.join(folder, f".{short}.{os.getpid()}-{os.urandom(4).hex()}.partial")
 
 
 def open_partial(path: str, buffering: int = -1) -> IO[bytes]:
@@ -297,7 +298,7 @@ def _is_locked(path: str) -> bool:
 
 # --- outputs under temporary names, and their renames -----------------------------------------------
 
-_ERRNO = re.compile(r"(?:errno = |os error )(\d+)")  # in the texts of HDF5 and of polars
+_ERRNO = pattern(r"(?:errno = |os error )(\d+)")  # in the texts of HDF5 and of polars
 
 Prepare = Callable[[str], AbstractContextManager[bool]]
 """Takes the temporary name right before the renames, and is left after them: it may hold a lock meanwhile.

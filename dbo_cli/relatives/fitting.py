@@ -10,7 +10,7 @@ the weights are rules for their increments.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from dbo_cli.hysteresis.identification.search import (
 from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog, fewer_rows
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
+from dbo_cli.records import dataclass
 from dbo_cli.relatives.play_model import RelativeModel
 from dbo_cli.relatives.plays import Kind, PlayOperator
 
@@ -324,21 +325,28 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
     return float(np.sqrt(worst))
 
 
-def best_delay(logs: Sequence[PreparedLog], design: Design, cycle: float | None) -> tuple[float, float]:
-    """Return the delay (s) with the least squared error, and that error; 0 without a clock."""
-    clocks = [log.seconds for log in logs]
-    if cycle is None or any(clock is None for clock in clocks):
-        return 0.0, gather(logs, design).fitted()[1]
-    steps = np.concatenate([np.diff(clock) for clock in clocks if clock is not None])
-    period = float(np.median(steps[steps > 0.0]))
+def sample_period(logs: Sequence[PreparedLog]) -> float | None:
+    """Return the median time between rows (s), None without a clock."""
+    clocks = [log.seconds for log in logs if log.seconds is not None]
+    if len(clocks) < len(logs):
+        return None
+    steps = np.concatenate([np.diff(clock) for clock in clocks])
+    return float(np.median(steps[steps > 0.0]))
+
+
+def best_delay(
+    logs: Sequence[PreparedLog], design: Design, trials: Sequence[float], period: float
+) -> tuple[float, float]:
+    """Return the delay (s) with the least squared error, and that error.
+
+    ``trials`` are in periods (s) of the whole logs: rows of thinned ones stand further apart than a delay.
+    """
     errors: dict[float, float] = {}
 
     def attempt(step: float) -> None:
         errors[step] = gather(logs, replace(design, delay=step * period)).fitted()[1]
 
-    for step in DELAY_TRIALS:
-        if step * period > LONGEST_DELAY * cycle:
-            break
+    for step in trials:
         attempt(step)
         if errors[step] > 1.5 * min(errors.values()):
             break
@@ -376,9 +384,14 @@ def fit(
     if relative.kind == "rate-plays":
         design = replace(design, fastest=_fastest(logs, design))
     falls = (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
-    ways = [(*best_delay(logs, replace(design, falling=fall), cycle), fall) for fall in falls]
+    period, longest = sample_period(prepared.logs) or 1.0, LONGEST_DELAY * (cycle or 0.0)
+    trials = [step for step in DELAY_TRIALS if step * period <= longest]  # without a clock 0 alone
+    ways = [(*best_delay(logs, replace(design, falling=fall), trials, period), fall) for fall in falls]
     delay, _, falling = min(ways, key=lambda way: way[1])
     design = replace(design, delay=delay, falling=falling)
+    if trials[1:] and logs[0] is not prepared.logs[0]:  # thinned rows alone tell the delay less well
+        near = [max(delay / period + step, 0.0) for step in (-1.0, 0.0, 1.0)]
+        design = replace(design, delay=best_delay(prepared.logs, design, near, period)[0])
     design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
     usable = sum(int(log.used.sum()) for log in logs)
     counts = [count for count in relative.plays if count * ROWS_PER_SLOPE <= usable] or relative.plays[:1]
@@ -399,7 +412,14 @@ def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
     """Return the first of several designs, simplest first, that predicts what was left out as well as any."""
     if len(designs) == 1:
         return designs[0]
-    scores = [cross_validated(gather(logs, one)) for one in designs]
+    scores: list[Score] = []
+    for one in designs:
+        try:
+            scores.append(cross_validated(gather(logs, one)))
+        except FitError:  # columns too nearly alike for the solver: none finer is tried
+            if not scores:
+                raise
+            break
     return designs[simplest_of(scores, FINE_INDIFFERENCE, max_standard_error=0.0)]
 
 

@@ -6,8 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -26,10 +25,19 @@ from dbo_cli.hysteresis.identification.recordings import (
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played, rms
 from dbo_cli.hysteresis.operators import Floats
+from dbo_cli.records import dataclass
 from dbo_cli.relatives.fitting import RELATIVES, fit
+from dbo_cli.relatives.play_model import RelativeModel, with_plays
 
-NAMES = ("dbo", *(relative.name for relative in RELATIVES))
+SAME_STAGES = "same-stages"
+NAMES = ("dbo", *(relative.name for relative in RELATIVES), SAME_STAGES)
 OWN_WORDS = "Discrete Backlash Operator"
+SAME_WORDS = "PI plays in the place of the DBO's gears, all its other stages kept"
+SHARED = (
+    *("points", "drive_bend", "slopes", "relaxation_seconds", "delay_seconds", "dynamics", "trusted_hz"),
+    *("expected_rmse", "fastest_drive"),
+)
+"""What the model file says of a model's stages and curve, whether gears or plays stand among them."""
 TIMED_SAMPLES = {"compiled": 100_000, "python": 2_000}  # chosen: milliseconds, which a clock resolves
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
 ROUND_TRIP_SAMPLES = 50_000  # chosen: several cycles of a usual log
@@ -56,7 +64,9 @@ class Row:
     parameters : int
         Numbers that were fitted.
     fit_seconds, forward_ns, inverse_ns : float
-        Time to fit; the processor's a sample of the model without delay and dynamics. None: not timed.
+        Time to fit; the processor's a sample of the model without delay and dynamics. None: not timed, as the
+        fit of plays among the DBO's own stages, which is the DBO's, and their inverse beside memories, which
+        is in Python alone.
     round_trip : float
         The largest difference between what is wanted and what the model does with the drive of its inverse.
     refused : str
@@ -120,13 +130,21 @@ def compare(
     fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {
         one.name: (one.words, partial(fit, one, ready, judge.recordings, cycle)) for one in RELATIVES
     }
-    fits["dbo"] = OWN_WORDS, partial(_own, recordings, skip_seconds)
+    own = cache(partial(_own, recordings, skip_seconds))
+    fits |= {"dbo": (OWN_WORDS, own), SAME_STAGES: (SAME_WORDS, lambda: _same_stages(own()))}
     return [judge.row(name, *fits[name]) for name in dict.fromkeys(names)]
 
 
 def _own(recordings: Sequence[Recording], skip_seconds: float) -> ActuatorModel:
     """Return the model that ``identify`` makes; what it would refuse for being a line is compared, too."""
     return identify(recordings, IdentificationOptions(skip_seconds=skip_seconds, force=True)).model
+
+
+def _same_stages(own: ActuatorModel) -> RelativeModel:
+    """Return the DBO's own model with plays in the place of its gears; nothing is fitted again."""
+    model, figures = with_plays(own), {key: own.fit[key] for key in SHARED if key in own.fit}
+    figures |= {"method": SAME_STAGES, "operator": SAME_WORDS, "plays": model.plays.n}
+    return dataclasses.replace(model, fit=figures | {"parameters": _parameters(own)})
 
 
 @dataclass(frozen=True)
@@ -152,22 +170,25 @@ class _Judge:
         logs = zip(self.recordings, self.ready.logs, strict=True)
         rmse = _pooled([residual_of(model, recording, log) for recording, log in logs])
         checks = [validation_of(model, log, self.skip_seconds) for log in self.validation]
-        if "left_out_ratio" in model.fit:
-            expected = rmse * float(str(model.fit["left_out_ratio"]))
+        told, ratio = model.fit.get("expected_rmse"), model.fit.get("left_out_ratio")
+        if ratio is not None:
+            told = rmse * float(str(ratio))
+        expected = None if told is None else float(str(told))
+        if isinstance(model, RelativeModel):
             model = dataclasses.replace(model, fit=self._figures(model, rmse, expected, checks))
-        told = model.fit["expected_rmse"]
-        errors = rmse, float(str(told)) if told is not None else None, _pooled(checks) if checks else None
+        errors = rmse, expected, _pooled(checks) if checks else None
         forward, inverse = self._times(model) if self.timed else (None, None)
-        cost = seconds if self.timed else None, forward, inverse
+        cost = seconds if self.timed and name != SAME_STAGES else None, forward, inverse
         return Row(name, words, *errors, _parameters(model), *cost, self._round_trip(model), None, model)
 
     def _figures(
-        self, model: ActuatorModel, rmse: float, expected: float, checks: Sequence[Residual]
+        self, model: ActuatorModel, rmse: float, expected: float | None, checks: Sequence[Residual]
     ) -> dict[str, object]:
         """Return what a relative's model file says of its fit, under the names that ``identify`` uses."""
         span = abs(self.ready.scale)
         figures: dict[str, object] = {"rmse": rmse, "rmse_percent": 100.0 * rmse / span}
-        figures |= {"expected_rmse": expected, "expected_percent": 100.0 * expected / span}
+        percent = None if expected is None else 100.0 * expected / span
+        figures |= {"expected_rmse": expected, "expected_percent": percent}
         if checks:
             figures["validation"] = [
                 {"name": one.name, "samples": len(one.values), "rmse": one.rmse} for one in checks
@@ -182,11 +203,13 @@ class _Judge:
         steps = np.diff(clock) if clock is not None else np.array([1.0])
         return float(np.median(steps[steps > 0.0]))
 
-    def _times(self, model: ActuatorModel) -> tuple[float, float]:
+    def _times(self, model: ActuatorModel) -> tuple[float, float | None]:
         """Return nanoseconds a sample, forward and inverse, on the first log's own drive."""
         still = model.without_lag
         voltage = np.resize(self.recordings[0].voltage, TIMED_SAMPLES[kernel.KIND])
         forward = self._time(still, voltage)
+        if isinstance(still, RelativeModel) and still.plays.relaxation is not None:
+            return forward, None
         return forward, self._time(still.inverse(), played(still, voltage, self._step(still)))
 
     def _time(self, model: ActuatorModel, signal: Floats) -> float:

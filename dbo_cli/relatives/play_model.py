@@ -1,7 +1,8 @@
 """A model whose hysteresis is a weighted sum of plays: what ``ActuatorModel`` is to the gears.
 
 Forward: a scale that brings the drive to the operator's range, the plays, points (superposed dead zones are
-a curve of straight pieces) and scales, then perhaps a delay. A straight line is one play of radius 0. The
+a curve of straight pieces) and scales, then perhaps a delay. A straight line is one play of radius 0. With
+plays in the place of its gears a model of gears keeps all other stages (``with_plays``). The
 commands take such a model as any other; what is made for gears alone (``export``, the live controller)
 refuses it. Files have the stage and its state as in
 docs/model-file.md: ``hysteresis.model_file`` asks here when a file has a stage that it does not know.
@@ -17,11 +18,12 @@ import numpy as np
 
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, through
+from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
-from dbo_cli.hysteresis.model_file import Node
+from dbo_cli.hysteresis.model_file import Node, read_relaxation
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Floats, Outside
-from dbo_cli.relatives.plays import KINDS, NOTHING, Bounds, Kind, PlayOperator, PlayState
+from dbo_cli.relatives.plays import KINDS, NOTHING, UNBOUND, Bounds, Kind, PlayOperator, PlayState
 
 
 class RelativeModel(ActuatorModel):
@@ -38,12 +40,16 @@ class RelativeModel(ActuatorModel):
         plays = [k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator)]
         if len(plays) != 1:
             raise ModelError("stages: exactly one stage of plays must be among them")
+        self._check_dynamics()
         self._check_delay()
         for place, stage in enumerate(self.stages):
             if isinstance(stage, PlayOperator):
+                if stage.relaxation is not None and stage.inverted == (self.direction == "forward"):
+                    axis = "input" if stage.inverted else "output"
+                    raise ModelError(f"stages[{place}].relaxation.on: must be {axis!r} in this direction")
                 self._turn(stage)
-            elif not isinstance(stage, ScaleStage | DiscretePointOperator | DelayStage):
-                raise ModelError(f"stages[{place}]: only plays, points, scales and a delay go together")
+            elif not isinstance(stage, ScaleStage | DiscretePointOperator | DynamicsStage | DelayStage):
+                raise ModelError(f"stages[{place}]: gears and plays do not go together")
 
     @cached_property
     def _place(self) -> int:
@@ -67,6 +73,11 @@ class RelativeModel(ActuatorModel):
     forward_backlash = backlash
 
     @property
+    def has_gears(self) -> bool:
+        """Whether its hysteresis is that of gears."""
+        return False
+
+    @property
     def size(self) -> str:
         """How large the operator is, in words."""
         return f"{self.plays.n} plays"
@@ -79,7 +90,8 @@ class RelativeModel(ActuatorModel):
     @cached_property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
-        return bool(self.plays.by_rate.size) or (self.direction == "forward" and self.delay_seconds > 0.0)
+        parts = self.plays.by_rate.size, self.plays.relaxation, self.dynamics, self.drive_lag
+        return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
 
     @property
     def drive_end(self) -> float:
@@ -141,6 +153,8 @@ class RelativeModel(ActuatorModel):
 
     def inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Return limits on the drive as the plays of an inverse model give it."""
+        if any(isinstance(stage, DiscretePointOperator) for stage in self.tail):
+            return super().inner_limits(limits)
         ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
         per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)
         slew = None if limits.max_slew is None else limits.max_slew * per_volt
@@ -160,6 +174,12 @@ class RelativeModel(ActuatorModel):
             share = self._share(x, plays[0] if state.drive is not None else None, steps, 1.0)
             y, plays = operator.run(x, plays, share)
             after = _standing(plays)
+            if operator.relaxation is not None and steps is not None:
+                added, memory = operator.remembered(x, before.memory, steps)
+                y, after = y + added, dataclasses.replace(after, memory=memory)
+        elif operator.relaxation is not None and steps is not None:
+            bounds, last = _bounds(limits, steps) or UNBOUND, np.nan if state.drive is None else state.drive
+            y, after, clipped = operator.solve_beside(x, before, steps, bounds, last)
         elif operator.kind == "plays" and limits is None:
             closed = operator.closed_inverse
             states = np.array(before.inverse_plays) if before.inverse_plays else closed.states_of(plays)
@@ -202,13 +222,40 @@ def _standing(plays: Floats) -> PlayState:
     return PlayState(0, None, tuple(plays.tolist()))
 
 
+def with_plays(model: ActuatorModel) -> RelativeModel:
+    """Return a forward model of gears with one play for each of their slopes, every other stage kept.
+
+    After a turn both follow one curve: slope s_i begins where d_i is travelled, and so does a play of radius
+    d_i/2 and weight s_i - s_(i-1). The scaled drive goes from -1 to 1 over the gears that the drive moves;
+    what differs is a turn inside a gear.
+    """
+    gears = model.covered_gears.operator
+    slopes, travelled = gears.dy / gears.dx, np.cumsum(gears.dx)
+    begins = np.flatnonzero(np.diff(slopes, prepend=0.0))
+    per_volt = 2.0 / float(travelled[-1])
+    radii = np.append(0.0, travelled)[begins] / travelled[-1]
+    weights = np.diff(slopes[begins], prepend=0.0) / per_volt
+    terms = gears.relaxation
+    if terms is not None:
+        reference, gain = per_volt * (terms.reference - gears.x0) - 1.0, np.array(terms.gain) / per_volt
+        terms = dataclasses.replace(terms, reference=reference, gain=tuple(gain.tolist()))
+    plays = PlayOperator("plays", radii, weights, relaxation=terms)
+    empty = float(weights @ (radii - 1.0))
+    placed = ScaleStage(per_volt, -1.0 - per_volt * gears.x0), plays, ScaleStage(1.0, gears.y0 - empty)
+    place = model.stages.index(model.backlash)
+    stages = (*model.stages[:place], *placed, *model.stages[place + 1 :])
+    return RelativeModel("forward", model.input, model.output, stages)
+
+
 def _plays(node: Node) -> Stage:
     kind: Kind = node.text("type")  # type: ignore[assignment]
-    more = {"rate-plays": ("by_rate", "fastest"), "one-sided-plays": ("cubic", "linear")}.get(kind, ())
-    node.only(("type", "radii", "weights", *more))
+    own = {"rate-plays": ("by_rate", "fastest"), "one-sided-plays": ("cubic", "linear")}.get(kind, ())
+    node.only(("type", "radii", "weights", *own), ("relaxation",) if kind == "plays" else ())
     lists = {key: node.numbers(key) for key in ("radii", "weights", "by_rate") if key in node.values}
     numbers = {key: node.number(key) for key in ("fastest", "cubic", "linear") if key in node.values}
-    stage: Stage = node.build(lambda: PlayOperator(kind, **lists, **numbers))  # type: ignore[arg-type]
+    beside, axis = read_relaxation(node, "relaxation") if "relaxation" in node.values else (None, "input")
+    more = {"relaxation": beside, "inverted": axis == "output"}
+    stage: Stage = node.build(lambda: PlayOperator(kind, **lists, **numbers, **more))  # type: ignore[arg-type]
     return stage
 
 
@@ -217,11 +264,14 @@ READERS = dict.fromkeys(KINDS, _plays)
 
 def read_places(node: Node, model: RelativeModel) -> BacklashState:
     """Return what the plays of a model remember."""
-    node.only(("places", "inverse_places", "wanted"))
+    node.only(("places", "inverse_places", "wanted"), ("memory",) if model.plays.relaxation else ())
     places = tuple(node.numbers("places"))
     inverse = None if node.values["inverse_places"] is None else tuple(node.numbers("inverse_places"))
     for key, values in (("places", places), ("inverse_places", inverse)):
         if values is not None and len(values) != model.plays.n:
             raise node.refuse(key, f"has {len(values)} entries where the model has {model.plays.n} plays")
     wanted = None if node.values["wanted"] is None else node.number("wanted")
-    return PlayState(0, None, places, inverse, wanted)
+    memory = tuple(node.numbers("memory")) if "memory" in node.values else None
+    if memory is not None and model.plays.relaxation and len(memory) != len(model.plays.relaxation.tau):
+        raise node.refuse("memory", f"has {len(memory)} entries, and not as many as the model's relaxation")
+    return PlayState(0, memory, places, inverse, wanted)

@@ -18,7 +18,8 @@ Aye and Ang (2018); what is marked * was written from memory of the literature a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+import operator
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -28,8 +29,10 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
-from dbo_cli.hysteresis.operators import BacklashState, Floats
+from dbo_cli.hysteresis.operators import BacklashState, Floats, Relaxation
+from dbo_cli.records import dataclass
 
+Memory = tuple[float, ...] | None  # of relaxation; None: at rest at the sample to come
 Kind = Literal["plays", "rate-plays", "singular-plays", "one-sided-plays"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 NOTHING: Floats = np.empty(0)
@@ -231,16 +234,20 @@ class PlayState(BacklashState):
     def to_json_dict(self) -> dict[str, object]:
         """Return the state as plain JSON values."""
         inverse = None if self.inverse_plays is None else list(self.inverse_plays)
-        return {"places": list(self.plays), "inverse_places": inverse, "wanted": self.wanted}
+        memory: dict[str, object] = {} if self.memory is None else {"memory": list(self.memory)}
+        return {"places": list(self.plays), "inverse_places": inverse, "wanted": self.wanted, **memory}
 
 
 class Bounds(NamedTuple):
-    """What the drive may do: its range, its largest change between samples, and what counts as clipped."""
+    """What the drive may do: its range, what counts as clipped, and its largest change between samples."""
 
     low: float
     high: float
     slack: float
     step: float | Floats | None = None
+
+
+UNBOUND = Bounds(-math.inf, math.inf, math.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,6 +268,8 @@ class PlayOperator(OtherHysteresis):
         Of [7]: the rate of the scaled drive (1/s) at which all of ``by_rate`` is added; beyond it no more is.
     cubic, linear : float
         Of [9]: a₁ and a₂; beyond the range the curve goes straight on.
+    relaxation : Relaxation, optional
+        Of [6]: lag and creep beside the plays, as beside the gears; it follows the scaled drive.
     inverted : bool
         As it stands in an inverse model.
 
@@ -277,6 +286,7 @@ class PlayOperator(OtherHysteresis):
     fastest: float = 0.0
     cubic: float = 0.0
     linear: float = 0.0
+    relaxation: Relaxation | None = None
     inverted: bool = False
 
     def __post_init__(self) -> None:
@@ -305,6 +315,8 @@ class PlayOperator(OtherHysteresis):
             raise ModelError(f"by_rate: has {self.by_rate.size} entries where radii has {n}")
         if self.kind == "rate-plays" and not self.fastest > 0.0:
             raise ModelError(f"fastest: {self.fastest!r} is not a rate above 0")
+        if self.relaxation is not None and self.kind != "plays":
+            raise ModelError("relaxation: stands beside plays of the first kind alone")
 
     def _check_slopes(self) -> None:
         """Refuse what has no inverse: W_i must be above 0, with [8] the last one alone."""
@@ -344,6 +356,10 @@ class PlayOperator(OtherHysteresis):
             values |= {"by_rate": self.by_rate.tolist(), "fastest": self.fastest}
         if self.one_sided:
             values |= {"cubic": self.cubic, "linear": self.linear}
+        if self.relaxation is not None:
+            beside = {key: list(getattr(self.relaxation, key)) for key in ("tau", "gain")}
+            on = {"on": "output" if self.inverted else "input", "reference": self.relaxation.reference}
+            values["relaxation"] = on | beside
         return values
 
     @cached_property
@@ -410,10 +426,50 @@ class PlayOperator(OtherHysteresis):
         )  # fmt: skip
         return x, z[: self.n], clipped
 
+    def remembered(self, x: Floats, memory: Memory, steps: float | Floats) -> tuple[Floats, Memory]:
+        """Return what relaxation adds to the output for a block of scaled drive, and its memory after it."""
+        total = np.zeros(x.size)
+        if self.relaxation is None:
+            return total, None
+        lags, memory = self.relaxation.lags(x, steps, memory)
+        for gain, lag in zip(self.relaxation.gain, lags.T, strict=True):
+            total += gain * lag
+        return total, memory
+
+    def solve_beside(
+        self, y: Floats, begun: PlayState, steps: float | Floats, bounds: Bounds, last: float
+    ) -> tuple[Floats, PlayState, tuple[int, int]]:
+        """Return what ``solve`` does where relaxation stands beside the plays; ``last`` NaN: no drive before.
+
+        One sample after the other: L_j = a_j L_j + (1 - a_j)(x - reference), so what is remembered is taken
+        off, and what the drive x of this very sample adds, Σ gain_j (1 - a_j) x, is weight of play 0, which
+        is x. As beside the gears, the equation stays monotone and straight between the plays' edges.
+        """
+        terms, z, x = self.relaxation, self._padded(begun.plays), np.empty_like(y)
+        assert terms is not None
+        table = np.vstack((self.table, np.arange(z.size) == 0))
+        rows = np.broadcast_to(terms.decay(steps), (y.size, len(terms.tau))).tolist()
+        held = list(begun.memory or [0.0] * len(terms.tau))
+        if begun.memory is None:
+            rows[0] = [0.0] * len(held)  # at rest at the first sample
+        most = None if bounds.step is None else np.broadcast_to(bounds.step, y.shape).copy()
+        limits, (clipped, first) = bounds[:3], (0, 0)
+        for k, (wanted, kept) in enumerate(zip(y.tolist(), rows, strict=True)):
+            past = [a * one for a, one in zip(kept, held, strict=True)]
+            share = sum(gain * (1.0 - a) for gain, a in zip(terms.gain, kept, strict=True))
+            wanted += share * terms.reference - sum(map(operator.mul, terms.gain, past))
+            found, _ = _kernel().plays_solve(
+                self.n, table, NOTHING, z, np.array([wanted]), x[k : k + 1], np.array([share]), True, *limits,
+                NOTHING if most is None else most[k : k + 1], last,
+            )  # fmt: skip
+            first, clipped, last = first if clipped or not found else k, clipped + found, float(x[k])
+            held = [one + (1.0 - a) * (last - terms.reference) for a, one in zip(kept, past, strict=True)]
+        return x, PlayState(0, tuple(held), tuple(z[: self.n].tolist())), (clipped, first)
+
     def slow_output(self, x: float, plays: Floats) -> float:
         """Return the output for one input that comes slowly."""
-        still = np.zeros(1) if self.by_rate.size else NOTHING
-        return float(self.run(np.array([x]), plays, still)[0][0])
+        still, drive = np.zeros(1) if self.by_rate.size else NOTHING, np.array([x])
+        return float(self.run(drive, plays, still)[0][0] + self.remembered(drive, None, 0.0)[0][0])
 
     @cached_property
     def ends(self) -> tuple[float, float]:

@@ -21,7 +21,6 @@ import tempfile
 import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
@@ -30,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.reports.renderers import short_name
 
 if TYPE_CHECKING:

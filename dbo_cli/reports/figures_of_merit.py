@@ -10,12 +10,12 @@ which way a signal is going, sample by sample, whatever noise, rounding and hold
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.records import dataclass
 from dbo_cli.reports import running_statistics
 from dbo_cli.reports.running_statistics import Batches, CompensatedSum, DoublingBins, Floats, comparable
 

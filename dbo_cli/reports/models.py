@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Complexes, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, Quantity
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.records import dataclass
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head, shown_unit
@@ -247,7 +247,7 @@ class ModelTable:
         if rows:
             parts.append(text_table(head, rows))
         remarks = [f"{row.name}: {row.refused}" for row in self.rows if row.refused is not None]
-        remarks += [f"{row.name}: {inexact(row)}" for row in self.rows if row.invertible is False]
+        remarks += [f"{row.name}: {said}" for row in self.rows if (said := remark(row))]
         parts += ["\n".join(wrapped(line)) for line in remarks]
         return "\n\n".join(parts) + "\n"
 
@@ -257,8 +257,7 @@ class ModelTable:
         head += ["ns forward", "ns inverse", f"Round trip{unit}", "Remark"]
         rows = []
         for row in self.rows:
-            remark = row.refused or (inexact(row) if row.invertible is False else "")
-            rows.append([*_cells(row, row.words, "{:.1e}"), remark])
+            rows.append([*_cells(row, row.words, "{:.1e}"), row.refused or remark(row)])
         parts = [
             "<h1>Models side by side</h1>",
             f"<p>{escape(self._heading())}.</p>",
@@ -277,7 +276,8 @@ class ModelTable:
         if any(row.inverse_ns is not None for row in fitted):
             title = "Error against cost"
             words = "RMSE of each model against the nanoseconds a sample of its inverse takes."
-            paint, head = partial(_paint_cost, self, fitted), legend_head(len(fitted), LEGEND_COLUMNS)
+            timed = [row for row in fitted if row.inverse_ns is not None]
+            paint, head = partial(_paint_cost, self, timed), legend_head(len(timed), LEGEND_COLUMNS)
             plots.append(Plot("cost", title, words, style.WIDE, paint, head))
         if bent:
             title = "The loops, a straight line taken off"
@@ -292,11 +292,15 @@ def record(row: Row) -> dict[str, Any]:
     return {key: vars(row)[key] for key in RECORD} | {"invertible": row.invertible}
 
 
-def inexact(row: Row) -> str:
-    """Say why an inverse is not exact."""
-    if row.name == "rate":
+def remark(row: Row) -> str:
+    """Say why an inverse is not exact, or not timed; empty where it is both."""
+    if row.invertible is False and row.name == "rate":
         return "its inverse takes the drive's rate from that of what is wanted, so it is not exact"
-    return "its inverse is not exact to rounding"
+    if row.invertible is False:
+        return "its inverse is not exact to rounding"
+    if row.forward_ns is not None and row.inverse_ns is None:
+        return "its inverse is exact; beside memories it is solved in Python, so it is not timed"
+    return ""
 
 
 def _cells(row: Row, name: str, trip: str) -> list[str]:
@@ -311,9 +315,10 @@ def _paint_cost(shown: ModelTable, rows: Sequence[Row], axes: Axes) -> None:
     error = "Validation RMSE" if shown.validation else "Expected RMSE"
     for number, row in enumerate(rows):
         y = row.validation_rmse if shown.validation else row.expected_rmse
-        look = style.SEVERAL[number % len(style.SEVERAL)]
+        again, place = divmod(number, len(style.SEVERAL))
+        look = {"color": style.SEVERAL[place]["color"], "marker": "s" if again else "o"}
         assert row.inverse_ns is not None and y is not None
-        axes.plot([row.inverse_ns], [y], label=row.name, color=look["color"], linestyle="none", marker="o")
+        axes.plot([row.inverse_ns], [y], label=row.name, linestyle="none", **look)
     axes.margins(0.08)
     axes.set(xscale="log", yscale="log")
     label_decades(axes.xaxis, axes.yaxis)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, product
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,6 +21,7 @@ import numpy as np
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.reading_options import Rows
+from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
 from dbo_cli.reports.running_statistics import Floats

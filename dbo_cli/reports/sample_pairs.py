@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import chain
 from typing import Any
 
@@ -15,6 +15,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.logs.reading_options import Rows
 from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
+from dbo_cli.records import dataclass
 from dbo_cli.reports.running_statistics import BATCH, Floats, comparable
 
 LAG_WINDOW = 1 << 18  # samples in which a lag is looked for: 26 s at 10,000 a second, 4 MB

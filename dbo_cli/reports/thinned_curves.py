@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.records import dataclass
 from dbo_cli.reports import running_statistics
 from dbo_cli.reports.figures_of_merit import TrackingFigures
 from dbo_cli.reports.running_statistics import BATCH, Batches, DoublingBins, Floats, comparable

@@ -21,6 +21,7 @@ from dbo_cli.logs.addresses import Address, Given, check_document
 from dbo_cli.logs.reading_options import ALL_ROWS
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs import jobs
 from dbo_cli.runs.channels import (
@@ -104,7 +105,7 @@ def identify_files(asked: IdentifyRun, output: Address, work: jobs.Work, listene
     return outcome
 
 
-@dataclasses.dataclass
+@dataclass
 class ChannelFits:
     """The models of channels, identified one by one, in whichever process.
 

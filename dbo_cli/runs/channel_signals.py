@@ -22,6 +22,7 @@ from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, check_outputs, write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.channels import (
     CHANNEL,
@@ -153,7 +154,7 @@ def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
 def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> None:
     """Write a signal, so many rows at a time."""
     with signal_writer(
-        signal.address, signal.columns, format=signal.format, attributes=signal.attributes,
+        signal.address, signal.columns, format=signal.format, attributes=lambda: signal.attributes,
         protect=protect, commented=signal.commented,
     ) as writer:  # fmt: skip
         for row in range(0, len(signal.arrays[0]), max(rows, 1)):
@@ -181,7 +182,7 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
     return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
-@dataclasses.dataclass
+@dataclass
 class ChannelTable:
     """One output of all channels: columns that carry a channel's name, or (in HDF5, of matrices) matrices.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks, plain
 
 

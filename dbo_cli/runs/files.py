@@ -11,7 +11,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -37,6 +37,7 @@ from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks, plain
 from dbo_cli.runs.roles import bring_to, quantity_wish, start_of, tracked_of, tracked_wishes
 
@@ -202,7 +203,7 @@ class SignalRun:
                 with signal_writer(
                     destination.output.or_format(self.reading.format),
                     columns,
-                    attributes=_attributes(run, log, destination.command),
+                    attributes=partial(_attributes, run, log, destination.command),
                     flush=destination.live,
                     protect=destination.protect,
                     commented=destination.commented,
@@ -256,8 +257,8 @@ def write_excitation(
         DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
     check_format(form, [output])
     columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
-    attributes = {"sample_rate": excitation.sample_rate}
-    with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
+    rate = excitation.sample_rate
+    with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
         for row in range(0, len(time), _ROWS):
             writer.write(*(one[row : row + _ROWS] for one in (time, *drives.values())))
     return len(time)

@@ -11,13 +11,15 @@ import os
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dbo_cli import errors
 from dbo_cli.errors import DboError, UsageError
 from dbo_cli.logs.addresses import Address, parse_address
+from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs, make_folder
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 
 if TYPE_CHECKING:
@@ -29,7 +31,7 @@ Jobs = Iterable[tuple[str, Callable[[], Value]]]
 _AHEAD = 2  # jobs a process that are in memory at once: one is worked on while the next is read
 FILE = "{file}"  # in the name of an output: the log's name without folder and ending
 _NAMED = 8  # channels or files that a message names at most
-_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
+_NUMBER = pattern(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?(?<![.,])")
 
 
 @dataclass(frozen=True)

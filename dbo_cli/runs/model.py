@@ -7,7 +7,6 @@ import os
 import warnings
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 import numpy as np
@@ -25,6 +24,7 @@ from dbo_cli.logs.addresses import check_document
 from dbo_cli.logs.reading_options import ALL_ROWS, Rows, parse_rows
 from dbo_cli.logs.sources import is_log
 from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs.roles import bring_to, quantity_wish, source_of, start_of, tracked_of, tracked_wishes
 

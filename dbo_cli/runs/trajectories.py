@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.addresses import check_format
 from dbo_cli.logs.signal_writer import OutColumn, signal_writer
 from dbo_cli.logs.whole_output import all_or_none
+from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks
 from dbo_cli.runs.files import Destination, shown_name, summary_of_values, write_summary
 from dbo_cli.runs.model import Model, require_known
@@ -146,9 +146,10 @@ def write_trajectory(
     destination.check()
     made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
     columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
-    attributes = {"sample_rate": options.rate}
     with all_or_none():
-        with signal_writer(output.or_format(form), columns, attributes=attributes) as writer:
+        with signal_writer(
+            output.or_format(form), columns, attributes=lambda: {"sample_rate": options.rate}
+        ) as writer:
             writer.write(made.time, *made.axes.values())
         if summary is not None:
             told = (destination.command, None, Remarks(made.notes))

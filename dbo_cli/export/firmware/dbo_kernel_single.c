@@ -43,7 +43,7 @@ static uint32_t count_ones(uint32_t word) {
 
 /* ---- what differs between the arithmetics ------------------------------------------------------------ */
 
-#define FARTHEST ((dbo_position)1 << 60)
+#define FARTHEST ((dbo_position)1 << 60) /* beyond every position, and a difference of two fits 64 bits */
 
 /* value / 2^shift, rounded to nearest. The right shift of a negative number is written out: what it does
  * is left to the compiler, and every compiler makes one instruction of this. */

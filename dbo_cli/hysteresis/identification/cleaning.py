@@ -6,13 +6,14 @@ off; spikes, and rows in which the sensor stands still while the drive moves, ar
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Recording, drive_shape
+from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 

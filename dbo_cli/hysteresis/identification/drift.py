@@ -8,7 +8,7 @@ memories of all time constants.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dbo_cli.hysteresis.identification.normal_equations import Structure, solve,
 from dbo_cli.hysteresis.identification.recordings import DriveShape, Floats
 from dbo_cli.hysteresis.identification.regressors import Basis, relaxed_drive
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, Statistics, fewer_rows, gather
+from dbo_cli.records import dataclass
 
 HIGHEST_ORDER = 4  # of the polynomial: chosen; on eight invented logs 2 and 8 changed no model
 

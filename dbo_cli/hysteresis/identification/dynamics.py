@@ -51,6 +51,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
+from dbo_cli.records import dataclass
 
 AS_GOOD = 1.02  # of the error on cycles left out, up to which creep behind the gears is taken
 STILL_GOOD = 1.25
@@ -141,7 +142,7 @@ def _unexplained(signals: Sequence[Signals], chosen: Candidate, fast: Sequence[F
     return warnings
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class _Reading:
     """What the slow rows told.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
 from dbo_cli.hysteresis.model_state import StartName
+from dbo_cli.records import dataclass
 
 BLOCK_ROWS = 65536  # bounds the memory; changes no bit of the result
 TINY = float(np.finfo(float).tiny)  # in place of a divisor of 0

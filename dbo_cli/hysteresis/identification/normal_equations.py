@@ -9,7 +9,6 @@ penalties, and costs a fifth of a millisecond to solve (``hysteresis/fit_kernel.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis import fit_kernel
 from dbo_cli.hysteresis.fit_kernel import ABSENT, AT_ZERO, FREE, POSITIVE, States
+from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 

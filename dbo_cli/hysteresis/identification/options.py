@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.identification.cleaning import Sensor
+from dbo_cli.records import dataclass
 
 METHODS = ("least-squares", "paper")
 SLOPES = ("growing", "falling", "free")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ from dbo_cli.hysteresis.identification.regressors import Basis, DriveRows, drift
 from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather, with_folds
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN
+from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -42,6 +41,7 @@ from dbo_cli.hysteresis.identification.search import LONGEST_DELAY
 from dbo_cli.hysteresis.identification.static import Identification
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
 from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
+from dbo_cli.records import dataclass
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
+from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -13,7 +13,6 @@ does not grow with the log.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -27,6 +26,7 @@ from dbo_cli.hysteresis.operators import (
     DiscretePointOperator,
     Relaxation,
 )
+from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

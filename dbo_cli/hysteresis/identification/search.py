@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from dbo_cli.hysteresis.identification.statistics import (
     gather,
     groups_left_out,
 )
+from dbo_cli.records import dataclass
 
 ALL_GEARS = 1024
 """However many slopes they share. On eight invented logs half as many left 0.997 to 1.42 of the error on new

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from dbo_cli.hysteresis.identification.search import (
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import rms
+from dbo_cli.records import dataclass
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
 

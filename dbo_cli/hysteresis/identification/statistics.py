@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 from dbo_cli.hysteresis.identification.recordings import Floats, Integers, drive_shape
 from dbo_cli.hysteresis.identification.regressors import BLOCK_ROWS, Basis, DriveRows, hat_functions
 from dbo_cli.hysteresis.model_state import StartName
+from dbo_cli.records import dataclass
 
 GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0  # its multiples fill an interval most evenly
 SELECTION_ROWS = 20_000  # for choosing orders: more rows move the error left out by less than 1 %

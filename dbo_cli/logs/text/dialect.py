@@ -10,32 +10,32 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.plain_text import counted, decoded
+from dbo_cli.logs.plain_text import counted, decoded, pattern
 from dbo_cli.logs.reading_options import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
+from dbo_cli.records import dataclass
 
 _NAMES = {",": "comma", ";": "semicolon", "\t": "tab", BLANKS: "blanks", "|": "pipe"}
 COMMENTS = "#%"
 SAMPLE_LINES = 40  # enough rows to outvote junk lines
 # Before a line of names or units: ``# columns:`` and ``# units:`` (JPK), ``# column_headers=`` (Qudi).
-_LABEL = re.compile(
+_LABEL = pattern(
     r"(?:fancyNames|column_?(?:names|headers)|columns|channels|fields|names|(?P<unit>units?|einheiten?))"
     r"(?:\s*[:=]\s*|$)",
     re.IGNORECASE,
 )
 # 1.5 V, as Grafana formats its cells; V:1.5, as the Arduino's plotter reads it.
-_NUMBER_WITH_UNIT = re.compile(
+_NUMBER_WITH_UNIT = pattern(
     r"(?<![\w.:-])(?:[-+]?\d+(?:[.,]\d+)? ?[^\W\d_]{1,4}\b|[^\W\d_]\w{0,20} ?[:=] ?[-+]?\d[\d.]*)"
 )
 _PLAIN_NUMBERS = "write them without units and labels; Grafana: without Formatted data"
 _MOST_ACROSS = 64  # columns of a log whose names are lost; more, fewer lines, and names in front: it lies
-_THOUSAND = re.compile(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
-_UNIT_OF_ONE = re.compile(
+_THOUSAND = pattern(r"(?<![\d.,])[1-9]\d{0,2},\d{3}(?![\d,eEdD])")  # 1,234, to some 1234
+_UNIT_OF_ONE = pattern(
     r"(?P<name>\S.{0,60}?)[ _](?:unit|einheit)\s*[:=,;\t]\s*(?P<unit>\S{1,30})", re.IGNORECASE
 )
 

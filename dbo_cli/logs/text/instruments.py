@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from dbo_cli.errors import InputError
@@ -18,6 +18,7 @@ from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
 from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect
 from dbo_cli.logs.text.lines import END_OF_HEADER, find_header_block, is_number, split_cells
+from dbo_cli.records import dataclass
 
 _LOOKED_AT = 400  # lines; no instrument's header is half as long
 _NEAR = 100  # lines; makers that write a few settings begin their table above

@@ -8,14 +8,14 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource
-from dbo_cli.logs.plain_text import shortened
+from dbo_cli.logs.plain_text import pattern, shortened
 from dbo_cli.logs.reading_options import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -25,13 +25,13 @@ HEAD_BYTES = 1 << 18  # read ahead: longer than the header of any instrument, an
 LONGEST_LINE = 1 << 24  # a row of a million columns; what is longer has no line ends
 NEIGHBOUR_BYTES = 1 << 14  # kept of the text above: some hundred rows of a usual log
 # Numbers with either decimal sign; d is Fortran's exponent.
-_POINT = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
-_COMMA = re.compile(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
+_POINT = pattern(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?")
+_COMMA = pattern(r"[+-]?(?:\d+(?:,\d*)?|,\d+)(?:[eEdD][+-]?\d+)?")
 # Groups of three digits whose mark can be nothing else: 1,234.5 or 1'234 or 1,234,567. A lone 1,234 is taken
 # for a group where the decimal sign of the log is known to be a point (``text.dialect`` asks).
 _BLANK_MARKS = "'\u2019\u00a0\u202f\u2009 "
 _GROUPED = {
-    sign: re.compile(rf"([+-]?[1-9]\d{{0,2}})([{mark}{_BLANK_MARKS}])(\d{{3}}(?:\2\d{{3}})*)([{sign}]\d*)?")
+    sign: pattern(rf"([+-]?[1-9]\d{{0,2}})([{mark}{_BLANK_MARKS}])(\d{{3}}(?:\2\d{{3}})*)([{sign}]\d*)?")
     for sign, mark in ((".", ","), (",", "."))
 }
 NOT_FINITE = frozenset({"nan", "inf", "infinity", "1.#qnan", "1.#inf", "1.#ind"})
@@ -103,7 +103,7 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
 # --- is the last number of a log whole? -----------------------------------------------------------------
 
 _USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
-_NUMBER = re.compile(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
+_NUMBER = pattern(r"[+-]?(?P<whole>\d*)(?P<rest>[.,]\d*)?(?:[eEdD](?P<exponent>[+-]?\d*))?")
 
 
 def _digits(cell: str) -> tuple[int, int, int] | None:

@@ -7,10 +7,9 @@ take a block only when every line is a row of the usual width and every wanted c
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource, Request
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.plain_text import counted, decoded
+from dbo_cli.logs.plain_text import counted, decoded, pattern
 from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Rows, remedy_for
 from dbo_cli.logs.sample_block import (
     TIME,
@@ -45,6 +44,7 @@ from dbo_cli.logs.text.lines import (
     split_cells,
     to_number,
 )
+from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.logs.text.instruments import InstrumentHeader
@@ -54,7 +54,7 @@ _NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column
 _LARGEST_BLOCK = 1 << 23  # bytes; 8 MB in memory twice, whatever ``block_rows`` asks for
 # One line of names above nothing but numbers: no instrument's header, so its readers need not be loaded.
 # A rate in the names (tInc = 2e-6) is theirs.
-_PLAIN = re.compile(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
+_PLAIN = pattern(rb"[^\n=:]*\n[0-9eE+\-.,;\t \r\n]+")
 
 
 class TextTable(Table):
@@ -230,7 +230,7 @@ def last_cells(text: bytes, dialect: Dialect) -> list[str]:
 
 # --- blocks of lines to arrays ------------------------------------------------------------------------
 
-_DIGIT = re.compile(r"\d")
+_DIGIT = pattern(r"\d")
 _AT_ONCE = 1 << 17  # bytes; what fits the cache is looked through three times as fast as 8 MB
 
 
