@@ -19,6 +19,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.model_state import StartName, start_state
+from dbo_cli.hysteresis.move_error import travelled
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     DiscreteBacklashOperator,
@@ -45,6 +46,7 @@ class Basis:
     retraces it: splitting makes that error of the operator small without a single unknown more.
     ``time_constants`` in seconds; ``delay`` in seconds, of the output behind the drive. ``bend`` is the
     asymmetry that acts on the drive before the gears: at a share s of the range it adds bend s (1 - s).
+    ``lengths`` are of memories that fade with the way gone, in units of the range; no model has them.
     """
 
     gears: int
@@ -54,6 +56,7 @@ class Basis:
     time_constants: tuple[float, ...] = ()
     delay: float = 0.0
     bend: float = 0.0
+    lengths: tuple[float, ...] = ()
 
     @property
     def span(self) -> float:
@@ -72,7 +75,11 @@ class Basis:
 
     def lags(self, voltage: Floats, seconds: Floats | None) -> Floats:
         """Return what each memory holds of the drive, as shares of the range; see ``relaxed_drive``."""
-        return relaxed_drive((self.drive(voltage) - self.low) / self.span, seconds, self.time_constants)
+        lags = relaxed_drive((self.drive(voltage) - self.low) / self.span, seconds, self.time_constants)
+        if self.lengths:
+            way = travelled(voltage, self.span) / self.span
+            lags = np.hstack((lags, relaxed_drive((voltage - self.low) / self.span, way, self.lengths)))
+        return lags
 
     def operator(self) -> DiscreteBacklashOperator:
         """Return an operator of these gears with equal heights that sum to one."""
