@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reference
+from exported import COMPILERS, compile_c
 from trials import Floats, random_operator, random_trajectory
 
 import dbo_cli.hysteresis
@@ -132,17 +133,18 @@ def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest
         assert expanded == everything(seed, monkeypatch, Grouped(kernel.PythonKernel), relaxation, run), seed
 
 
-@pytest.fixture(scope="module", params=["-O2", "-O2 -DDBO_SOFT_DOUBLE"])
+@pytest.fixture(scope="module", params=["", "-DDBO_SOFT_DOUBLE"])
 def firmware(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The extension with the kernel as small chips have it, those with float64 in software among them."""
-    if COMPILED is None or shutil.which("cc") is None:
+    if COMPILED is None or not COMPILERS:
         pytest.skip("no C compiler, or the compiled kernel was not built")
-    library = tmp_path_factory.mktemp("firmware") / "_kernel.so"
-    subprocess.run(
-        ["cc", "-std=c99", "-ffp-contract=off", "-shared", "-fPIC", "-DDBO_SMALL", *request.param.split(),
-         f"-I{sysconfig.get_path('include')}", *map(str, sorted(SOURCE.glob("_[bk]*.c"))),
-         *map(str, sorted(SOURCE.glob("dbo_*.c"))), "-o", str(library)],
-        check=True,
+    folder = tmp_path_factory.mktemp("firmware")
+    library = folder / "_kernel.so"
+    compile_c(
+        folder, "-std=c99", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-DDBO_SMALL",
+        *request.param.split(), f"-I{sysconfig.get_path('include')}",
+        *map(str, sorted((*SOURCE.glob("_[bk]*.c"), *SOURCE.glob("dbo_*.c")))),
+        "-o", str(library), compiler=COMPILERS[0],
     )  # fmt: skip
     loader = ExtensionFileLoader("_kernel", str(library))
     module = module_from_spec(ModuleSpec("_kernel", loader, origin=str(library)))

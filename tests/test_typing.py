@@ -11,9 +11,7 @@ from mypy import api
 import dbo_cli
 
 SCRIPT = Path(__file__).parent / "user_script.py"
-KEPT = (
-    Path(__file__).parent.parent / ".mypy_cache" / "of_users"
-)  # of the library, from last time
+KEPT = Path(__file__).parent.parent / ".mypy_cache" / "of_users"  # of the library, from last time
 WRONG = """
 def odd(model: dbo.Model) -> str:
     dbo.identfy("run.csv")
