@@ -508,6 +508,12 @@ FAULTS: list[Fault] = [
          "noise is no way gone"),
     ),
     *_faults(
+        "hysteresis/identification/search.py",
+        ("hysteresis_identification",),
+        ("return choose(prepared, replace(orders, time_constants=()), cycle)", "pass",
+         "memories of the time do not stand for those of the way"),
+    ),
+    *_faults(
         "hysteresis/identification/expectation.py",
         ("hysteresis_identification",),
         ("left - floor > FORGETTING_EXPLAINS * (fitted**2 - floor)",
