@@ -46,9 +46,10 @@ def _shown(self: Any) -> str:
 
 
 def _set_once(self: Any, name: str, value: object) -> None:
-    if name in vars(self) or name not in self.__dataclass_fields__:
+    values = self.__dict__  # ``object.__setattr__`` would take twice as long
+    if name in values or name not in self.__dataclass_fields__:
         raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
-    object.__setattr__(self, name, value)
+    values[name] = value
 
 
 def _kept(self: Any, name: str) -> None:

@@ -8,6 +8,7 @@ picture shows the arrows there are.
 from __future__ import annotations
 
 import ast
+import functools
 import io
 import re
 from collections.abc import Iterator
@@ -63,6 +64,7 @@ def module_files() -> dict[str, Path]:
     return files
 
 
+@functools.cache
 def imports() -> list[Import]:
     """Return every import of one module of the package by another."""
     files = module_files()

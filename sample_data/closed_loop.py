@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ class Bench(VirtualActuator):
         """Return the displacement after one more sample, and what the sensor shows, in um."""
         p = self.parameters
         v = self._follow("amplifier", volts, p.amplifier_lag)
-        np.clip(self._plays, v - self.radii, v + self.radii, out=self._plays)
+        np.minimum(np.maximum(self._plays, v - self.radii), v + self.radii, out=self._plays)
         summed = float(self.weights @ self._plays) - self._rest
         x = (self.direct * (v - p.v_min) + summed) / (p.v_max - p.v_min)
         shape = x + p.bend * x * (1.0 - x) + p.bend_cubic * x * (1.0 - x) * (1.0 - 2.0 * x)
@@ -55,11 +56,16 @@ class Bench(VirtualActuator):
             self._past[which] = (value, value)
             return value
         before, answer = self._past[which]
-        ratio = 1.0 / (RATE * tau)
-        decay, hold = math.exp(-ratio), -math.expm1(-ratio) / ratio
+        decay, hold = _decay_and_hold(tau)
         answer = decay * answer + value * (1.0 - hold) + before * (hold - decay)
         self._past[which] = (value, answer)
         return answer
+
+
+@cache
+def _decay_and_hold(tau: float) -> tuple[float, float]:
+    ratio = 1.0 / (RATE * tau)
+    return math.exp(-ratio), -math.expm1(-ratio) / ratio
 
 
 def track(bench: Bench, desired: Signal, feedforward: Signal | None, crossover: float | None) -> float:

@@ -18,6 +18,7 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 ROOT = Path(__file__).resolve().parent.parent
+CACHED_CC = Path(__file__).with_name("cached_cc.py")
 sys.path.insert(0, str(ROOT / "sample_data"))
 
 SMALL_MODEL: dict[str, Any] = {
@@ -39,12 +40,16 @@ def pytest_configure(config: pytest.Config) -> None:
         folder = tempfile.TemporaryDirectory(prefix="dbo-objects-")
         config.add_cleanup(folder.cleanup)
         os.environ["DBO_TEST_OBJECTS"] = folder.name
-        os.environ["CC"] = str(Path(__file__).with_name("cached_cc.py"))
+        compiler = Path(folder.name) / "cc"  # this Python, found before, and without its site
+        compiler.write_text(f'#!/bin/sh\nexec "{sys.executable}" -SE "{CACHED_CC}" "$@"\n', encoding="utf-8")
+        compiler.chmod(0o700)
+        os.environ["CC"] = str(compiler)
 
 
 def pytest_collection_finish() -> None:
     """Leave what was collected, and the libraries, out of every later search for garbage."""
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)  # what a test makes goes as it ends, without a search
 
 
 class Outcome(NamedTuple):

@@ -20,7 +20,7 @@ from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 WARNINGS = ["-std=c99", *cached_cc.STRICT, "-ffp-contract=off"]
 # Not optimised: nothing is left out before it is watched, and the kernel takes half as long to compile.
 SANITIZERS = ["-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-CACHED = str(Path(cached_cc.__file__))
+CACHED = os.environ["CC"] if "DBO_TEST_OBJECTS" in os.environ else cached_cc.__file__
 COMPILERS = [CACHED] * bool(shutil.which("gcc")) + ["clang"] * bool(shutil.which("clang"))
 TYPES: dict[str, Any] = {"double": np.float64, "float": np.float32, "q31": np.int32}
 

@@ -135,11 +135,31 @@ def uncommented(path: Path) -> Iterator[str]:
             yield f"{path}:{node.lineno}: {', '.join(names)}"
 
 
+def uncommented_in_c(path: Path) -> Iterator[str]:
+    """Yield the defines of a C file (numbers but 0 and 1) with no word beside them, or above their group."""
+    lines = ["", *path.read_text(encoding="utf-8").splitlines()]
+    for number, line in enumerate(lines):
+        found = re.match(r"#define (\w+) ([^/]*)(/\*)?", line)
+        if not found or found[3] or set(re.findall(r"(?<![\w.])\d[\w.+-]*", found[2])) <= {"0", "1"}:
+            continue
+        above = next(before for before in reversed(lines[:number]) if not before.startswith("#define"))
+        if not above.endswith("*/"):
+            yield f"{path}:{number}: {found[1]}"
+
+
 def test_every_constant_says_where_it_comes_from(tmp_path: Path) -> None:
     bare = tmp_path / "bare.py"
     bare.write_text("WIDE, TALL = 5.0, 4.0  # inches\nFEW = 3\n\nMANY: int = 30\n\n# rows\nMOST = 300\n")
     assert [one.split(":")[-2:] for one in uncommented(bare)] == [["2", " FEW"], ["4", " MANY"]]
     assert [one for path in (ROOT / "dbo_cli").rglob("*.py") for one in uncommented(path)] == []
+    bare = tmp_path / "bare.c"
+    bare.write_text(
+        "#define FEW 3\n#define NAMED other2\n#define BEYOND (1.0e300 * 2.0)\n#define ONE 1\n"
+        "#define MANY 30 /* rows */\n\n/* Two\n * lines. */\n#define HIGH 4\n#define WIDE (1 << 60)\n"
+    )
+    assert [one.split(":")[-2:] for one in uncommented_in_c(bare)] == [["1", " FEW"], ["3", " BEYOND"]]
+    sources = [path for ending in ("*.c", "*.h") for path in (ROOT / "dbo_cli").rglob(ending)]
+    assert [one for path in sources for one in uncommented_in_c(path)] == []
 
 
 def test_the_readme_is_read_in_five_minutes() -> None:

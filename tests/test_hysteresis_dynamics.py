@@ -204,3 +204,11 @@ def test_a_low_pass_that_the_rate_does_not_allow_is_refused() -> None:
         ZeroPhaseLowPass(600.0, 1e-3)
     with pytest.raises(UsageError, match=r"`bandwidth` 0.01: too low .* `resample` at a lower rate"):
         ZeroPhaseLowPass(0.01, 1e-3)
+
+
+def test_a_single_time_step_has_the_bits_of_many() -> None:
+    rng = np.random.default_rng(8)
+    for turn, damping in zip(rng.uniform(1e-6, 1.0, 300), 10.0 ** rng.uniform(-4.0, -0.01, 300), strict=True):
+        section = Resonance(turn * RATE / (2.0 * np.pi), damping)
+        (one,), two = section.step(np.array([STEP])), section.step(np.array([STEP, STEP]))
+        assert one.tobytes() == two[0].tobytes() == two[1].tobytes()

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reference
+from exported import COMPILERS, compile_c
 from trials import Floats, random_operator, random_trajectory
 
 import dbo_cli.hysteresis
@@ -132,17 +133,18 @@ def test_grouped_tables_give_the_same_bits(relaxation: bool, monkeypatch: pytest
         assert expanded == everything(seed, monkeypatch, Grouped(kernel.PythonKernel), relaxation, run), seed
 
 
-@pytest.fixture(scope="module", params=["-O2", "-O2 -DDBO_SOFT_DOUBLE"])
+@pytest.fixture(scope="module", params=["", "-DDBO_SOFT_DOUBLE"])
 def firmware(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The extension with the kernel as small chips have it, those with float64 in software among them."""
-    if COMPILED is None or shutil.which("cc") is None:
+    if COMPILED is None or not COMPILERS:
         pytest.skip("no C compiler, or the compiled kernel was not built")
-    library = tmp_path_factory.mktemp("firmware") / "_kernel.so"
-    subprocess.run(
-        ["cc", "-std=c99", "-ffp-contract=off", "-shared", "-fPIC", "-DDBO_SMALL", *request.param.split(),
-         f"-I{sysconfig.get_path('include')}", *map(str, sorted(SOURCE.glob("_[bk]*.c"))),
-         *map(str, sorted(SOURCE.glob("dbo_*.c"))), "-o", str(library)],
-        check=True,
+    folder = tmp_path_factory.mktemp("firmware")
+    library = folder / "_kernel.so"
+    compile_c(
+        folder, "-std=c99", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-DDBO_SMALL",
+        *request.param.split(), f"-I{sysconfig.get_path('include')}",
+        *map(str, sorted((*SOURCE.glob("_[bk]*.c"), *SOURCE.glob("dbo_*.c")))),
+        "-o", str(library), compiler=COMPILERS[0],
     )  # fmt: skip
     loader = ExtensionFileLoader("_kernel", str(library))
     module = module_from_spec(ModuleSpec("_kernel", loader, origin=str(library)))
@@ -252,13 +254,16 @@ def dyadic(rng: np.random.Generator, n: int) -> Floats:
 
 @pytest.mark.parametrize("n", range(1, 13))
 def test_every_state_equals_the_reference(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond."""
+    """From each of the 2^n states: onto it, into and exactly to the end of the next gear, and far beyond.
+
+    Beyond 10 gears from every seventh state alone.
+    """
     rng = np.random.default_rng(n)
     operator = DiscreteBacklashOperator(dyadic(rng, n), dyadic(rng, n), 1.5, -0.25)
     widths = operator.dx.tolist(), operator.dy.tolist()
     kernels = [chosen for chosen in (COMPILED, kernel.PythonKernel) if chosen is not None]
     paper = reference.Backlash(*widths, 1.5, -0.25)
-    for bits in range(1 << n):
+    for bits in range(0, 1 << n, 1 if n <= 10 else 7):
         paper.state = bits
         x_b, y_b = paper.coordinates()
         assert operator.coordinates(BacklashState(bits)) == (float(x_b), float(y_b))
@@ -482,7 +487,7 @@ def test_portable_scan_and_single_steps(tmp_path: Path) -> None:
     operator = DiscreteBacklashOperator(rng.uniform(0.1, 1.0, 150), rng.uniform(0.1, 1.0, 150))
     x = random_trajectory(rng, operator, 300)
     expected, _, _ = operator.run(x, operator.empty())
-    for flags in (["-O2"], ["-O1", "-DDBO_PORTABLE_SCAN"], ["-O2", "-DDBO_PORTABLE_SCAN", "-DDBO_SMALL"]):
+    for flags in (["-O1"], ["-O1", "-DDBO_PORTABLE_SCAN"], ["-O1", "-DDBO_PORTABLE_SCAN", "-DDBO_SMALL"]):
         library = tmp_path / f"kernel{''.join(flags)}.so"
         subprocess.run(
             ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror",

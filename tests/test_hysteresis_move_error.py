@@ -22,8 +22,10 @@ from dbo_cli.hysteresis.move_error import (
     move_error,
     spread,
     thinned,
+    travelled,
     unlike,
 )
+from dbo_cli.hysteresis.operators import Relaxation
 
 STEP = 0.01
 
@@ -135,6 +137,32 @@ def test_others_come_back_from_the_file_to_four_digits(tmp_path: Path) -> None:
     assert other.model.stages[1:] == (ScaleStage(2.123, 0.0), DelayStage(0.05))
 
 
+def test_a_memory_of_the_way_gone_counts_whatever_the_time(tmp_path: Path) -> None:
+    """L' = |u'| (u - L) / tau: it stays behind by tau, up and down, but for what fades since the turn."""
+    from dbo_cli.hysteresis.model_file import read_model
+
+    path = tmp_path / "model.json"
+    memory = Relaxation(0.0, (2.0,), (0.5,))
+    path.write_bytes(model_to_bytes(with_others(Alternative("forgetting", 1.0, model(), memory))))
+    [other] = alternatives_of(read_model(str(path)))
+    assert other.forgetting == memory
+    up, down = np.linspace(0.0, 8.0, 4001), np.linspace(8.0, 4.0, 2001)[1:]
+    drive = np.concatenate((up, down))
+    behind = 2.0 * (1.0 - np.exp(-up / 2.0))
+    turned = -2.0 + (behind[-1] + 2.0) * np.exp((down - 8.0) / 2.0)
+    lag = drive - np.concatenate((behind, turned))
+    for step in (STEP, 100.0, None):
+        assert other.played(drive, step) == pytest.approx(2.0 * (drive + 0.5 * lag), abs=2e-3)
+
+
+def test_noise_is_no_way() -> None:
+    rng = np.random.default_rng(3)
+    gone = travelled(ramp(4.0) + 0.02 * rng.normal(size=len(ramp(4.0))), 10.0)
+    assert gone[-1] == pytest.approx(16.0, abs=0.3)
+    assert np.all(np.diff(gone) >= 0.0)
+    assert gone[len(gone) // 2] == pytest.approx(8.0, abs=0.2)
+
+
 def test_dynamics_that_were_found_besides_are_put_behind_the_others() -> None:
     from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance
 
@@ -150,6 +178,10 @@ def test_dynamics_that_were_found_besides_are_put_behind_the_others() -> None:
     [
         ([{"weight": 1.0, "stages": []}], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
         (["bend"], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
+        (
+            [{"changed": "forgetting", "weight": 1.0, "stages": [], "forgetting": {"tau": [1.0]}}],
+            "fit.alternatives[0]: needs `changed`, `weight` and `stages`",
+        ),
         (
             [{"changed": "bend", "weight": 1.0, "stages": 3}],
             "the model: fit.alternatives[0].stages: is not a list",

@@ -23,12 +23,12 @@ with h5py.File(sys.argv[1], "a", locking={locking}) as file:
     data = file.create_dataset("record", shape=(0,), maxshape=(None,), chunks=(512,), dtype="f8")
     file.flush()
     print("recording", flush=True)
-    for number in range(10_000):
+    for number in range(4_000):
         data.resize((number + 1,))
         data[number] = number
         if number % 500 == 0:
             file.flush()
-        if number == 5_000:
+        if number == 2_000:
             file.flush()
             print("half", flush=True)
             sys.stdin.readline()
@@ -96,7 +96,7 @@ def test_a_recorder_loses_no_row(tmp_path: Path, address: str, locking: str) -> 
     recorder.communicate("\n", timeout=60)
     assert recorder.returncode == 0
     with h5py.File(path) as file:
-        assert file["record"][:].tolist() == list(range(10_000))
+        assert file["record"][:].tolist() == list(range(4_000))
     assert os.listdir(tmp_path) == ["store.h5"]
 
 

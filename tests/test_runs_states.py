@@ -47,7 +47,7 @@ def test_a_run_cut_anywhere_gives_the_bytes_of_one_run(dbo: Any, command: str, k
         more += ["--max-slew", "60", "--v-max", "9"]
     whole = dbo(command, "model.json", "in.csv", "-q", *more)
     assert whole.code == 0
-    for _ in range(8):
+    for _ in range(4):
         cuts = np.sort(rng.choice(np.arange(1, SAMPLES), 3, replace=False)).tolist()
         ends = [*cuts, SAMPLES]
         joined, state = [], "auto"

@@ -11,6 +11,7 @@ from mypy import api
 import dbo_cli
 
 SCRIPT = Path(__file__).parent / "user_script.py"
+KEPT = Path(__file__).parent.parent / ".mypy_cache" / "of_users"  # of the library, from last time
 WRONG = """
 def odd(model: dbo.Model) -> str:
     dbo.identfy("run.csv")
@@ -29,7 +30,7 @@ def test_a_users_script_is_checked_strictly_and_a_wrong_one_is_found(
     monkeypatch.setenv("MYPYPATH", str(Path(dbo_cli.__file__).parent.parent))
     # What the library imports is its own affair, as it is where it is installed.
     said, trouble, code = api.run(
-        ["--strict", "--follow-imports=silent", "--ignore-missing-imports",
+        ["--strict", "--follow-imports=silent", "--ignore-missing-imports", f"--cache-dir={KEPT}",
          "--disable-error-code=import-untyped", "right.py", "wrong.py"]
     )  # fmt: skip
     found = [line.partition(": error: ")[::2] for line in said.splitlines() if ": error: " in line]

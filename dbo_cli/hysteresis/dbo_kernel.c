@@ -2,7 +2,7 @@
 #include "dbo_kernel.h"
 
 #define ALL_ONES UINT64_MAX
-#define ENDLESS (1.0e300 * 1.0e300)
+#define ENDLESS (1.0e300 * 1.0e300) /* infinity, without a header for it */
 
 /* The state stays in registers only where these are inlined; left to choose, compilers do not. DBO_SMALL
  * leaves the choice to them and expects grouped tables, for less than half of the code. */

@@ -9,7 +9,7 @@
 
 #include <stddef.h>
 
-#define DBO_PLAY_LANES 8
+#define DBO_PLAY_LANES 8 /* chosen; the order of the sums, so part of the bits: LANES in relatives/plays.py */
 
 /* z_i = max(x - up_i, min(x + down_i, z_i)), y = curve(x) + sum (weight_i + s by_rate_i) z_i, s being 0 to 1.
  * by_rate is 0 where weights do not depend on the rate. The curve is cubic x^3 + linear x from 0 to 1 and goes

@@ -27,7 +27,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from typing import Any, NamedTuple, TypeVar
 
@@ -114,14 +114,10 @@ class Resonance(Mode):
 
     def step(self, time_step: Floats) -> Floats:
         """Return the kernel's six numbers for each time step (s): what p and q change by."""
-        angle = 2.0 * math.pi * self.frequency * time_step
-        zeta, root = self.damping, math.sqrt(1.0 - self.damping * self.damping)
-        fade = np.exp(-zeta * angle)
-        sine, cosine = fade * np.sin(root * angle) / root, fade * np.cos(root * angle)
-        if angle.size == 1 and 0.0 < angle[0] < _SERIES:  # as in every fit: plain numbers, the same bits
-            turn, turned, late = angle.item(), sine.item(), cosine.item()
-            one = _series(turn, zeta, 0)
-            return np.array([[turned, one, _series(turn, zeta, 1), late - zeta * turned, turned, one / turn]])
+        angle, zeta = 2.0 * math.pi * self.frequency * time_step, self.damping
+        if angle.size == 1 and 0.0 < angle[0] < _SERIES:
+            return _even_step(angle.item(), zeta)
+        sine, cosine = _turned(angle, zeta)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             step = np.where(angle < _SERIES, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine))
             ramp = np.where(
@@ -140,6 +136,20 @@ class Resonance(Mode):
         return gain
 
 
+def _turned(angle: Floats, zeta: float) -> tuple[Floats, Floats]:
+    """Return sine and cosine of a decaying turn, the sine over the root of 1 - zeta squared."""
+    root, fade = math.sqrt(1.0 - zeta * zeta), np.exp(-zeta * angle)
+    return fade * np.sin(root * angle) / root, fade * np.cos(root * angle)
+
+
+@lru_cache(maxsize=16)  # a fit changes one resonance at a time, and has but a few
+def _even_step(angle: float, zeta: float) -> Floats:
+    """Return ``Resonance.step`` of a single time step, in plain numbers: the same bits."""
+    sine, cosine = (one.item() for one in _turned(np.array([angle]), zeta))
+    step = _series(angle, zeta, 0)
+    return np.array([[sine, step, _series(angle, zeta, 1), cosine - zeta * sine, sine, step / angle]])
+
+
 def _series(angle: Any, zeta: float, order: int) -> Any:
     """Return p after an input that rises from 0 to 1 at once (``order`` 0) or evenly (1), as a power series.
 
@@ -147,9 +157,13 @@ def _series(angle: Any, zeta: float, order: int) -> Any:
     """
     squared = angle * angle
     before = now = total = 0.0 * squared  # d_0 and d_1
+    plain = isinstance(angle, float)
     for n in range(_TERMS):
         asked = squared if n == order else 0.0
         following = (asked - 2.0 * zeta * (n + 1) * angle * now - squared * before) / ((n + 2) * (n + 1))
+        # Where two terms change nothing, no later one does: each is less than the larger of the two before.
+        if plain and n > order and total + now == total == total + following:
+            break
         total = total + following
         before, now = now, following
     return total

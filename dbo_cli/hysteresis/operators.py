@@ -181,11 +181,11 @@ class Relaxation:
         """
         steps = checked_steps(time_step)
         few = sorted(set(steps[:_LOOKED_AT].tolist()))
-        known, which = 0, np.zeros(steps.size, dtype=np.intp)
+        known, which = 0, np.zeros(steps.size, dtype=np.int8)
         for place, step in enumerate(few if len(few) <= _FEW < steps.size else ()):
             same = steps == step
             known += int(np.count_nonzero(same))
-            which += place * same
+            which += np.int8(place) * same
         unlike = known < steps.size
         steps = steps if unlike else np.array(few)
         factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))

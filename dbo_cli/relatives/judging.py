@@ -26,15 +26,18 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played, rms
 from dbo_cli.hysteresis.operators import Floats
 from dbo_cli.records import dataclass
-from dbo_cli.relatives.fitting import NOTHING_LEFT, RELATIVES, fit
+from dbo_cli.relatives.fitting import RELATIVES, fit
 from dbo_cli.relatives.play_model import RelativeModel, with_plays
 
 SAME_STAGES = "same-stages"
 NAMES = ("dbo", *(relative.name for relative in RELATIVES), SAME_STAGES)
 OWN_WORDS = "Discrete Backlash Operator"
 SAME_WORDS = "PI plays in the place of the DBO's gears, all its other stages kept"
-SHARED = ("points", "drive_bend", "slopes", "relaxation_seconds", "delay_seconds", "dynamics", "trusted_hz")
-"""What the model file says of stages that gears and plays stand among alike."""
+SHARED = (
+    *("points", "drive_bend", "slopes", "relaxation_seconds", "delay_seconds", "dynamics", "trusted_hz"),
+    *("expected_rmse", "fastest_drive"),
+)
+"""What the model file says of a model's stages and curve, whether gears or plays stand among them."""
 TIMED_SAMPLES = {"compiled": 100_000, "python": 2_000}  # chosen: milliseconds, which a clock resolves
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
 ROUND_TRIP_SAMPLES = 50_000  # chosen: several cycles of a usual log
@@ -139,11 +142,9 @@ def _own(recordings: Sequence[Recording], skip_seconds: float) -> ActuatorModel:
 
 def _same_stages(own: ActuatorModel) -> RelativeModel:
     """Return the DBO's own model with plays in the place of its gears; nothing is fitted again."""
-    model = with_plays(own)
-    told, figures = own.fit["expected_rmse"], {key: own.fit[key] for key in SHARED if key in own.fit}
-    ratio = None if told is None else float(str(told)) / max(float(str(own.fit["rmse"])), NOTHING_LEFT)
+    model, figures = with_plays(own), {key: own.fit[key] for key in SHARED if key in own.fit}
     figures |= {"method": SAME_STAGES, "operator": SAME_WORDS, "plays": model.plays.n}
-    return dataclasses.replace(model, fit=figures | {"parameters": _parameters(own), "left_out_ratio": ratio})
+    return dataclasses.replace(model, fit=figures | {"parameters": _parameters(own)})
 
 
 @dataclass(frozen=True)
@@ -169,12 +170,13 @@ class _Judge:
         logs = zip(self.recordings, self.ready.logs, strict=True)
         rmse = _pooled([residual_of(model, recording, log) for recording, log in logs])
         checks = [validation_of(model, log, self.skip_seconds) for log in self.validation]
-        if "left_out_ratio" in model.fit:
-            ratio = model.fit["left_out_ratio"]
-            expected = None if ratio is None else rmse * float(str(ratio))
+        told, ratio = model.fit.get("expected_rmse"), model.fit.get("left_out_ratio")
+        if ratio is not None:
+            told = rmse * float(str(ratio))
+        expected = None if told is None else float(str(told))
+        if isinstance(model, RelativeModel):
             model = dataclasses.replace(model, fit=self._figures(model, rmse, expected, checks))
-        told = model.fit["expected_rmse"]
-        errors = rmse, float(str(told)) if told is not None else None, _pooled(checks) if checks else None
+        errors = rmse, expected, _pooled(checks) if checks else None
         forward, inverse = self._times(model) if self.timed else (None, None)
         cost = seconds if self.timed and name != SAME_STAGES else None, forward, inverse
         return Row(name, words, *errors, _parameters(model), *cost, self._round_trip(model), None, model)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dbo_cli.errors import UsageError
+from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
 from dbo_cli.hysteresis.model_file import section_values
@@ -96,7 +97,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
     fit, provenance = model.fit, model.provenance
     backlash = next((stage for stage in model.stages if isinstance(stage, BacklashStage)), None)
     delay = next((abs(s.seconds) for s in model.stages if isinstance(s, DelayStage)), 0.0)
-    relaxation = list(backlash.relaxation.tau) if backlash and backlash.relaxation else []
+    loop = next(stage for stage in model.stages if isinstance(stage, BacklashStage | OtherHysteresis))
     return {
         "format": "dbo-show",
         "version": 1,
@@ -107,7 +108,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
         "segments_at_the_drive": _at_the_drive(model),
-        "relaxation_seconds": relaxation,
+        "relaxation_seconds": list(loop.relaxation.tau) if loop.relaxation else [],
         "delay_seconds": delay,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
         "drive_lag_seconds": _drive_lag(model),
@@ -173,7 +174,7 @@ def _drive_lag(model: ActuatorModel) -> float | None:
 def _moving(content: Mapping[str, Any]) -> list[str]:
     """Return the dynamics, and how fast the model can be trusted."""
     before = content["drive_lag_seconds"]
-    parts = [f"a lag of {1e3 * before:.3g} ms before the gears"] if before else []
+    parts = [f"a lag of {1e3 * before:.3g} ms before the {content['operator'].split()[-1]}"] if before else []
     for one in content["dynamics"]:
         if one.get("lead"):
             late = 100.0 * (1.0 - one["lead"] / one["lag"])

@@ -43,7 +43,7 @@ static uint32_t count_ones(uint32_t word) {
 
 /* ---- what differs between the arithmetics ------------------------------------------------------------ */
 
-#define FARTHEST ((dbo_position)1 << 60)
+#define FARTHEST ((dbo_position)1 << 60) /* beyond every position, and a difference of two fits 64 bits */
 
 /* Where float32 is software, its bits compare and convert for a fifth of that. */
 #if !defined(DBO_Q31) && (defined(DBO_SOFT_FLOAT) || (defined(__arm__) && !(defined(__ARM_FP) && (__ARM_FP & 4))) || \

@@ -1,7 +1,7 @@
 /* See dbo_lookup.h; the procedure is that of dbo_kernel.c, step by step. */
 #include "dbo_lookup.h"
 
-#define ENDLESS (1.0e300 * 1.0e300)
+#define ENDLESS (1.0e300 * 1.0e300) /* infinity, without a header for it */
 
 /* Z (5) on the way up, S (4) on the way down; n where there is none. */
 static uint32_t next_gear(const dbo_lookup *t, uint32_t state, int rising) {

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from dbo_cli.hysteresis.cascade import DelayStage
+from dbo_cli.hysteresis.cascade import late_by, whole_and_part
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
 from dbo_cli.hysteresis.identification.evaluation import TINY
 from dbo_cli.hysteresis.identification.recordings import FastPart, Floats
@@ -162,7 +163,11 @@ class Signals:
             moved = self._late[1]
         if resonances:
             moved, _ = DynamicsStage(tuple(resonances)).run(moved, self.time_step, None)
-        return DelayStage(structure.delay).lag(moved, self.time_step, None)[0] if structure.delay else moved
+        if not structure.delay:
+            return moved
+        whole, part = whole_and_part(structure.delay / self.time_step)
+        held = np.concatenate([np.full(min(whole + 1, moved.size), moved[0]), moved])
+        return late_by(held[: moved.size + 1], part)
 
 
 def lagged(x: Floats, seconds: float, time_step: float, sampled: bool = False) -> Floats:
@@ -207,13 +212,22 @@ def _refined(
     structure: Structure,
     bounds: tuple[Floats, Floats],
     keep: Booleans,
+    known: dict[bytes, list[Floats]],
     most: int = MOST_STEPS,
 ) -> tuple[Floats, float]:
-    """Return the parameters of least error on the blocks to keep, and that error (RMS)."""
+    """Return the parameters of least error on the blocks to keep, and that error (RMS).
+
+    ``known`` holds the residuals of parameters, which fits of the same structure from one start share.
+    """
     chosen = [keep[one.block] for one in signals]
 
     def error(parameters: Floats) -> Floats:
-        left = residuals(signals, parameters, structure)
+        key = parameters.tobytes()
+        left = known.get(key)
+        if left is None:
+            left = residuals(signals, parameters, structure)
+            if len(known) <= parameters.size:  # of the start and beside it: other fits begin there, too
+                known[key] = left
         return np.concatenate([part[rows] for part, rows in zip(left, chosen, strict=True)])
 
     # Its bound on the gradient is in the displacement's unit: in metres every start would be the end.
@@ -245,14 +259,19 @@ def fitted(
     low = np.log([*[band[0], LEAST_DAMPING] * seconds, 0.5 * NO_LAG * step])
     high = np.log([*[1.5 * band[1], damping] * seconds, 10.0 / band[1]])
     every = np.ones(BLOCKS, dtype=bool)
-    tried = [_refined(signals, start, structure, (low, high), every, FEW_STEPS) for start in starts]
+
+    @cache
+    def from_start(start: tuple[float, ...], most: int) -> tuple[Floats, float]:
+        return _refined(signals, np.array(start), structure, (low, high), every, {}, most)
+
+    # Within the bounds many a start is another one.
+    tried = [from_start(tuple(np.clip(start, low, high).tolist()), FEW_STEPS) for start in starts]
     tried = sorted(tried, key=lambda one: one[1])[:FINALISTS]
-    tried = [_refined(signals, begun, structure, (low, high), every) for begun, _ in tried]
-    best, rmse = min(tried, key=lambda one: one[1])
-    squares, rows = 0.0, 0
+    best, rmse = min((from_start(tuple(b.tolist()), MOST_STEPS) for b, _ in tried), key=lambda one: one[1])
+    squares, rows, known = 0.0, 0, dict[bytes, list[Floats]]()
     for fold in range(FOLDS):
         keep = np.arange(BLOCKS) % FOLDS != fold
-        parameters, _ = _refined(signals, best, structure, (low, high), keep)
+        parameters, _ = _refined(signals, best, structure, (low, high), keep, known)
         left = residuals(signals, parameters, structure)
         for part, one in zip(left, signals, strict=True):
             out = part[~keep[one.block]]

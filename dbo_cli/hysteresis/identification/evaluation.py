@@ -306,7 +306,9 @@ def _roughness(signal: Floats) -> float:
     return float(np.median(np.abs(np.diff(signal, 6)))) / max(float(np.ptp(signal)), TINY)
 
 
-def fit_notes(unit: str | None, prepared: Prepared, clockwise: float, trend: float | None) -> list[str]:
+def fit_notes(
+    unit: str | None, prepared: Prepared, clockwise: float, trend: float | None, forgets: bool = False
+) -> list[str]:
     """Return what is good to know of the logs and is in the figure: none of it tells moves that err by more.
 
     Of 528 moves of 11 kinds of plants (benchmarks/foreign_plants.py), 63 % within 1.5 times what was stated,
@@ -342,6 +344,12 @@ def fit_notes(unit: str | None, prepared: Prepared, clockwise: float, trend: flo
         notes.append(
             f"the gain changes by {100.0 * trend:+.1f} % along the log, and this makes most of the error: "
             "let the actuator warm up, or settle, before recording"
+        )
+    if forgets:
+        notes.append(
+            "loops may not close: the logs are explained better by a memory that fades with the way gone, "
+            "which gears have not, so small moves repeated at one place may creep away from the model; the "
+            "error expected of a move holds that"
         )
     return notes
 

@@ -19,6 +19,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.model_state import StartName, start_state
+from dbo_cli.hysteresis.move_error import travelled
 from dbo_cli.hysteresis.operators import (
     BacklashState,
     DiscreteBacklashOperator,
@@ -34,6 +35,7 @@ BLOCK_ROWS = 256  # a block without a wanted row is passed over, so blocks are s
 JOINED_BLOCKS = 4  # that follow each other: fewer and larger products take half the time
 BEND_SEGMENTS = 32  # of the parabola; 16 and 64 changed the errors of one of eight invented logs, by 2 %
 EVEN = 1e-6  # of a step
+LENGTHS = (0.15, 0.5)  # of memories that fade with the way gone, in units of the range; see ``expectation``
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Basis:
     retraces it: splitting makes that error of the operator small without a single unknown more.
     ``time_constants`` in seconds; ``delay`` in seconds, of the output behind the drive. ``bend`` is the
     asymmetry that acts on the drive before the gears: at a share s of the range it adds bend s (1 - s).
+    ``lengths`` are of memories that fade with the way gone, in units of the range; no model has them.
     """
 
     gears: int
@@ -54,6 +57,7 @@ class Basis:
     time_constants: tuple[float, ...] = ()
     delay: float = 0.0
     bend: float = 0.0
+    lengths: tuple[float, ...] = ()
 
     @property
     def span(self) -> float:
@@ -72,7 +76,11 @@ class Basis:
 
     def lags(self, voltage: Floats, seconds: Floats | None) -> Floats:
         """Return what each memory holds of the drive, as shares of the range; see ``relaxed_drive``."""
-        return relaxed_drive((self.drive(voltage) - self.low) / self.span, seconds, self.time_constants)
+        lags = relaxed_drive((self.drive(voltage) - self.low) / self.span, seconds, self.time_constants)
+        if self.lengths:
+            way = travelled(voltage, self.span) / self.span
+            lags = np.hstack((lags, relaxed_drive((voltage - self.low) / self.span, way, self.lengths)))
+        return lags
 
     def operator(self) -> DiscreteBacklashOperator:
         """Return an operator of these gears with equal heights that sum to one."""

@@ -130,7 +130,7 @@ def identify_static(
         prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
     )
     warnings += _expected_warnings(expected, line) + _late_warnings(choice, prepared, expected, options)
-    notes = fit_notes(recordings[0].displacement_unit, prepared, choice.clockwise, expected.gain_trend)
+    notes = fit_notes(model.output.unit, prepared, choice.clockwise, expected.gain_trend, expected.forgets)
     summary = said + prepared.notes + _summary(figures, model, prepared, checks, options.sensor) + notes
     figures |= {"notes": notes} | _figures_of(expected, options) | {"warnings": list(warnings)}
     figures["alternatives"] = [one.values() for one in expected.alternatives]

@@ -66,7 +66,7 @@ class PreparedLog:
         The last ones are kept: few of the many bases that are tried differ in what these depend on. A log
         that is made of this one shares them, unless its voltage is another.
         """
-        key = basis.time_constants, basis.bend, basis.low, basis.high
+        key = basis.time_constants, basis.lengths, basis.bend, basis.low, basis.high
         if key not in self._lags:
             self._lags.clear()
             self._lags[key] = basis.lags(self.voltage, self.seconds)
@@ -195,7 +195,7 @@ def gather(
     """Run over all logs in blocks and gather the products of their rows, fold by fold."""
     rows_of = linearise or equation_rows(segments)
     drift = sum(log.drift.shape[1] for log in logs)
-    columns = Columns(basis.gears, len(basis.time_constants), segments, drift)
+    columns = Columns(basis.gears, len(basis.time_constants) + len(basis.lengths), segments, drift)
     shared = columns.total - drift
     folds = 1 + max(int(log.fold.max(initial=-1)) for log in logs)
     size = columns.total + 1
