@@ -75,7 +75,7 @@ def test_the_self_test_passes(arithmetic: Any, direction: Any, seed: int, tmp_pa
     )  # fmt: skip
     # All of it for every compiler would be 54 compilations; each way of compiling meets each arithmetic.
     # The first two are those of the libraries below and in test_export_safety.py, which share the kernel.
-    small = ["-DDBO_SMALL", "-DDBO_SOFT_DOUBLE", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
+    small = ["-DDBO_SMALL", "-DDBO_SOFT_DOUBLE", "-DDBO_SOFT_FLOAT", "-DDBO_PORTABLE_SCAN", *SANITIZERS]
     ways = ["-O2", "-fPIC"], ["-O1", "-fPIC"], small
     done = compile_and_run(tmp_path / "out", "x", COMPILERS[-1 if seed == 1 else 0], ways[seed])
     assert (done.returncode, done.stdout) == (0, "x: 526 samples, every bit as expected\n")
@@ -339,10 +339,11 @@ def test_a_step_crosses_no_more_one_by_one_than_its_page_says(
     """Gears and runs counted in 20,000 jumps from the ends to everywhere and back."""
     folder, model = tmp_path / "out", made_model(3, gears=gears, slopes=slopes, terms=0)
     summary = export_model(model, str(folder), name="x", arithmetic=arithmetic)
-    kernel, one = (folder / "dbo_kernel.c").read_text(), "32U * k + first_one(open)"
-    assert kernel.count(one) == 2
-    counted = "#include <stdint.h>\nuint32_t crossings;\n" + kernel.replace(one, f"(crossings++, {one})")
-    (folder / "dbo_kernel.c").write_text(counted)
+    kernel = "#include <stdint.h>\nuint32_t crossings;\n" + (folder / "dbo_kernel.c").read_text()
+    for one in ("32U * k + first_one(open)", "stop - place"):
+        assert kernel.count(one) == 1
+        kernel = kernel.replace(one, f"(crossings++, {one})")
+    (folder / "dbo_kernel.c").write_text(kernel)
     number, low, high = (
         ("float", model.output.minimum, model.output.maximum)
         if arithmetic == "float"
@@ -378,8 +379,9 @@ def test_jumps_end_in_the_states_of_the_gear_by_gear_twin(
     given, _ = as_given(model.input.minimum + model.input.span * at, model.input, arithmetic)
     kernel = SingleKernel(tables)
     twin = [kernel.step(x if arithmetic == "float" else int(x)) for x in given]
-    got, _ = compiled(folder, "x", arithmetic, gears)(given)
-    assert got.tobytes() == np.array(twin, got.dtype).tobytes()
+    for flags in (("-O2",), ("-O2", "-DDBO_SOFT_FLOAT")):
+        got, _ = compiled(folder, "x", arithmetic, gears, flags)(given)
+        assert got.tobytes() == np.array(twin, got.dtype).tobytes()
 
 
 def test_the_summary_and_the_page_agree(tmp_path: Path) -> None:

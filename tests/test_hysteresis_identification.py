@@ -656,6 +656,7 @@ def test_an_actuator_that_forgets_with_the_way_is_found_out() -> None:
     assert any("loops may not close" in note for note in model.fit["notes"])
     [other] = [one for one in model.fit["alternatives"] if one["changed"] == "forgetting"]
     assert other["forgetting"]["tau"] == [1.5, 5.0]  # V: shares of the range
+    assert model.backlash.relaxation is None  # memories of the time stood for those of the way
     move = ramps(0.0, 10.0, 0.0, 5.5, *[4.8, 5.5] * 6)
     left = duhem(move) - model.simulate(move, model.start(0.0), time_step=PERIOD).y
     expected = move_error(model, move, PERIOD, 120)

@@ -148,10 +148,10 @@ def _limits(
 def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
     """Return the most blocks that crossing gears one way looks at, and the most gears it takes one by one.
 
-    In double those are the kernel's SINGLE and the last block. Else they are in the words of the first and
-    the last block: all gears below the kernel's LEAP, else SINGLE, and runs of equal gears instead of gears.
+    In double those are the kernel's SINGLE and the last block. Else they are in the first and the last block:
+    all gears below the kernel's LEAP, else SINGLE in each word, and runs of equal gears instead of gears.
     """
-    one_by_one = 4 + 64 if arithmetic == "double" else 4 * (32 if run < 3 else 4 + 31 // run + 2)
+    one_by_one = 4 + 64 if arithmetic == "double" else 2 * (64 if run < 3 else 8 + 63 // run + 2)
     return -(-gears // 64), min(gears, one_by_one)
 
 

@@ -173,23 +173,24 @@ def counts_of_range(quantity: Quantity) -> tuple[float, float]:
     return 0.5 * (quantity.minimum + quantity.maximum), 0.5 * quantity.span / COUNTS
 
 
-def _terms(plan: CascadePlan, axes: Axes, q31: bool) -> list[tuple[Any, Any, int, int]]:
-    """Return (carried, rest, carried_shift, rest_shift) of each relaxation term."""
-    found: list[tuple[Any, Any, int, int]] = []
-    on_output = plan.backlash.memory_on == "output"
-    for c, a in zip(plan.gain.tolist(), plan.decay.tolist(), strict=True):
-        carried, rest = (c * a if on_output else c), 1.0 - a
-        # From counts of the remembered axis to the other's: counts in float32, positions in q31.
-        if not q31:
-            ratio = axes.y_count / axes.x_count if on_output else axes.x_count / axes.y_count
-            found.append((F(carried * ratio), F(rest), 0, 0))
-            continue
-        factor = carried * (axes.y_count / axes.x_unit if on_output else axes.x_count / axes.y_unit)
-        up, down = shift_for(factor), math.floor(math.log2(COUNTS / rest))
-        if up < 0:
-            raise ModelError("relaxation.gain: beyond the range of q31 (`arithmetic` float or double)")
-        found.append((round(factor * 2.0**up), round(rest * 2.0**down), up, down))
-    return found
+def _carried(plan: CascadePlan, axes: Axes) -> Floats:
+    """Return what each memory adds, in positions, for one count of the remembered axis."""
+    if plan.backlash.memory_on == "output":
+        return plan.gain * plan.decay * (axes.y_count / axes.x_unit)
+    return plan.gain * (axes.x_count / axes.y_unit)
+
+
+def _terms(plan: CascadePlan, axes: Axes) -> tuple[list[tuple[int, int, int]], int]:
+    """Return (carried, rest, rest_shift) of each relaxation term, and the shift of what is carried."""
+    factors, rests = _carried(plan, axes), 1.0 - plan.decay
+    shift = shift_for(float(factors.sum()))
+    if shift < 0:
+        raise ModelError("relaxation.gain: beyond the range of this arithmetic (`arithmetic` double)")
+    downs = [math.floor(math.log2(COUNTS / rest)) for rest in rests.tolist()]
+    return [
+        (round(factor * 2.0**shift), round(rest * 2.0**down), down)
+        for factor, rest, down in zip(factors.tolist(), rests.tolist(), downs, strict=True)
+    ], shift
 
 
 def _rows(axes: Axes, q31: bool) -> tuple[list[tuple[int, int, Any]], int]:
@@ -236,11 +237,14 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     delay = whole, round(part * COUNTS) if q31 else F(part)
     offset = (gears.y0 if on_output else gears.x0) - plan.reference
     offset /= axes.y_count if on_output else axes.x_count
+    if plan.terms and abs(offset) >= COUNTS:  # and a range beside it: memories hold 2^31 counts
+        raise ModelError("relaxation.reference: farther away than the range is wide (`arithmetic` double)")
+    terms, carried_shift = _terms(plan, axes)
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
     return SingleTables(
         q31=q31, rows=rows, n=gears.n, run=gears.equal_run, tolerance=round(-math.log2(tolerance)),
-        terms=_terms(plan, axes, q31), memory_on_output=on_output,
-        drive_offset=round(offset) if q31 else F(offset),
+        terms=terms, carried_shift=carried_shift, memory_on_output=on_output,
+        drive_offset=round(offset) if plan.terms else 0,
         slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
         least=-span, most=2 * span, limits=positions,
         covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
@@ -344,7 +348,7 @@ def _subset_error(table: Floats, wanted: Floats, run: int) -> float:
     return float(max(off[off > 0.0].sum(), -off[off < 0.0].sum()))
 
 
-def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> tuple[float, float, float]:
+def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float, float]:
     """Bound what memory adds: its own rounding, as the input meets it, and how errors come back through it.
 
     Returns the rounding, the gain of the loop, and how much a disturbance grows.
@@ -357,15 +361,11 @@ def _loop(plan: CascadePlan, axes: Axes, q31: bool, steepest: float) -> tuple[fl
     offset = abs((plan.backlash.y0 if on_output else plan.backlash.x0) - plan.reference)
     drive = float((axes.high if on_output else axes.wide).sum()) + offset
     count = axes.y_count if on_output else axes.x_count
-    if q31:
-        other = axes.x_unit if on_output else axes.y_unit
-        held = count * (1.5 + 2.0 * drive / count * 2.0**-30 + 2.0**-25 / b)
-        factors = np.array([shift_for(float(v)) if v > 0.0 else 30 for v in carried * count / other])
-        recall = other * (0.5 + drive / count * 2.0 ** -(factors + 1.0))
-    else:
-        held = np.full(plan.terms, 8.0 * EPS * drive + count)
-        recall = EPS * (2.0 + plan.terms) * carried * drive
-    own = float(np.sum(carried * held) + np.sum(recall))
+    other = axes.x_unit if on_output else axes.y_unit
+    held = count * (1.5 + 2.0 * drive / count * 2.0**-30 + 2.0**-25 / b)
+    shift = shift_for(float(_carried(plan, axes).sum()))
+    recall = other * (0.5 + plan.terms * drive / count * 2.0 ** -(shift + 1))
+    own = float(np.sum(carried * held)) + recall
     if not on_output:
         return own, float(np.sum(c)), 1.0
     loop = steepest * float(np.sum(carried))
@@ -395,7 +395,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     run, on_output = gears.equal_run, gears.memory_on == "output"
     slopes = axes.high / axes.wide
     steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
-    own, gain, growth = _loop(plan, axes, q31, steepest)
+    own, gain, growth = _loop(plan, axes, steepest)
     base = gears.x0 + (axes.kappa * (gears.y0 - plan.reference) if on_output else 0.0)
     x_in, y_out = counts_of_range(source)[1], counts_of_range(result)[1]
     before = fold(plan.model.head, source.minimum, source.maximum)
@@ -409,7 +409,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
         shift = shift_for(steepest * axes.x_unit / axes.y_unit)
         rising += axes.y_unit * (1.0 + float(axes.wide.max()) / axes.x_unit * 2.0 ** -(shift + 1))
     else:
-        across += EPS * (2.0 * span + gain * height * on_output) + axes.x_count
+        across += EPS * 2.0 * span + axes.x_count
         rising += EPS * 4.0 * float(axes.high.max()) + axes.y_unit
     if on_output:
         steady = steepest * (across + own) + rising
@@ -459,9 +459,9 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
             "dynamics are beyond float and q31 (`arithmetic` double, or identify with `dynamics` 0)"
         )
     axes = axes_of(plan)
-    if q31 and plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
+    if plan.terms and float((1.0 - plan.decay).min()) < SLOWEST_REST:
         raise ModelError(
-            "relaxation.tau: a memory this slow at this rate stands still in q31"
+            "relaxation.tau: a memory this slow at this rate stands still in this arithmetic"
             " (`sample_rate` lower, or `arithmetic` double)"
         )
     bounds = derive_bounds(plan, axes, q31)
@@ -514,19 +514,16 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
         out += array("dbo_block", "blocks", struct_rows([[integer(v) for v in place] for place in sums]))
         size += 16 * len(sums)
     if t.terms:
-        factors = [
-            [text(carried), text(rest), *([f"{up}U", f"{down}U"] if t.q31 else [])]
-            for carried, rest, up, down in t.terms
-        ]
+        factors = [[integer(carried), integer(rest), f"{shift}U"] for carried, rest, shift in t.terms]
         out += array("dbo_term", "terms", struct_rows(factors))
-        size += (12 if t.q31 else 8) * len(factors)
+        size += 12 * len(factors)
     shift = row_shift(t.n, t.run)
     factor = (2**shift + t.run - 1) // t.run
     out += (
         f"static const dbo_backlash op = {{gears, {'blocks' if t.n >= 64 else '0'}, {t.n}U, {t.run}U,"
         f" {factor}U, {shift}U, {t.tolerance}U,"
         f" {'terms' if t.terms else '0'}, {len(t.terms)}U,\n"
-        f"    {int(t.memory_on_output)}, {text(t.drive_offset)},"
+        f"    {t.carried_shift}U, {int(t.memory_on_output)}, {integer(t.drive_offset)},"
         f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"
     )
     if t.limits is not None:

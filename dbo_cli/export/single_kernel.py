@@ -41,9 +41,9 @@ class Segments:
 class SingleTables:
     """All constants of one export in float32 or q31; see ``dbo_kernel_single.h`` for each.
 
-    Gears are rows (width, height, slope), one for ``run`` gears; terms are (carried, rest, carried_shift,
-    rest_shift). ``slope_shift`` and the terms' shifts mean nothing in float32. ``clip`` is what the
-    output may be, ``change`` how far it may go in a step; ``first`` is the one before the first sample.
+    Gears are rows (width, height, slope), one for ``run`` gears; terms are (carried, rest, rest_shift).
+    ``slope_shift`` means nothing in float32. ``clip`` is what the output may be, ``change`` how far it may go
+    in a step; ``first`` is the one before the first sample.
     """
 
     q31: bool
@@ -51,9 +51,10 @@ class SingleTables:
     n: int
     run: int
     tolerance: int
-    terms: list[tuple[Number, Number, int, int]]
+    terms: list[tuple[int, int, int]]
+    carried_shift: int
     memory_on_output: bool
-    drive_offset: Number
+    drive_offset: int
     slope_shift: int
     x_shift: int
     y_shift: int
@@ -89,7 +90,7 @@ class SingleKernel:
         self.bits = tables.spare_bits
         self.load()
         self.last, self.output = self.y, tables.first
-        self.memory: list[Any] = [self._rest(0 if tables.q31 else F(0.0)) for _ in tables.terms]
+        self.memory = [0] * len(tables.terms)
         self.delayed: list[Number] = []
 
     # ---- what differs between the arithmetics
@@ -116,37 +117,29 @@ class SingleKernel:
             return int(signal)
         return int(min(max(signal, -MOST_COUNTS), MOST_COUNTS)) << shift
 
-    def drive_of(self, value: int) -> Number:
-        """Return the remembered signal as the memories hold it."""
-        counts = self.counts_of(value, self.t.y_shift if self.t.memory_on_output else self.t.x_shift)
-        return clamped(counts + self.t.drive_offset) if self.t.q31 else F(counts) + self.t.drive_offset
-
     @staticmethod
     def counts_of(value: int, shift: int) -> int:
         """Return a position in counts."""
         return clamped(scaled_down(value, shift))
 
-    def recalled(self, j: int) -> Number:
-        """Return what term j adds."""
-        carried, _, shift, _ = self.t.terms[j]
-        if self.t.q31:
-            return scaled_down(carried * scaled_down(self.memory[j], 24), shift)
-        return carried * self.memory[j][0]
+    # ---- memories
 
-    def remember(self, j: int, drive: Number) -> None:
-        """Let term j follow."""
-        _, rest, _, shift = self.t.terms[j]
-        if self.t.q31:
+    def drive_of(self, value: int) -> int:
+        """Return the remembered signal as the memories hold it."""
+        counts = self.counts_of(value, self.t.y_shift if self.t.memory_on_output else self.t.x_shift)
+        return clamped(counts + self.t.drive_offset)
+
+    def recalled(self) -> int:
+        """Return what the memories add up to, in positions."""
+        parts = zip(self.t.terms, self.memory, strict=True)
+        total = sum(carried * scaled_down(memory, 24) for (carried, _, _), memory in parts)
+        return scaled_down(total, self.t.carried_shift)
+
+    def remember(self, drive: int) -> None:
+        """Let the memories follow."""
+        for j, (_, rest, shift) in enumerate(self.t.terms):
             way = drive - scaled_down(self.memory[j], 24)
             self.memory[j] += scaled_down(way * rest, shift - 24)
-            return
-        value, lost = self.memory[j]
-        change = rest * (drive - value) + lost
-        following = value + change
-        self.memory[j] = (following, change - (following - value))
-
-    def _rest(self, drive: Number) -> Any:
-        return drive << 24 if self.t.q31 else (drive, F(0.0))
 
     # ---- the procedure
 
@@ -218,27 +211,19 @@ class SingleKernel:
 
     def gears_step(self, u: Number) -> int:
         """Return the backlash stage's output for one input, in positions."""
-        terms = range(len(self.t.terms))
-        remembered: Number = 0 if self.t.q31 else F(0.0)
+        x = self.position_of(u, self.t.x_shift)
         if not self.t.memory_on_output:
-            drive = self.drive_of(self.position_of(u, self.t.x_shift))
-            for j in terms:
-                self.remember(j, drive)
-                remembered = remembered + self.recalled(j)
-        else:
-            for j in terms:
-                remembered = remembered + self.recalled(j)
-            u = u - remembered
-        x = clamped(self.position_of(u, self.t.x_shift), (self.t.least, self.t.most))
+            self.remember(self.drive_of(x))
+        remembered = self.recalled()
+        x = clamped(x - remembered if self.t.memory_on_output else x, (self.t.least, self.t.most))
         if self.t.limits is None:
             y = self.solve(x, -FARTHEST, FARTHEST)
         else:
             y = self.solve_within(x, *self._window())
         self.last = y
         if not self.t.memory_on_output:
-            return y + self.position_of(remembered, self.t.y_shift)
-        for j in terms:
-            self.remember(j, self.drive_of(y))
+            return y + remembered
+        self.remember(self.drive_of(y))
         return y
 
     # ---- the model around it
@@ -264,7 +249,7 @@ class SingleKernel:
                 low += width
             else:
                 high -= width
-        self.memory = [self._rest(self.drive_of(place)) for _ in self.t.terms]
+        self.memory = [self.drive_of(place) << 24] * len(self.t.terms)
         self.load()
         if self.t.memory_on_output:
             self.follow_output(place, place >= self.y)

@@ -174,7 +174,7 @@ class ModelCode:
             "uint64_t": (8, 8), "double": (8, 8), "float": (4, 4), "int32_t": (4, 4), "uint32_t": (4, 4),
             "size_t": (4, 4), "int": (4, 4), "dbo_backlash_state": (40, 8), "dbo_lookup_state": (16, 8),
             "dbo_section_state": (24, 8), "dbo_inverse_state": (24, 8),
-            "dbo_memory": (8, 4 if self.number == "float" else 8),
+            "dbo_memory": (8, 8),
         }  # fmt: skip
         total = 0
         for kind, _, count in map(declared, [*self.members, f"{self.number} output;"]):

@@ -45,6 +45,33 @@ static uint32_t count_ones(uint32_t word) {
 
 #define FARTHEST ((dbo_position)1 << 60) /* beyond every position, and a difference of two fits 64 bits */
 
+/* Where float32 is software, its bits compare and convert for a fifth of that. */
+#if !defined(DBO_Q31) && (defined(DBO_SOFT_FLOAT) || (defined(__arm__) && !(defined(__ARM_FP) && (__ARM_FP & 4))) || \
+                          (defined(__riscv) && !defined(__riscv_flen)))
+#define SOFT_FLOAT 1
+
+static uint32_t bits_of(float value) {
+    union {
+        float value;
+        uint32_t bits;
+    } u;
+    u.value = value;
+    return u.bits;
+}
+
+/* A whole number that rises with the float. */
+typedef int32_t dbo_order;
+static dbo_order order_of(float value) {
+    const uint32_t bits = bits_of(value);
+    const int32_t size = (int32_t)(bits & 0x7FFFFFFFU);
+    return size == (int32_t)bits ? size : -size;
+}
+#else
+#define SOFT_FLOAT 0
+typedef dbo_number dbo_order;
+#define order_of(value) (value)
+#endif
+
 /* value / 2^shift, rounded to nearest. The right shift of a negative number is written out: what it does
  * is left to the compiler, and every compiler makes one instruction of this. */
 static int64_t scaled_down(int64_t value, uint32_t shift) {
@@ -78,34 +105,27 @@ static dbo_position position_of(dbo_signal signal, uint32_t shift) {
     return signal;
 }
 
-/* The remembered signal as the memories hold it. */
-static int64_t drive_of(const dbo_backlash *op, dbo_position value) {
-    const uint32_t shift = op->memory_on_output ? op->y_shift : op->x_shift;
-    return within((int64_t)dbo_counts_of(value, shift) + op->drive_offset, INT32_MIN, INT32_MAX);
-}
-
-static dbo_signal recalled(const dbo_term *term, const dbo_memory *memory) {
-    return scaled_down((int64_t)term->carried * scaled_down(*memory, 24U), term->carried_shift);
-}
-
-static void remember(const dbo_term *term, dbo_memory *memory, int64_t drive) {
-    const int64_t way = drive - scaled_down(*memory, 24U);
-    *memory += scaled_down(way * term->rest, term->rest_shift - 24U);
-}
-
-static void rest_at(dbo_memory *memory, int64_t drive) { *memory = drive * ((int64_t)1 << 24); }
-
-typedef int64_t remembered_drive;
-
 #else
 
 #define MOST_COUNTS 2147483520.0F /* the greatest float32 below 2^31 */
 
 /* A number of counts as positions; what is beyond 32 bits, or no number, is brought to the end. */
 static dbo_position position_of(dbo_signal counts, uint32_t shift) {
+#if SOFT_FLOAT
+    const uint32_t bits = bits_of(counts), exponent = bits >> 23 & 255U, part = (bits & 0x7FFFFFU) | 0x800000U;
+    int32_t whole = (int32_t)MOST_COUNTS;
+    if (exponent < 127U)
+        whole = 0;
+    else if (exponent < 158U)
+        whole = (int32_t)(exponent < 150U ? part >> (150U - exponent) : part << (exponent - 150U));
+    if (bits > 0x7F800000U) whole = -whole; /* the sign, or no number */
+#else
+    int32_t whole;
     if (!(counts > -MOST_COUNTS)) counts = -MOST_COUNTS;
     if (counts > MOST_COUNTS) counts = MOST_COUNTS;
-    return (dbo_position)(int32_t)counts * ((dbo_position)1 << shift);
+    whole = (int32_t)counts;
+#endif
+    return (dbo_position)whole * ((dbo_position)1 << shift);
 }
 
 static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_position way) {
@@ -114,29 +134,30 @@ static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_pos
     return position_of(slope * (float)dbo_counts_of(way, op->y_shift), op->y_shift);
 }
 
-static float drive_of(const dbo_backlash *op, dbo_position value) {
-    return (float)dbo_counts_of(value, op->memory_on_output ? op->y_shift : op->x_shift) + op->drive_offset;
-}
-
-static dbo_signal recalled(const dbo_term *term, const dbo_memory *memory) {
-    return term->carried * memory->value;
-}
-
-static void remember(const dbo_term *term, dbo_memory *memory, float drive) {
-    const float change = term->rest * (drive - memory->value) + memory->lost;
-    const float next = memory->value + change;
-    memory->lost = change - (next - memory->value);
-    memory->value = next;
-}
-
-static void rest_at(dbo_memory *memory, float drive) {
-    memory->value = drive;
-    memory->lost = 0.0F;
-}
-
-typedef float remembered_drive;
-
 #endif
+
+/* ---- memories ---------------------------------------------------------------------------------------- */
+
+/* The remembered signal as the memories hold it. */
+static int64_t drive_of(const dbo_backlash *op, dbo_position value) {
+    const uint32_t shift = op->memory_on_output ? op->y_shift : op->x_shift;
+    return within((int64_t)dbo_counts_of(value, shift) + op->drive_offset, INT32_MIN, INT32_MAX);
+}
+
+/* What the memories add up to, in positions. */
+static dbo_position recalled(const dbo_backlash *op, const dbo_memory *memory) {
+    int64_t sum = 0;
+    for (uint32_t j = 0U; j < op->term_count; j++)
+        sum += (int64_t)op->terms[j].carried * (int32_t)scaled_down(memory[j], 24U);
+    return scaled_down(sum, op->carried_shift);
+}
+
+static void remember(const dbo_backlash *op, dbo_memory *memory, int64_t drive) {
+    for (uint32_t j = 0U; j < op->term_count; j++) {
+        const int64_t way = drive - scaled_down(memory[j], 24U);
+        memory[j] += scaled_down(way * op->terms[j].rest, op->terms[j].rest_shift - 24U);
+    }
+}
 
 /* ---- the state's bits -------------------------------------------------------------------------------- */
 
@@ -226,53 +247,79 @@ APART uint32_t walk(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t o
     return open;
 }
 
-/* count x width in halves of 16 bits: a Cortex-M0+ has no product of 64 bits. */
+/* count x width; in halves of 16 bits on a Cortex-M0+, which has no product of 64 bits. */
 static dbo_position times(uint32_t count, int32_t width) {
+#if defined(__ARM_ARCH_ISA_THUMB) && __ARM_ARCH_ISA_THUMB == 1
     const uint32_t high = count * ((uint32_t)width >> 16), low = count * ((uint32_t)width & 0xFFFFU);
     return (dbo_position)(((uint64_t)high << 16) + low);
+#else
+    return (dbo_position)((uint64_t)count * (uint32_t)width);
+#endif
 }
 
-/* How many of less than 32 gears of one width go into `reach`: by halves. */
-static uint32_t fitting(dbo_position reach, int32_t width) {
-    uint64_t wide = (uint64_t)(uint32_t)width << 4;
+/* How many of up to 64 gears like one go into both ways: by halves. */
+static uint32_t fitting(const dbo_gear *gear, dbo_position across, dbo_position up) {
+    uint64_t wide = (uint64_t)(uint32_t)gear->width << 5, high = (uint64_t)(uint32_t)gear->height << 5;
     uint32_t count = 0U;
-    for (uint32_t half = 16U; half > 0U; half /= 2U, wide /= 2U)
-        if (reach >= (dbo_position)wide) {
-            reach -= (dbo_position)wide;
+    for (uint32_t half = 32U; half > 0U; half /= 2U, wide /= 2U, high /= 2U)
+        if (across >= (dbo_position)wide && up >= (dbo_position)high) {
+            across -= (dbo_position)wide;
+            up -= (dbo_position)high;
             count += half;
         }
     return count;
 }
 
-/* Cross `open` gears of word k, equal ones side by side at once; returns those that remain. */
-APART uint32_t walk_runs(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t open) {
-    while (open != 0U) {
-        const uint32_t i = 32U * k + first_one(open), first = i & 31U;
-        const uint32_t row = (i * op->row_factor) >> op->row_shift, run_end = (row + 1U) * op->run - 32U * k;
-        const uint32_t beyond = run_end < 32U ? 32U - run_end : 0U, equal = open & ALL_ONES >> beyond;
-        const int none_missing = equal >> first == ALL_ONES >> (beyond + first);
-        const uint32_t count = none_missing ? 32U - beyond - first : count_ones(equal);
-        const dbo_gear *gear = op->gears + row;
-        dbo_position left = way->left - times(count, gear->width);
-        dbo_position room = way->room - times(count, gear->height);
-        uint32_t crossed = count;
+/* Bits of a word from a place on. */
+static uint32_t from_place(uint32_t word, uint32_t place) { return place < 32U ? word & ALL_ONES << place : 0U; }
+
+static uint32_t from_high(uint32_t word, uint32_t place) {
+    return place > 32U ? from_place(word, place - 32U) : word;
+}
+
+/* Cross gears of a block of 64 that are open in its two words, equal ones side by side at once. */
+APART void walk_rows(const dbo_backlash *op, dbo_way *way, uint32_t block, uint32_t *low, uint32_t *high) {
+    const uint64_t open = (uint64_t)*high << 32 | *low, beyond = open + (open & (~open + 1U));
+    const int gapless = (beyond & (beyond - 1U)) == 0U; /* one bit, or beyond all 64 */
+    dbo_position left = way->left, room = way->room;
+    uint32_t place = *low != 0U ? first_one(*low) : 32U + first_one(*high), crossed = 0U;
+    uint32_t more = count_ones(*low) + count_ones(*high);
+    uint32_t row = ((64U * block + place) * op->row_factor) >> op->row_shift;
+    uint32_t row_end = (row + 1U) * op->run - 64U * block;
+    for (const dbo_gear *gear = op->gears + row; more > 0U; gear++, row_end += op->run) {
+        const uint32_t stop = row_end < 64U ? row_end : 64U, side = stop - place;
+        const uint32_t count = gapless ? (side < more ? side : more)
+                                       : count_ones(from_place(*low, place) & ~from_place(ALL_ONES, stop)) +
+                                             count_ones(from_high(*high, place) & ~from_high(ALL_ONES, stop));
+        const dbo_position across = left, up = room;
+        left -= times(count, gear->width);
+        room -= times(count, gear->height);
+        crossed = count;
         if (!crosses(op, gear, left, room)) {
-            const uint32_t across = fitting(way->left + (gear->width >> op->tolerance), gear->width);
-            const uint32_t up = fitting(way->room + (gear->height >> op->tolerance), gear->height);
-            crossed = across < up ? across : up;
-            left = way->left - times(crossed, gear->width);
-            room = way->room - times(crossed, gear->height);
+            crossed = fitting(gear, across + (gear->width >> op->tolerance), up + (gear->height >> op->tolerance));
+            left = across - times(crossed, gear->width);
+            room = up - times(crossed, gear->height);
         }
-        way->left = left;
-        way->room = room;
-        if (left < 0 && crossed > 0U) way->nearly = i;
-        if (crossed < count) {
-            for (; crossed > 0U; crossed--) open &= open - 1U;
-            break;
-        }
-        open ^= equal;
+        if (left < 0 && crossed > 0U) way->nearly = 64U * block + place;
+        if (crossed < count) break;
+        more -= count;
+        place = stop;
     }
-    return open;
+    way->left = left;
+    way->room = room;
+    if (more == 0U)
+        place = 64U;
+    else if (gapless)
+        place += crossed;
+    *low = from_place(*low, place);
+    *high = from_high(*high, place);
+    if (more == 0U || gapless) return;
+    for (; crossed > 0U; crossed--) {
+        if (*low != 0U)
+            *low &= *low - 1U;
+        else
+            *high &= *high - 1U;
+    }
 }
 
 /* Cross blocks of 64 gears, words `word` to `end`, while all of a block are `open` and its far end is within
@@ -290,18 +337,18 @@ APART uint32_t *pass_open_blocks(uint32_t *word, const uint32_t *end, const dbo_
     return word;
 }
 
-/* Cross whole blocks from word k on: all that are open, where the last one of them is crossed. Returns the
- * first word of the block that is not, or k where that lies in it. */
-APART uint32_t pass_blocks(const dbo_backlash *op, const dbo_backlash_state *state, dbo_way *way, uint32_t k,
+/* Cross whole blocks: all gears of one that are open, where the last one of them is crossed. Returns the first
+ * block that is not crossed. */
+APART uint32_t pass_blocks(const dbo_backlash *op, const dbo_backlash_state *state, dbo_way *way, uint32_t block,
                            int rising) {
     const uint32_t closed = rising ? ALL_ONES : 0U, end = op->n / 64U;
-    for (uint32_t block = k / 2U; block < end; block++) {
+    for (; block < end; block++) {
         uint32_t *word = state->words + 2U * block;
         uint32_t low, high;
         dbo_position left, room;
+        if (word[0] == closed && word[1] == closed) continue;
         word = pass_open_blocks(word, state->words + 2U * end, op->blocks + block, way, ~closed);
         block = (uint32_t)(word - state->words) / 2U;
-        if (2U * block > k) k = 2U * block;
         if (block == end) break;
         low = word[0] ^ closed;
         high = word[1] ^ closed;
@@ -321,61 +368,65 @@ APART uint32_t pass_blocks(const dbo_backlash *op, const dbo_backlash_state *sta
             way->room = room;
             word[0] = word[1] = closed;
         }
-        k = 2U * block + 2U;
     }
-    return k;
+    return block;
 }
 
-/* Gears of word k are `crossed`, up or down, x and y in all: its bits and the sums of its block. */
-static void note_crossed(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t k, uint32_t crossed,
-                         dbo_position x, dbo_position y, int rising) {
-    const uint32_t block = k / 2U, *word = state->words + 2U * block;
-    if (block < op->n / 64U) {
-        uint32_t *sums = sums_of(op, state, block);
-        const dbo_block *at = op->blocks + block;
-        if (rising) {
-            const int none = (word[0] | word[1]) == 0U;
-            set_sum(sums, (none ? 0 : sum(sums)) + x);
-            set_sum(sums + 2, (none ? 0 : sum(sums + 2)) + y);
-        } else {
-            const int all = (word[0] & word[1]) == ALL_ONES;
-            set_sum(sums, (all ? at[1].x - at->x : sum(sums)) - x);
-            set_sum(sums + 2, (all ? at[1].y - at->y : sum(sums + 2)) - y);
-        }
+/* Gears of a block are crossed, up or down, x and y in all: the sums of the block, before its bits change. */
+static void note_crossed(const dbo_backlash *op, const dbo_backlash_state *state, uint32_t block, dbo_position x,
+                         dbo_position y, int rising) {
+    const uint32_t *word = state->words + 2U * block;
+    uint32_t *sums = sums_of(op, state, block);
+    const dbo_block *at = op->blocks + block;
+    if (block >= op->n / 64U) return;
+    if (rising) {
+        const int none = (word[0] | word[1]) == 0U;
+        set_sum(sums, (none ? 0 : sum(sums)) + x);
+        set_sum(sums + 2, (none ? 0 : sum(sums + 2)) + y);
+    } else {
+        const int all = (word[0] & word[1]) == ALL_ONES;
+        set_sum(sums, (all ? at[1].x - at->x : sum(sums)) - x);
+        set_sum(sums + 2, (all ? at[1].y - at->y : sum(sums + 2)) - y);
     }
-    state->words[k] ^= crossed;
 }
 
 /* Cross gears one way, (6)-(9), while the input `u` is far enough and the output has room up to `bound`;
  * returns the one that the tolerance let pass, n where there was none. */
 static uint32_t pass_gears(const dbo_backlash *op, dbo_backlash_state *state, dbo_position u,
                            dbo_position bound, int rising) {
-    uint32_t next = rising ? state->zero : state->set, k = next / 32U;
-    uint32_t walked; /* a block that is crossed by its words */
+    const uint32_t words = (op->n + 31U) / 32U;
+    uint32_t next = rising ? state->zero : state->set, block = next / 64U;
     dbo_way way = {rising ? u - state->x : state->x - u, rising ? bound - state->y : state->y - bound, op->n,
                    1};
     const dbo_gear *gear;
+    int far;
     if (next == op->n) return op->n;
     gear = gear_at(op, next);
     if (!crosses(op, gear, way.left - gear->width, way.room - gear->height)) return op->n;
-    walked = way.left < FAR * (dbo_position)gear->width ? k / 2U : op->n;
-    for (next = op->n; 32U * k < op->n; k++) {
+    far = way.left >= FAR * (dbo_position)gear->width;
+    for (next = op->n; 64U * block < op->n; block++, far = 1) {
+        uint32_t *word, low, high, open_low, open_high;
         dbo_position left, room;
-        uint32_t open, rest;
-        if (k / 2U != walked) {
-            k = pass_blocks(op, state, &way, k, rising);
-            walked = k / 2U;
-            if (32U * k >= op->n) break;
-        }
+        if (far) block = pass_blocks(op, state, &way, block, rising);
+        if (64U * block >= op->n) break;
         left = way.left;
         room = way.room;
-        rest = open = open_bits(state->words[k], k, op->n, rising);
-        if (op->run < LEAP || left < SINGLE * (dbo_position)gear->width)
-            rest = walk(op, &way, k, rest, op->run < LEAP ? 32U : (uint32_t)SINGLE);
-        if (way.going) rest = walk_runs(op, &way, k, rest);
-        if (rest != open) note_crossed(op, state, k, open ^ rest, left - way.left, room - way.room, rising);
-        if (rest != 0U) {
-            next = 32U * k + first_one(rest);
+        word = state->words + 2U * block;
+        low = open_low = open_bits(word[0], 2U * block, op->n, rising);
+        high = open_high = 2U * block + 1U < words ? open_bits(word[1], 2U * block + 1U, op->n, rising) : 0U;
+        if (op->run < LEAP || left < SINGLE * (dbo_position)gear->width) {
+            const uint32_t most = op->run < LEAP ? 32U : (uint32_t)SINGLE;
+            if (low != 0U) low = walk(op, &way, 2U * block, low, most);
+            if (low == 0U && way.going) high = walk(op, &way, 2U * block + 1U, high, most);
+        }
+        if (way.going && (low | high) != 0U) walk_rows(op, &way, block, &low, &high);
+        if (low != open_low || high != open_high) {
+            note_crossed(op, state, block, left - way.left, room - way.room, rising);
+            word[0] ^= low ^ open_low;
+            if (high != open_high) word[1] ^= high ^ open_high;
+        }
+        if ((low | high) != 0U) {
+            next = 64U * block + (low != 0U ? first_one(low) : 32U + first_one(high));
             break;
         }
     }
@@ -425,20 +476,12 @@ static dbo_position solve_within(const dbo_backlash *op, dbo_backlash_state *sta
 
 dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, dbo_signal u,
                                const dbo_limits *limits) {
-    dbo_signal remembered = 0;
-    dbo_position x, y;
-    remembered_drive drive;
-    if (!op->memory_on_output) {
-        drive = drive_of(op, position_of(u, op->x_shift));
-        for (uint32_t j = 0U; j < op->term_count; j++) {
-            remember(op->terms + j, state->memory + j, drive);
-            remembered += recalled(op->terms + j, state->memory + j);
-        }
-    } else {
-        for (uint32_t j = 0U; j < op->term_count; j++) remembered += recalled(op->terms + j, state->memory + j);
-        u -= remembered;
-    }
-    x = within(position_of(u, op->x_shift), op->least, op->most);
+    const int on_output = op->term_count > 0U && op->memory_on_output;
+    const int on_input = op->term_count > 0U && !op->memory_on_output;
+    dbo_position x = position_of(u, op->x_shift), remembered = 0, y;
+    if (on_input) remember(op, state->memory, drive_of(op, x));
+    if (op->term_count > 0U) remembered = recalled(op, state->memory);
+    x = within(on_output ? x - remembered : x, op->least, op->most);
     if (limits == NULL) {
         y = solve(op, state, x, -FARTHEST, FARTHEST);
     } else {
@@ -451,10 +494,8 @@ dbo_position dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state
         y = solve_within(op, state, x, low, high);
     }
     state->last = y;
-    if (!op->memory_on_output) return y + position_of(remembered, op->y_shift);
-    drive = drive_of(op, y);
-    for (uint32_t j = 0U; j < op->term_count; j++) remember(op->terms + j, state->memory + j, drive);
-    return y;
+    if (on_output) remember(op, state->memory, drive_of(op, y));
+    return on_input ? y + remembered : y;
 }
 
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint32_t covered,
@@ -477,7 +518,7 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint
             high -= width;
         }
     }
-    for (uint32_t j = 0U; j < op->term_count; j++) rest_at(state->memory + j, drive_of(op, place));
+    for (uint32_t j = 0U; j < op->term_count; j++) state->memory[j] = drive_of(op, place) * ((int64_t)1 << 24);
     dbo_backlash_load(op, state);
     if (op->memory_on_output)
         follow_output(op, state, place, place >= state->y);
@@ -490,13 +531,14 @@ void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, uint
 
 dbo_signal dbo_segments_step(const dbo_segment *segments, uint32_t count, uint32_t shift,
                              uint32_t *segment, dbo_number u) {
+    const dbo_order at = order_of(u);
     uint32_t c = *segment;
-    if ((c + 1U < count && u >= segments[c + 1U].x) || (c > 0U && u < segments[c].x)) {
+    if ((c + 1U < count && at >= order_of(segments[c + 1U].x)) || (c > 0U && at < order_of(segments[c].x))) {
         uint32_t beyond = count;
         c = 0U;
         while (c + 1U < beyond) { /* by halves: a jump costs little more than a step */
             const uint32_t middle = (c + beyond) / 2U;
-            if (u >= segments[middle].x)
+            if (at >= order_of(segments[middle].x))
                 c = middle;
             else
                 beyond = middle;

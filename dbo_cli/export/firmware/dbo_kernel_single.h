@@ -6,9 +6,9 @@
  * makes constant is a table. (1) to (18) are the equations of Aye and Ang (2018).
  *
  * Positions along either axis are whole numbers, so that (2)-(3) hold exactly and for ever: a range is 2^30
- * counts, and a count some 2^10 positions. DBO_Q31: all other numbers are whole as well; a product is
- * 32 x 32 to 64 bits, and what goes beyond the range saturates. DBO_FLOAT: slopes, memories, points and
- * what goes in and out are float32.
+ * counts, and a count some 2^10 positions; memories are whole, too. DBO_Q31: all other numbers are whole as
+ * well; a product is 32 x 32 to 64 bits, and what goes beyond the range saturates. DBO_FLOAT: slopes, points
+ * and what goes in and out are float32.
  */
 #ifndef DBO_KERNEL_H
 #define DBO_KERNEL_H
@@ -18,18 +18,14 @@
 /* The arithmetic is chosen by whoever includes this: DBO_FLOAT or DBO_Q31. */
 
 typedef int64_t dbo_position; /* along the input or the output axis */
+typedef int64_t dbo_memory;   /* L_j in 2^-24 of a count: with less, slow memories would stand still */
 
 #if defined(DBO_Q31)
 typedef int32_t dbo_number;   /* what goes in and comes out, and factors */
 typedef int64_t dbo_signal;   /* what points and scales give: positions */
-typedef int64_t dbo_memory;   /* L_j in 2^-24 of a count */
 #else
 typedef float dbo_number;
 typedef float dbo_signal; /* counts */
-typedef struct {
-    float value; /* L_j in counts */
-    float lost;  /* what adding to the value rounded off: without it slow memories would stand still */
-} dbo_memory;
 #endif
 
 typedef struct {
@@ -38,14 +34,11 @@ typedef struct {
     dbo_number slope; /* height / width; q31: times 2^slope_shift */
 } dbo_gear;
 
-/* One relaxation term. q31: factors are times 2 to the power of their shift. */
+/* One relaxation term: factors times 2 to the power of their shift, which those carried share. */
 typedef struct {
-    dbo_number carried; /* c_j a_j where memory follows the output, c_j where it follows the input */
-    dbo_number rest;    /* 1 - a_j */
-#if defined(DBO_Q31)
-    uint8_t carried_shift;
-    uint8_t rest_shift;
-#endif
+    int32_t carried; /* c_j a_j where memory follows the output, c_j where it follows the input */
+    int32_t rest;    /* 1 - a_j */
+    uint32_t rest_shift;
 } dbo_term;
 
 /* Where a block of 64 gears begins with all gears below it crossed: (X_B, Y_B). */
@@ -65,8 +58,9 @@ typedef struct {
     uint32_t tolerance; /* a gear counts as crossed when all but 2^-tolerance of it is travelled */
     const dbo_term *terms;
     uint32_t term_count;
+    uint32_t carried_shift;
     int memory_on_output;    /* 0: memory follows the input (forward); 1: the output (inverse) */
-    dbo_number drive_offset; /* (X_0, Y_0) on the remembered axis, from the reference on, in counts */
+    int32_t drive_offset;    /* (X_0, Y_0) on the remembered axis, from the reference on, in counts */
     uint32_t slope_shift;    /* q31 */
     uint32_t x_shift;        /* a count is 2^shift positions */
     uint32_t y_shift;

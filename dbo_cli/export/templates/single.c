@@ -9,12 +9,7 @@ void NAME_init(NAME_state *state) {
     for (uint32_t k = 0U; k < WORDSU; k++) state->words[k] = 0U;
     for (uint32_t k = 0U; k < 3U; k++) state->segments[k] = 0U;
 /*? terms */
-/*? counts */
     for (uint32_t k = 0U; k < TERMSU; k++) state->memory[k] = 0;
-/*: counts */
-/*? !counts */
-    for (uint32_t k = 0U; k < TERMSU; k++) state->memory[k].value = state->memory[k].lost = 0.0F;
-/*: counts */
 /*: terms */
 /*? spare */
     for (uint32_t k = 0U; k < SPARE_WORDSU; k++) state->words[k] = spare[k];

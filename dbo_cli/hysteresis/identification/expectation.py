@@ -33,7 +33,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.refinement import Fitted, corners, stages_of
-from dbo_cli.hysteresis.identification.regressors import Basis
+from dbo_cli.hysteresis.identification.regressors import LENGTHS, Basis
 from dbo_cli.hysteresis.identification.search import Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import (
     PreparedLog,
@@ -65,7 +65,7 @@ MOVE_ROWS = 3000  # of them all; 1,500 and 6,000 led to 0.997 to 1.003 of the st
 MOVE_SEED = 20180701  # any number: with 1, 2 and 3 they were 0.81 to 1.01 of these
 
 
-LENGTHS, FORGETTING_EXPLAINS = (0.15, 0.5), 0.8
+FORGETTING_EXPLAINS = 0.8
 """Memories that fade with the way gone, in units of the range, and the share of the squared error beyond
 noise that they must leave at most. They left 0.23 to 0.77 on 18 logs of Duhem's plant and 0.15 to 0.47 on 13
 of 18 of Bouc and Wen's, the others being noise; on the 198 logs of eleven other kinds 0.81 and more or noise,

@@ -35,6 +35,7 @@ BLOCK_ROWS = 256  # a block without a wanted row is passed over, so blocks are s
 JOINED_BLOCKS = 4  # that follow each other: fewer and larger products take half the time
 BEND_SEGMENTS = 32  # of the parabola; 16 and 64 changed the errors of one of eight invented logs, by 2 %
 EVEN = 1e-6  # of a step
+LENGTHS = (0.15, 0.5)  # of memories that fade with the way gone, in units of the range; see ``expectation``
 
 
 @dataclass(frozen=True)
