@@ -2,19 +2,23 @@
 
     python benchmarks/startup.py [RUNS]
 
-Whole processes, in turn, the least of RUNS (default 15) each. The limits are those the project promises.
+Whole processes, in turn; the time of the processors, the least of RUNS (default 15) each. The limits are
+those the project promises. The floor of a run is `import numpy`: a usual command line loads no command-line
+library, and polars is loaded for long logs only.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+ENVIRONMENT = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # as dbo sets it
 HEIGHTS = [0.01 + 0.001 * k for k in range(25)]
 MODEL = {
     "format": "dbo-model",
@@ -30,10 +34,11 @@ MODEL = {
 
 
 def seconds(words: list[str]) -> float:
-    """Return how long one process takes."""
-    begin = time.perf_counter()
-    subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
-    return time.perf_counter() - begin
+    """Return how long one process keeps the processors busy."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, *words], check=True, cwd=ROOT, env=ENVIRONMENT, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def main() -> None:
@@ -42,16 +47,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         model, drive = Path(folder, "model.json"), Path(folder, "drive.csv")
         model.write_text(json.dumps(MODEL))
-        rows = "".join(f"{k / 1000},{50 - 50 * abs(k % 200 - 100) / 100}\n" for k in range(1000))
+        rows = "".join(f"{k / 1000},{50 - 50 * abs(k % 200 - 100) / 100}\n" for k in range(10))
         drive.write_text("time_s,voltage_V\n" + rows)
         commands = {
             "python -c pass": ["-c", "pass"],
             "import typer": ["-c", "import typer"],
             "import numpy": ["-c", "import numpy"],
-            "import numpy, typer, polars": ["-c", "import numpy, typer, polars"],
+            "import numpy, typer": ["-c", "import numpy, typer"],
             "dbo --version": ["-m", "dbo_cli", "--version"],
             "dbo --help": ["-m", "dbo_cli", "--help"],
-            "dbo simulate, 1,000 rows": ["-m", "dbo_cli", "simulate", str(model), str(drive)],
+            "dbo simulate, 10 rows": ["-m", "dbo_cli", "simulate", str(model), str(drive)],
         }
         best = dict.fromkeys(commands, float("inf"))
         for _ in range(runs):
@@ -60,16 +65,16 @@ def main() -> None:
     for name, value in best.items():
         print(f"{name:30} {1e3 * value:7.1f} ms")
     promises = [
-        ("dbo --version", "import typer", 2.0),
-        ("dbo simulate, 1,000 rows", "import numpy, typer, polars", 1.5),
-        ("dbo simulate, 1,000 rows", "import numpy", None),
+        ("dbo --version", "import typer", 1.5),
+        ("dbo simulate, 10 rows", "import numpy, typer", 1.2),
+        ("dbo simulate, 10 rows", "import numpy", 1.4),
+        ("dbo simulate, 10 rows", "python -c pass", 5.0),
     ]
     kept = True
     for name, other, limit in promises:
         ratio = best[name] / best[other]
-        kept = kept and (limit is None or ratio <= limit)
-        promised = "" if limit is None else f"  (promised: at most {limit:g})"
-        print(f"{name} / {other}: {ratio:.2f}{promised}")
+        kept = kept and ratio <= limit
+        print(f"{name} / {other}: {ratio:.2f}  (promised: at most {limit:g})")
     sys.exit(0 if kept else 1)
 
 

@@ -86,9 +86,11 @@ def test_html_reaches_for_no_network(logs: Any) -> None:
 
 
 def test_the_same_logs_give_the_same_bytes(logs: Any) -> None:
-    for form in ("text", "json", "csv", "html"):
+    for form in ("text", "json", "csv"):
         words = ["report", "before.csv", "after.csv", "--format", form]
         assert logs(*words) == logs(*words)
+    words = ["report", "after.csv", "--format", "html"]
+    assert logs(*words) == logs(*words)
 
 
 def test_rows_count_desired_and_lag_takes_measured_later(dbo: Any) -> None:
