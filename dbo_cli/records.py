@@ -28,8 +28,13 @@ else:
         return dataclasses.dataclass(cls, repr=False, eq=False, kw_only=kw_only)
 
 
+@functools.cache
+def _compared(kind: Any) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind) if field.compare)
+
+
 def _values(record: Any) -> tuple[Any, ...]:
-    return tuple(getattr(record, field.name) for field in dataclasses.fields(record) if field.compare)
+    return tuple([getattr(record, name) for name in _compared(record.__class__)])
 
 
 def _equal(self: Any, other: object) -> bool:

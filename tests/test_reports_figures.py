@@ -229,11 +229,14 @@ def test_figures_of_a_log():
 
 @pytest.mark.parametrize(("samples", "kind"), [(3000, "svg"), (20_000, "png"), (20_000, "inline")])
 def test_same_values_same_bytes(samples, kind):
+    """Every figure in one of the three forms."""
+    forms = ("svg", "png", "inline")
     drawn = []
     for _ in range(2):
         report, figure_data = log_of(samples)
-        drawn.append([draw(plot, kind) for plot in plots_of_log(report, report.logs[0], figure_data)])
-    assert drawn[0] == drawn[1]
+        plots = plots_of_log(report, report.logs[0], figure_data)
+        drawn.append([draw(plot, kind) for plot in plots[forms.index(kind) :: 3]])
+    assert drawn[0] == drawn[1] != []
 
 
 def test_axes_carry_quantity_and_unit():

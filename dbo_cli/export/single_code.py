@@ -362,7 +362,7 @@ def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float,
     drive = float((axes.high if on_output else axes.wide).sum()) + offset
     count = axes.y_count if on_output else axes.x_count
     other = axes.x_unit if on_output else axes.y_unit
-    held = count * (1.5 + 2.0 * drive / count * 2.0**-30 + 2.0**-25 / b)
+    held = count * (2.0 + 2.0 * drive / count * 2.0**-30 + 2.0**-24 / b)
     shift = shift_for(float(_carried(plan, axes).sum()))
     recall = other * (0.5 + plan.terms * drive / count * 2.0 ** -(shift + 1))
     own = float(np.sum(carried * held)) + recall

@@ -132,14 +132,13 @@ class SingleKernel:
     def recalled(self) -> int:
         """Return what the memories add up to, in positions."""
         parts = zip(self.t.terms, self.memory, strict=True)
-        total = sum(carried * scaled_down(memory, 24) for (carried, _, _), memory in parts)
+        total = sum(carried * (memory >> 24) for (carried, _, _), memory in parts)
         return scaled_down(total, self.t.carried_shift)
 
     def remember(self, drive: int) -> None:
         """Let the memories follow."""
         for j, (_, rest, shift) in enumerate(self.t.terms):
-            way = drive - scaled_down(self.memory[j], 24)
-            self.memory[j] += scaled_down(way * rest, shift - 24)
+            self.memory[j] += (drive - (self.memory[j] >> 24)) * rest >> (shift - 24)
 
     # ---- the procedure
 

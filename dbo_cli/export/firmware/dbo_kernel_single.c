@@ -14,8 +14,14 @@
 #error "float must be computed as float: compile for hardware or software float32, not x87"
 #endif
 
+#if defined(__ARM_ARCH_ISA_THUMB) && __ARM_ARCH_ISA_THUMB == 1
+#define THUMB_1 1
+#else
+#define THUMB_1 0
+#endif
+
 /* Kept apart from its caller: all in one, these loops find no room in the registers of a Cortex-M0+. */
-#if defined(__GNUC__)
+#if defined(__GNUC__) && THUMB_1
 #define APART static __attribute__((noinline))
 #else
 #define APART static
@@ -72,12 +78,15 @@ typedef dbo_number dbo_order;
 #define order_of(value) (value)
 #endif
 
-/* value / 2^shift, rounded to nearest. The right shift of a negative number is written out: what it does
- * is left to the compiler, and every compiler makes one instruction of this. */
-static int64_t scaled_down(int64_t value, uint32_t shift) {
-    if (shift == 0U) return value;
-    value += (int64_t)1 << (shift - 1U);
+/* value / 2^shift, rounded down. The right shift of a negative number is written out: what it does is left to
+ * the compiler, and every compiler makes one instruction of this. */
+static int64_t floored(int64_t value, uint32_t shift) {
     return value >= 0 ? value >> shift : ~(~value >> shift);
+}
+
+/* value / 2^shift, rounded to nearest. */
+static int64_t scaled_down(int64_t value, uint32_t shift) {
+    return shift == 0U ? value : floored(value + ((int64_t)1 << (shift - 1U)), shift);
 }
 
 static int64_t within(int64_t value, int64_t low, int64_t high) {
@@ -148,14 +157,14 @@ static int64_t drive_of(const dbo_backlash *op, dbo_position value) {
 static dbo_position recalled(const dbo_backlash *op, const dbo_memory *memory) {
     int64_t sum = 0;
     for (uint32_t j = 0U; j < op->term_count; j++)
-        sum += (int64_t)op->terms[j].carried * (int32_t)scaled_down(memory[j], 24U);
+        sum += (int64_t)op->terms[j].carried * (int32_t)floored(memory[j], 24U);
     return scaled_down(sum, op->carried_shift);
 }
 
 static void remember(const dbo_backlash *op, dbo_memory *memory, int64_t drive) {
     for (uint32_t j = 0U; j < op->term_count; j++) {
-        const int64_t way = drive - scaled_down(memory[j], 24U);
-        memory[j] += scaled_down(way * op->terms[j].rest, op->terms[j].rest_shift - 24U);
+        const int64_t way = drive - floored(memory[j], 24U);
+        memory[j] += floored(way * op->terms[j].rest, op->terms[j].rest_shift - 24U);
     }
 }
 
@@ -249,7 +258,7 @@ APART uint32_t walk(const dbo_backlash *op, dbo_way *way, uint32_t k, uint32_t o
 
 /* count x width; in halves of 16 bits on a Cortex-M0+, which has no product of 64 bits. */
 static dbo_position times(uint32_t count, int32_t width) {
-#if defined(__ARM_ARCH_ISA_THUMB) && __ARM_ARCH_ISA_THUMB == 1
+#if THUMB_1
     const uint32_t high = count * ((uint32_t)width >> 16), low = count * ((uint32_t)width & 0xFFFFU);
     return (dbo_position)(((uint64_t)high << 16) + low);
 #else
@@ -283,7 +292,7 @@ APART void walk_rows(const dbo_backlash *op, dbo_way *way, uint32_t block, uint3
     const int gapless = (beyond & (beyond - 1U)) == 0U; /* one bit, or beyond all 64 */
     dbo_position left = way->left, room = way->room;
     uint32_t place = *low != 0U ? first_one(*low) : 32U + first_one(*high), crossed = 0U;
-    uint32_t more = count_ones(*low) + count_ones(*high);
+    uint32_t more = gapless && beyond == 0U ? 64U - place : count_ones(*low) + count_ones(*high);
     uint32_t row = ((64U * block + place) * op->row_factor) >> op->row_shift;
     uint32_t row_end = (row + 1U) * op->run - 64U * block;
     for (const dbo_gear *gear = op->gears + row; more > 0U; gear++, row_end += op->run) {
@@ -323,15 +332,21 @@ APART void walk_rows(const dbo_backlash *op, dbo_way *way, uint32_t block, uint3
 }
 
 /* Cross blocks of 64 gears, words `word` to `end`, while all of a block are `open` and its far end is within
- * the way; they begin at `at`. Returns the word where that ends. */
+ * the way: found by halves. They begin at `at`. Returns the word where that ends. */
 APART uint32_t *pass_open_blocks(uint32_t *word, const uint32_t *end, const dbo_block *at, dbo_way *way,
                                  uint32_t open) {
     const dbo_position x = way->left + at->x, y = way->room + at->y;
-    while (word != end && word[0] == open && word[1] == open && at[1].x <= x && at[1].y <= y) {
-        word[0] = word[1] = ~open;
-        word += 2;
-        at++;
+    uint32_t within = 0U, beyond = (uint32_t)(end - word) / 2U + 1U;
+    while (within + 1U < beyond) {
+        const uint32_t middle = (within + beyond) / 2U;
+        if (at[middle].x <= x && at[middle].y <= y)
+            within = middle;
+        else
+            beyond = middle;
     }
+    for (end = word + 2U * within; word != end && word[0] == open && word[1] == open; word += 2)
+        word[0] = word[1] = ~open;
+    at += within - (uint32_t)(end - word) / 2U;
     way->left = x - at->x;
     way->room = y - at->y;
     return word;

@@ -293,7 +293,7 @@ def _least(matrix: Floats, right: Floats, states: States) -> Floats:
     goal = right / scale
     tolerance = TOLERANCE * float(np.abs(goal).max(initial=0.0))
     for ridge in RIDGES:
-        scaled[np.diag_indices_from(scaled)] += ridge
+        np.einsum("ii->i", scaled)[...] += ridge  # a view of the diagonal
         x, tried = np.zeros(len(goal)), states.copy()
         if ridge > RIDGES[0]:  # the guess led nowhere: begin without one, and less exactly
             tried[tried == AT_ZERO] = POSITIVE

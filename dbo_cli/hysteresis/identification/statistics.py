@@ -98,6 +98,10 @@ class Statistics(FoldProducts):
     columns: Columns
 
     @cached_property
+    def _summed(self) -> dict[tuple[str, int, int | None], Floats]:
+        return {}
+
+    @cached_property
     def _signed(self) -> dict[tuple[str, int], tuple[SignedUnknowns, list[Floats]]]:
         return {}
 
@@ -116,8 +120,11 @@ class Statistics(FoldProducts):
         unknowns, folds = self.signed(structure)
         guess = unknowns.states(structure.memories) if states is None else states.copy()
         kept = [k for k in range(len(folds)) if k != leave_out]
-        products = np.add.reduce([folds[k] for k in kept], axis=0)
-        return minimum(products, unknowns, structure, sum(self.rows[k] for k in kept), guess), guess
+        key = structure.slopes, structure.segments, leave_out
+        if key not in self._summed:
+            self._summed[key] = np.add.reduce([folds[k] for k in kept], axis=0)
+        products, rows = self._summed[key], sum(self.rows[k] for k in kept)
+        return minimum(products, unknowns, structure, rows, guess), guess
 
     def left_out(self, structure: Structure, fold: int, states: States | None = None) -> float:
         """Return the sum of squared errors on a fold of a fit to the others."""
