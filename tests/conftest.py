@@ -98,6 +98,13 @@ def model_file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave figures empty, for tests of which there are and where they stand."""
+    monkeypatch.setattr("dbo_cli.reports.drawing._painted", lambda *_, **__: None)
+    monkeypatch.setattr("dbo_cli.reports.drawing._saved", lambda *_: b"<svg >")
+
+
 def folder_content(folder: Path) -> set[str]:
     """Return the names of everything in a folder, so that litter is seen."""
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}

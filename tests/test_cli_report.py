@@ -64,6 +64,7 @@ def test_csv_has_one_line_a_log(logs: Any) -> None:
     assert float(rows[1]["rmse"]) == pytest.approx(0.1)
 
 
+@pytest.mark.usefixtures("blank_figures")
 @pytest.mark.parametrize(
     ("name", "start"),
     [
@@ -228,6 +229,10 @@ def test_figures_are_drawn(logs: Any) -> None:
     for key in ("tracking", "error", "output", "histogram"):
         assert {f"after-{key}.png", f"after-{key}.svg"} <= names
     assert Path("figures/after-error.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_the_errors_of_all_logs_stand_above_those_of_each(logs: Any) -> None:
     assert logs("report", "before.csv", "after.csv", "--figures", "both", "-o", "r.html").code == 0
     assert {"all-logs-errors.png", "all-logs-errors.svg"} <= folder_content(Path("both"))
     page = Path("r.html").read_text()

@@ -88,11 +88,11 @@ def test_the_shared_library_gives_the_bits_of_compensate(tmp_path: Path) -> None
     model = made_model(1)
     desired = random_moves(np.random.default_rng(2), model.output.minimum, model.output.maximum, 4000)
     drive = compensated(model, desired)
-    export_model(model, str(tmp_path / "out"), name="piezo", sample_rate=RATE, shared=True)
-    assert run_flat(tmp_path / "out", "piezo", desired[1:], float(drive[0])).tobytes() == drive[1:].tobytes()
-    library = ctypes.CDLL(str(next((tmp_path / "out").glob("libpiezo.*"))))
-    library.piezo_sample_rate.restype = ctypes.c_double
-    assert library.piezo_sample_rate() == RATE
+    export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE, shared=True)
+    assert run_flat(tmp_path / "out", "x", desired[1:], float(drive[0])).tobytes() == drive[1:].tobytes()
+    library = ctypes.CDLL(str(next((tmp_path / "out").glob("libx.*"))))
+    library.x_sample_rate.restype = ctypes.c_double
+    assert library.x_sample_rate() == RATE
 
 
 @needs_compiler
@@ -103,8 +103,8 @@ def test_fmpy_drives_the_fmu_as_compensate_does(tmp_path: Path) -> None:
     model = made_model(1, gears=90, slopes=30)
     desired = random_moves(np.random.default_rng(3), model.output.minimum, model.output.maximum, 600)
     drive = compensated(model, desired)
-    export_model(model, str(tmp_path / "out"), name="piezo", sample_rate=RATE, fmu=True)
-    path = str(tmp_path / "out" / "piezo.fmu")
+    export_model(model, str(tmp_path / "out"), name="x", sample_rate=RATE, fmu=True)
+    path = str(tmp_path / "out" / "x.fmu")
     assert validate_fmu(path) == []
     described = fmpy.read_model_description(path)
     assert [v.name for v in described.modelVariables] == [

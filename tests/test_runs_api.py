@@ -77,6 +77,7 @@ def test_compensate_and_simulate_give_the_bits_of_the_commands(dbo: Any, sample_
     assert dbo_api.compensate(sample_model, table).tolist() == drive.tolist()
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_report_has_the_numbers_of_the_command(dbo: Any, sample_model: Path) -> None:
     done = dbo("report", LOG, "--model", sample_model, "--format", "json", "--segment", "cycles")
     report = dbo_api.report(LOG, model=sample_model, segment="cycles")
@@ -92,6 +93,7 @@ def test_a_report_has_the_numbers_of_the_command(dbo: Any, sample_model: Path) -
     assert report.to_html().startswith("<!")
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_report_of_several_logs_has_their_errors_in_one_figure(dbo: Any, tmp_path: Path) -> None:
     logs, tables = [], []
     for number in (1, 2):

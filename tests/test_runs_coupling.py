@@ -417,7 +417,7 @@ def test_a_set_is_exported_to_a_folder_a_channel(dbo: Any) -> None:
 @pytest.mark.filterwarnings("ignore::dbo_cli.DboWarning")
 @pytest.mark.usefixtures("dbo")
 def test_a_virtual_mirror_is_followed_better_with_its_coupling() -> None:
-    count = 8
+    count = 5
     mirror = VirtualMirror(count)
     time, volts = channel_drives(Excitation(0.0, 100.0, 400.0, 4.0, 4.0), count)
     shown = mirror.play(time, volts, seed=1)
