@@ -87,6 +87,13 @@ FAULTS: list[Fault] = [
          "where float32 is software, of two numbers below zero the greater has the smaller bits"),
         ("exponent < 150U ? part >> (150U - exponent) : part << (exponent - 150U)",
          "exponent < 150U ? part >> (150U - exponent) : part", "where float32 is software, large numbers are positions"),
+        ("counts *= 1.0F / 256.0F;", "", "beyond 2^31 counts a number is a position still"),
+    ),
+    *_faults(
+        "export/single_code.py",
+        ("export",),
+        ("coarse = max(math.frexp(abs(offset) / count / COUNTS)[1], 0) if plan.terms else 0", "coarse = 0",
+         "a memory may refer to what is far from the range"),
     ),
     *_faults(
         "hysteresis/kernel.py",
