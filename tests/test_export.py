@@ -464,6 +464,32 @@ def test_reserved_words_are_no_names() -> None:
         check_name(word)
 
 
+@needs_compiler
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+@pytest.mark.parametrize("direction", ["forward", "inverse"])
+def test_a_memory_may_refer_to_what_is_far_from_the_range(
+    arithmetic: Any, direction: Any, tmp_path: Path
+) -> None:
+    """0 V where the range is 100 to 120 V: at first the memories lie five ranges away."""
+    terms = Relaxation(0.0, (0.05,), (0.01,))
+    gears = DiscreteBacklashOperator(np.full(64, 20 / 64), np.full(64, 1 / 64), 100.0, 0.0, terms)
+    model = ActuatorModel(
+        "forward", Quantity("voltage", "V", 100.0, 120.0), Quantity("displacement", "um", 1.0, 2.2), (gears,)
+    )
+    source, result = (model.input, model.output)[:: 1 if direction == "forward" else -1]
+    wave = 0.5 + 0.4 * np.sin(0.02 * np.arange(3000))
+    given, real = as_given(source.minimum + source.span * wave, source, arithmetic)
+    found = {}
+    for kind, x in (("double", real), (arithmetic, given)):
+        summary = export_model(
+            model, str(tmp_path / kind), name="x", arithmetic=kind, direction=direction, sample_rate=RATE
+        )
+        y = compiled(tmp_path / kind, "x", kind, summary.gears)(x)[0]
+        found[kind] = in_units(y, result, kind)
+    assert np.abs(found[arithmetic] - found["double"]).max() < 1.5 * summary.bounds["same_gears"]
+    assert compile_and_run(tmp_path / arithmetic, "x", COMPILERS[0], []).returncode == 0
+
+
 def test_gears_too_narrow_for_float(tmp_path: Path) -> None:
     """A range of 1 V at 1000 V: float32 resolves 7 % of a gear there, q31 counts from the range's middle."""
     model = ActuatorModel(

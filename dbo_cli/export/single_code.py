@@ -173,11 +173,24 @@ def counts_of_range(quantity: Quantity) -> tuple[float, float]:
     return 0.5 * (quantity.minimum + quantity.maximum), 0.5 * quantity.span / COUNTS
 
 
+def _remembered(plan: CascadePlan, axes: Axes) -> tuple[int, float, float]:
+    """Return the shift from positions to what memories count, one of those, and where the axis begins.
+
+    It is a count of the remembered axis, or coarser where the reference is far away: they have 31 bits.
+    """
+    gears, on_output = plan.backlash, plan.backlash.memory_on == "output"
+    offset = (gears.y0 if on_output else gears.x0) - plan.reference
+    count = axes.y_count if on_output else axes.x_count
+    coarse = max(math.frexp(abs(offset) / count / COUNTS)[1], 0) if plan.terms else 0
+    return axes.fine[int(on_output)] + coarse, count * 2.0**coarse, offset
+
+
 def _carried(plan: CascadePlan, axes: Axes) -> Floats:
-    """Return what each memory adds, in positions, for one count of the remembered axis."""
+    """Return what each memory adds, in positions, for one of its counts."""
+    count = _remembered(plan, axes)[1]
     if plan.backlash.memory_on == "output":
-        return plan.gain * plan.decay * (axes.y_count / axes.x_unit)
-    return plan.gain * (axes.x_count / axes.y_unit)
+        return plan.gain * plan.decay * (count / axes.x_unit)
+    return plan.gain * (count / axes.y_unit)
 
 
 def _terms(plan: CascadePlan, axes: Axes) -> tuple[list[tuple[int, int, int]], int]:
@@ -235,16 +248,13 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
         first = min(max(first, clip[0]), clip[1])
     whole, part = plan.delay_samples or (-1, 0.0)
     delay = whole, round(part * COUNTS) if q31 else F(part)
-    offset = (gears.y0 if on_output else gears.x0) - plan.reference
-    offset /= axes.y_count if on_output else axes.x_count
-    if plan.terms and abs(offset) >= COUNTS:  # and a range beside it: memories hold 2^31 counts
-        raise ModelError("relaxation.reference: farther away than the range is wide (`arithmetic` double)")
+    drive_shift, drive_count, offset = _remembered(plan, axes)
     terms, carried_shift = _terms(plan, axes)
     span = sum(rows[i // gears.equal_run][0] for i in range(gears.n))
     return SingleTables(
         q31=q31, rows=rows, n=gears.n, run=gears.equal_run, tolerance=round(-math.log2(tolerance)),
         terms=terms, carried_shift=carried_shift, memory_on_output=on_output,
-        drive_offset=round(offset) if plan.terms else 0,
+        drive_offset=round(offset / drive_count) if plan.terms else 0, drive_shift=drive_shift,
         slope_shift=slope_shift, x_shift=axes.fine[0], y_shift=axes.fine[1],
         least=-span, most=2 * span, limits=positions,
         covered=plan.model.covered_gears.operator.n, spare_bits=plan.model.covered_gears.spare_bits,
@@ -358,9 +368,8 @@ def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float,
         return 0.0, 0.0, 1.0
     on_output = plan.backlash.memory_on == "output"
     b, carried = 1.0 - a, (c * a if on_output else c)
-    offset = abs((plan.backlash.y0 if on_output else plan.backlash.x0) - plan.reference)
-    drive = float((axes.high if on_output else axes.wide).sum()) + offset
-    count = axes.y_count if on_output else axes.x_count
+    _, count, offset = _remembered(plan, axes)
+    drive = float((axes.high if on_output else axes.wide).sum()) + abs(offset)
     other = axes.x_unit if on_output else axes.y_unit
     held = count * (2.0 + 2.0 * drive / count * 2.0**-30 + 2.0**-24 / b)
     shift = shift_for(float(_carried(plan, axes).sum()))
@@ -523,7 +532,7 @@ def _tables(t: SingleTables, text: Text) -> tuple[str, int]:
         f"static const dbo_backlash op = {{gears, {'blocks' if t.n >= 64 else '0'}, {t.n}U, {t.run}U,"
         f" {factor}U, {shift}U, {t.tolerance}U,"
         f" {'terms' if t.terms else '0'}, {len(t.terms)}U,\n"
-        f"    {t.carried_shift}U, {int(t.memory_on_output)}, {integer(t.drive_offset)},"
+        f"    {t.carried_shift}U, {int(t.memory_on_output)}, {integer(t.drive_offset)}, {t.drive_shift}U,"
         f" {t.slope_shift}U, {t.x_shift}U, {t.y_shift}U, {integer(t.least)}, {integer(t.most)}}};\n"
     )
     if t.limits is not None:

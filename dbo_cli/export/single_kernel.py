@@ -55,6 +55,7 @@ class SingleTables:
     carried_shift: int
     memory_on_output: bool
     drive_offset: int
+    drive_shift: int
     slope_shift: int
     x_shift: int
     y_shift: int
@@ -115,7 +116,9 @@ class SingleKernel:
         """Return a signal as positions."""
         if self.t.q31:
             return int(signal)
-        return int(min(max(signal, -MOST_COUNTS), MOST_COUNTS)) << shift
+        coarse = 0 if -MOST_COUNTS <= signal <= MOST_COUNTS else 8
+        signal = signal * F(2.0**-coarse)
+        return int(min(max(signal, -MOST_COUNTS), MOST_COUNTS)) << (shift + coarse)
 
     @staticmethod
     def counts_of(value: int, shift: int) -> int:
@@ -126,8 +129,7 @@ class SingleKernel:
 
     def drive_of(self, value: int) -> int:
         """Return the remembered signal as the memories hold it."""
-        counts = self.counts_of(value, self.t.y_shift if self.t.memory_on_output else self.t.x_shift)
-        return clamped(counts + self.t.drive_offset)
+        return clamped(self.counts_of(value, self.t.drive_shift) + self.t.drive_offset)
 
     def recalled(self) -> int:
         """Return what the memories add up to, in positions."""

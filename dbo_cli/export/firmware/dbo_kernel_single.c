@@ -118,10 +118,12 @@ static dbo_position position_of(dbo_signal signal, uint32_t shift) {
 
 #define MOST_COUNTS 2147483520.0F /* the greatest float32 below 2^31 */
 
-/* A number of counts as positions; what is beyond 32 bits, or no number, is brought to the end. */
+/* A number of counts as positions; from 2^31 on by 2^8 counts, which loses no digit, and what is beyond 2^39, or
+ * no number, is brought to the end. */
 static dbo_position position_of(dbo_signal counts, uint32_t shift) {
 #if SOFT_FLOAT
-    const uint32_t bits = bits_of(counts), exponent = bits >> 23 & 255U, part = (bits & 0x7FFFFFU) | 0x800000U;
+    const uint32_t bits = bits_of(counts), coarse = (bits >> 23 & 255U) < 158U ? 0U : 8U;
+    const uint32_t exponent = (bits >> 23 & 255U) - coarse, part = (bits & 0x7FFFFFU) | 0x800000U;
     int32_t whole = (int32_t)MOST_COUNTS;
     if (exponent < 127U)
         whole = 0;
@@ -129,12 +131,16 @@ static dbo_position position_of(dbo_signal counts, uint32_t shift) {
         whole = (int32_t)(exponent < 150U ? part >> (150U - exponent) : part << (exponent - 150U));
     if (bits > 0x7F800000U) whole = -whole; /* the sign, or no number */
 #else
+    const uint32_t coarse = counts >= -MOST_COUNTS && counts <= MOST_COUNTS ? 0U : 8U;
     int32_t whole;
-    if (!(counts > -MOST_COUNTS)) counts = -MOST_COUNTS;
-    if (counts > MOST_COUNTS) counts = MOST_COUNTS;
+    if (coarse != 0U) {
+        counts *= 1.0F / 256.0F;
+        if (!(counts > -MOST_COUNTS)) counts = -MOST_COUNTS;
+        if (counts > MOST_COUNTS) counts = MOST_COUNTS;
+    }
     whole = (int32_t)counts;
 #endif
-    return (dbo_position)whole * ((dbo_position)1 << shift);
+    return (dbo_position)whole * ((dbo_position)1 << (shift + coarse));
 }
 
 static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_position way) {
@@ -149,8 +155,7 @@ static dbo_position along_gear(const dbo_backlash *op, dbo_number slope, dbo_pos
 
 /* The remembered signal as the memories hold it. */
 static int64_t drive_of(const dbo_backlash *op, dbo_position value) {
-    const uint32_t shift = op->memory_on_output ? op->y_shift : op->x_shift;
-    return within((int64_t)dbo_counts_of(value, shift) + op->drive_offset, INT32_MIN, INT32_MAX);
+    return within((int64_t)dbo_counts_of(value, op->drive_shift) + op->drive_offset, INT32_MIN, INT32_MAX);
 }
 
 /* What the memories add up to, in positions. */

@@ -18,7 +18,7 @@
 /* The arithmetic is chosen by whoever includes this: DBO_FLOAT or DBO_Q31. */
 
 typedef int64_t dbo_position; /* along the input or the output axis */
-typedef int64_t dbo_memory;   /* L_j in 2^-24 of a count: with less, slow memories would stand still */
+typedef int64_t dbo_memory;   /* L_j in 2^-24 of its count: with less, slow memories would stand still */
 
 #if defined(DBO_Q31)
 typedef int32_t dbo_number;   /* what goes in and comes out, and factors */
@@ -60,7 +60,8 @@ typedef struct {
     uint32_t term_count;
     uint32_t carried_shift;
     int memory_on_output;    /* 0: memory follows the input (forward); 1: the output (inverse) */
-    int32_t drive_offset;    /* (X_0, Y_0) on the remembered axis, from the reference on, in counts */
+    int32_t drive_offset;    /* (X_0, Y_0) on the remembered axis, from the reference on, in memories' counts */
+    uint32_t drive_shift;    /* one of those is 2^shift positions */
     uint32_t slope_shift;    /* q31 */
     uint32_t x_shift;        /* a count is 2^shift positions */
     uint32_t y_shift;
