@@ -524,7 +524,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/search.py",
         ("hysteresis_identification",),
-        ("return choose(prepared, orders, cycle)", "pass",
+        ("return choose(prepared, replace(orders, time_constants=()), cycle)", "pass",
          "memories of the time do not stand for those of the way"),
         ("return min(choice, other, key=search.error_on_groups)", "return choice",
          "a delay alone is taken where it predicts swings left out better"),
