@@ -526,10 +526,6 @@ FAULTS: list[Fault] = [
         ("hysteresis_identification",),
         ("return choose(prepared, replace(orders, time_constants=()), cycle)", "pass",
          "memories of the time do not stand for those of the way"),
-        ("return min(choice, other, key=search.error_on_groups)", "return choice",
-         "a delay alone is taken where it predicts swings left out better"),
-        ("return groups_left_out(self._logs, choice.basis, choice.structure, score, np.inf)[0]", "return score",
-         "two starts of the search are compared on swings left out"),
     ),
     *_faults(
         "hysteresis/identification/expectation.py",

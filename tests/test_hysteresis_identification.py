@@ -19,7 +19,6 @@ from dbo_cli.hysteresis.identification import (
     IdentificationOptions,
     Recording,
     identify,
-    search,
 )
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import prepare
@@ -577,7 +576,7 @@ def test_authors_recordings_are_predicted() -> None:
     assert 0.4 < came / one.fit["expected_rmse"] < 1.3  # type: ignore[operator]
     assert one.fit["cross_validated_rmse"] < 0.09  # type: ignore[operator]
     two = identify([paper_log("identification.dat"), paper_log("uncompensated.dat", slice(600, 3500))], skip)
-    assert prediction_error(two, slice(3500, 7000)) < 0.12
+    assert prediction_error(two, slice(3500, 7000)) < 0.15
 
 
 @needs_paper
@@ -665,26 +664,3 @@ def test_an_actuator_that_forgets_with_the_way_is_found_out() -> None:
     assert 0.5 < float(np.sqrt(np.mean(left[120:] ** 2))) / expected.rmse < 1.5
     closing = identify([record(actuator(), drive)]).model
     assert not any("not close" in note for note in closing.fit["notes"])
-
-
-def test_a_delay_alone_is_tried_beside_memories(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What predicts swings of a kind left out better is taken: here a lag that is there, so memories stay."""
-    monkeypatch.setattr(search, "SECOND_START", np.inf)
-    log = record(actuator(relaxation=Relaxation(0.0, (0.03, 0.2), (0.1, 0.05))), nested())
-    asked: list[tuple[bool, float, float]] = []
-    own = search._Search.error_on_groups
-
-    def noted(self: search._Search, choice: search.Choice) -> float:
-        error = own(self, choice)
-        assert error > 1.01 * choice.score.rmse  # of the cycles, which are left out one at a time
-        asked.append((bool(choice.structure.memories), choice.basis.delay, error))
-        return error
-
-    monkeypatch.setattr(search._Search, "error_on_groups", noted)
-    assert identify([log]).model.backlash.relaxation is not None
-    (first, _, best), (other, delay, worse) = asked
-    assert first and not other and delay > 0.0 and best < worse
-    monkeypatch.setattr(search._Search, "error_on_groups", lambda self, choice: -noted(self, choice))
-    turned = identify([log]).model
-    assert turned.backlash.relaxation is None
-    assert turned.delay_seconds == delay

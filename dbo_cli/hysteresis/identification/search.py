@@ -77,13 +77,6 @@ START_SMOOTHNESS = 1e-8  # for comparing the other choices; 1e-7 and 1e-9 led to
 BEND_STEP = 0.1  # of the range, refined by half: 0.05 and 0.2 changed one of eight logs, by 5 %
 BEND_TRIALS = 4  # steps to either side, outwards while the fit gets better
 BEND_GAIN = 0.1  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
-SECOND_START = 1.5
-"""Where a delay alone comes this near to memories (RMS on cycles left out), the search is made again with
-that delay and none of them, and what does better on amplitudes, levels and speeds left out is taken: memories
-lead to another bend. The second half of the authors' log was predicted to 0.11 um so, 0.14 before; of 78
-foreign logs (benchmarks/foreign_plants.py) five took it and erred by 0.86 to 1.01 of what they did. A delay
-alone is 1.2 to 8 times as far off where there are creep and lags, so that most logs are not searched twice.
-"""
 FORGETTING_GAIN = 0.9
 """Memories that fade with the way gone instead of the time must leave this share of the error on data left
 out: then those of the time only stand for them, and are left out. That comes to pass on 12 of 36 logs of
@@ -221,17 +214,9 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
         again, _, interval = search.delayed(replace(again, delay=0.0), settled)
     basis = again
     basis, structure, score = search.gears(basis, rule, memories)
-    choice = Choice(basis, structure, score, interval, clockwise)
-    if orders.time_constants is not None or not structure.memories:
-        return choice
-    orders = replace(orders, time_constants=())
-    if search.forgets(basis, structure, score):
-        return choose(prepared, orders, cycle)
-    if search.delay_alone is None:
-        return choice
-    delay, interval = search.delay_alone
-    other = replace(choose(prepared, replace(orders, delay=delay), cycle), delay_interval=interval)
-    return min(choice, other, key=search.error_on_groups)
+    if orders.time_constants is None and structure.memories and search.forgets(basis, structure, score):
+        return choose(prepared, replace(orders, time_constants=()), cycle)
+    return Choice(basis, structure, score, interval, clockwise)
 
 
 class _Search:
@@ -265,7 +250,6 @@ class _Search:
         self._finest = self._segments[-1][0]
         self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
         self._gathered: dict[Basis, Statistics] = {}
-        self.delay_alone: tuple[float, tuple[float, float] | None] | None = None
 
     def _statistics(self, basis: Basis) -> Statistics:
         if basis not in self._gathered:
@@ -425,8 +409,6 @@ class _Search:
             short = simplest_of(scores[:-1])
             if no_worse(scores[short], scores[best], ONE_AMPLITUDE_MEMORY, ONE_AMPLITUDE_MEMORY):
                 best = short
-        if best > 1 and scores[1].rmse < SECOND_START * scores[best].rmse and self._orders.delay is None:
-            self.delay_alone = found[1][0].delay, found[1][2]
         return found[best][0], [found[best][1].memories], found[max(best, 1)][2]
 
     def delayed(
@@ -497,11 +479,6 @@ class _Search:
         if not no_worse(score, cross_validate(self._statistics(finer), structure), FINER_INDIFFERENCE):
             return finer, *self._smoothness(finer, structure)
         return basis, structure, score
-
-    def error_on_groups(self, choice: Choice) -> float:
-        """Return the error on swings of a kind left out, RMS; that on cycles where there are no groups."""
-        score = choice.score.rmse
-        return groups_left_out(self._logs, choice.basis, choice.structure, score, np.inf)[0]
 
     def forgets(self, basis: Basis, structure: Structure, score: Score) -> bool:
         """Return whether memories of the way gone do far better on data left out than those of the time."""

@@ -249,7 +249,7 @@ FEWEST_REST_ROWS = 100  # chosen, to fit from: so did 50 and 200
 
 
 def groups_left_out(
-    logs: Sequence[PreparedLog], basis: Basis, structure: Structure, cycles: float, most: float = MAX_RATIO
+    logs: Sequence[PreparedLog], basis: Basis, structure: Structure, cycles: float
 ) -> tuple[float, tuple[str, ...]]:
     """RMS error of groups of swings left out, the worst of three ways to group, and the ways there were."""
     worst, names = cycles**2, []
@@ -266,7 +266,7 @@ def groups_left_out(
             except FitError:
                 continue
             left = squared_error_free_of(statistics.grams[group], vector, statistics.nuisance[group]) / mine
-            found.append((min(left, (most * cycles) ** 2), mine))
+            found.append((min(left, (MAX_RATIO * cycles) ** 2), mine))
         if found:
             names.append(name)
             worst = max(worst, sum(error * mine for error, mine in found) / sum(mine for _, mine in found))
