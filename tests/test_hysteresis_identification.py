@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,11 +18,15 @@ from dbo_cli.hysteresis.identification import (
     Identification,
     IdentificationOptions,
     Recording,
+    expectation,
     identify,
+    search,
 )
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import prepare
 from dbo_cli.hysteresis.identification.recordings import drive_shape
+from dbo_cli.hysteresis.identification.regressors import Basis
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, Statistics, gather
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -664,3 +668,21 @@ def test_an_actuator_that_forgets_with_the_way_is_found_out() -> None:
     assert 0.5 < float(np.sqrt(np.mean(left[120:] ** 2))) / expected.rmse < 1.5
     closing = identify([record(actuator(), drive)]).model
     assert not any("not close" in note for note in closing.fit["notes"])
+
+
+def test_memories_of_the_way_that_cannot_be_fitted_refuse_no_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are one candidate and one alternative among others."""
+    log = record(actuator(relaxation=Relaxation(0.0, (0.03, 0.2), (0.1, 0.05))), nested())
+    before = identify([log])
+    asked = []
+
+    def gathered(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statistics:
+        if basis.lengths:
+            asked.append(basis)
+            raise FitError("no solution")
+        return gather(logs, basis, segments)
+
+    for module in (search, expectation):
+        monkeypatch.setattr(module, "gather", gathered)
+    assert model_to_bytes(identify([log]).model) == model_to_bytes(before.model)
+    assert len(asked) == 2

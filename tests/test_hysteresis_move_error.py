@@ -179,8 +179,8 @@ def test_dynamics_that_were_found_besides_are_put_behind_the_others() -> None:
         ([{"weight": 1.0, "stages": []}], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
         (["bend"], "fit.alternatives[0]: needs `changed`, `weight` and `stages`"),
         (
-            [{"changed": "forgetting", "weight": 1.0, "stages": [], "forgetting": {"tau": [1.0]}}],
-            "fit.alternatives[0]: needs `changed`, `weight` and `stages`",
+            [{"changed": "forgetting", "weight": 1.0, "stages": [], "forgetting": {}}],
+            "the model: fit.alternatives[0].forgetting.on: is missing",
         ),
         (
             [{"changed": "bend", "weight": 1.0, "stages": 3}],

@@ -21,7 +21,7 @@ from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import read_stages, stage_values
+from dbo_cli.hysteresis.model_file import Node, read_relaxation, read_stages, stage_values
 from dbo_cli.hysteresis.operators import Relaxation
 from dbo_cli.records import dataclass
 
@@ -137,7 +137,7 @@ class Alternative:
         stages = [stage_values(stage) for stage in self.model.stages]
         found = {"changed": self.kind, "weight": self.weight, "stages": _rounded(stages)}
         if self.forgetting is not None:
-            found["forgetting"] = _rounded(dataclasses.asdict(self.forgetting))
+            found["forgetting"] = {"on": "input"} | _rounded(dataclasses.asdict(self.forgetting))
         return found
 
     def played(self, drive: Floats, time_step: float | Floats | None) -> Floats:
@@ -179,19 +179,17 @@ def alternatives_of(model: ActuatorModel) -> list[Alternative]:
     """
     kept = model.fit.get("alternatives")
     found = []
-    memory: Relaxation | None
     for place, one in enumerate(kept[:MOST] if isinstance(kept, list) else []):
         path = f"fit.alternatives[{place}]"
         try:
             kind, weight, values = str(one["changed"]), float(one["weight"]), one["stages"]
-            given = one.get("forgetting")
-            memory = given and Relaxation(
-                float(given["reference"]), *(tuple(map(float, given[key])) for key in ("tau", "gain"))
-            )
         except (TypeError, KeyError, ValueError):
             raise ModelError(f"{path}: needs `changed`, `weight` and `stages`") from None
         stages = read_stages(values, f"{path}.stages")
-        found.append(Alternative(kind, weight, _behind(model, stages), memory))
+        beside = None
+        if "forgetting" in one:
+            beside, _ = read_relaxation(Node("the model", path, one), "forgetting")
+        found.append(Alternative(kind, weight, _behind(model, stages), beside))
     return found
 
 

@@ -28,6 +28,7 @@ from dbo_cli.hysteresis.identification.search import (
     LONGEST_DELAY,
     ROWS_PER_SLOPE,
     Score,
+    sample_period,
     simplest_of,
 )
 from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog, fewer_rows
@@ -323,15 +324,6 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
             rows += mine
         worst = max(worst, squares / rows if rows else 0.0)
     return float(np.sqrt(worst))
-
-
-def sample_period(logs: Sequence[PreparedLog]) -> float | None:
-    """Return the median time between rows (s), None without a clock."""
-    clocks = [log.seconds for log in logs if log.seconds is not None]
-    if len(clocks) < len(logs):
-        return None
-    steps = np.concatenate([np.diff(clock) for clock in clocks])
-    return float(np.median(steps[steps > 0.0]))
 
 
 def best_delay(

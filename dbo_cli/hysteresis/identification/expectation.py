@@ -246,9 +246,12 @@ def _forgetting(
     basis, count = replace(choice.basis, lengths=LENGTHS), len(choice.basis.time_constants)
     more = tuple(range(count, count + len(LENGTHS)))
     structure = replace(choice.structure, memories=(*choice.structure.memories, *more))
-    statistics = gather(logs, basis, structure.segments)
-    gram, rows = statistics.total()
-    solution = solve(gram, statistics.columns, structure, rows)
+    try:
+        statistics = gather(logs, basis, structure.segments)
+        gram, rows = statistics.total()
+        solution = solve(gram, statistics.columns, structure, rows)
+    except FitError:
+        return ()
     left = squared_error(gram, solution.vector) / rows
     if fitted**2 <= most_noise(floor, rows) or left - floor > FORGETTING_EXPLAINS * (fitted**2 - floor):
         return ()

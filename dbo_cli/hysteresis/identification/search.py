@@ -484,7 +484,10 @@ class _Search:
         """Return whether memories of the way gone do far better on data left out than those of the time."""
         count = len(basis.time_constants)
         other = replace(structure, memories=tuple(range(count, count + len(LENGTHS))))
-        way = cross_validate(self._statistics(replace(basis, lengths=LENGTHS)), other)
+        try:
+            way = cross_validate(self._statistics(replace(basis, lengths=LENGTHS)), other)
+        except FitError:
+            return False
         return bool(way.excess_over(score).mean() < np.log(FORGETTING_GAIN))
 
     def _smoothness(self, basis: Basis, structure: Structure) -> tuple[Structure, Score]:

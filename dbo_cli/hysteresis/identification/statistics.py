@@ -98,7 +98,7 @@ class Statistics(FoldProducts):
     columns: Columns
 
     @cached_property
-    def _summed(self) -> dict[tuple[str, int, int | None], Floats]:
+    def _summed(self) -> dict[tuple[str, int], dict[int | None, Floats]]:
         return {}
 
     @cached_property
@@ -120,11 +120,15 @@ class Statistics(FoldProducts):
         unknowns, folds = self.signed(structure)
         guess = unknowns.states(structure.memories) if states is None else states.copy()
         kept = [k for k in range(len(folds)) if k != leave_out]
-        key = structure.slopes, structure.segments, leave_out
+        key = structure.slopes, structure.segments
         if key not in self._summed:
-            self._summed[key] = np.add.reduce([folds[k] for k in kept], axis=0)
-        products, rows = self._summed[key], sum(self.rows[k] for k in kept)
-        return minimum(products, unknowns, structure, rows, guess), guess
+            self._summed.clear()  # candidates alike in these follow each other; keeping all took 13 MB more
+            self._summed[key] = {}
+        sums = self._summed[key]
+        if leave_out not in sums:
+            sums[leave_out] = np.add.reduce([folds[k] for k in kept], axis=0)
+        rows = sum(self.rows[k] for k in kept)
+        return minimum(sums[leave_out], unknowns, structure, rows, guess), guess
 
     def left_out(self, structure: Structure, fold: int, states: States | None = None) -> float:
         """Return the sum of squared errors on a fold of a fit to the others."""
