@@ -524,7 +524,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/search.py",
         ("hysteresis_identification",),
-        ("return choose(prepared, replace(orders, time_constants=()), cycle)", "pass",
+        ("return choose(prepared, replace(options, relaxation=()), cycle)", "pass",
          "memories of the time do not stand for those of the way"),
     ),
     *_faults(

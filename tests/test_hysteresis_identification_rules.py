@@ -30,7 +30,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     solve,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
-from dbo_cli.hysteresis.identification.recordings import Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.recordings import IdentificationOptions, Recording, first_wiped_row
 from dbo_cli.hysteresis.identification.refinement import (
     MARGIN,
     Fitted,
@@ -39,7 +39,7 @@ from dbo_cli.hysteresis.identification.refinement import (
     corners,
     stages_of,
 )
-from dbo_cli.hysteresis.identification.search import Orders, Score, choose, no_worse
+from dbo_cli.hysteresis.identification.search import Score, choose, no_worse
 from dbo_cli.hysteresis.identification.statistics import Basis, gather
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
 
@@ -221,7 +221,7 @@ def test_the_delay_is_the_middle_of_those_that_explain_the_log() -> None:
     log = Recording("log", voltage, np.zeros(len(voltage)), time=seconds)
     late = np.interp(seconds - 0.0063, seconds, predict(model, log))
     log = replace(log, displacement=late + 0.05 * rng.normal(size=len(voltage)))
-    found = choose(prepare([log], 0.0), Orders(gears=12, segments=1, time_constants=()), 0.2)
+    found = choose(prepare([log], 0.0), IdentificationOptions(gears=12, points=1, relaxation=()), 0.2)
     assert found.delay_interval is not None
     low, high = found.delay_interval
     assert high - low >= 0.0005

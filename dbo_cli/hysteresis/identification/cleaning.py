@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Recording, drive_shape
+from dbo_cli.hysteresis.identification.recordings import (
+    FEWEST_ROWS,
+    Floats,
+    IdentificationOptions,
+    Recording,
+    drive_shape,
+)
 from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
@@ -261,6 +267,11 @@ class Sensor:
 
     delay: float = 0.0
     lag: float = 0.0
+
+    @staticmethod
+    def of(options: IdentificationOptions) -> Sensor:
+        """Return the sensor that the user named."""
+        return Sensor(options.sensor_delay, options.sensor_lag)
 
     def __bool__(self) -> bool:
         """Whether there is anything to take off."""

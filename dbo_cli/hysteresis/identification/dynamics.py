@@ -26,6 +26,7 @@ from scipy.optimize import nnls
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
+from dbo_cli.hysteresis.identification.cleaning import Sensor
 from dbo_cli.hysteresis.identification.dynamics_fit import (
     EARNED,
     MOST_RESONANCES,
@@ -47,12 +48,13 @@ from dbo_cli.hysteresis.identification.evaluation import predict, validated, val
 from dbo_cli.hysteresis.identification.recordings import (
     FastPart,
     Floats,
+    IdentificationOptions,
     Recording,
     first_wiped_row,
     grid_step,
     split,
 )
-from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions, identify_static
+from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
 from dbo_cli.records import dataclass
 
@@ -203,7 +205,7 @@ def _left_over(signals: Sequence[Signals], chosen: Candidate) -> float:
 
 def _without_sensor(part: FastPart, options: IdentificationOptions) -> FastPart:
     """Return a fast part as a sensor without delay and lag would have made it."""
-    log = options.sensor.taken_off(part.recording)
+    log = Sensor.of(options).taken_off(part.recording)
     rows = slice(part.rows.start, min(part.rows.stop, log.voltage.size))
     return dataclasses.replace(part, recording=log, rows=rows)
 
@@ -370,7 +372,9 @@ def _assembled(
     if warnings:
         figures["warnings"] = warnings
     whole = dataclasses.replace(model, stages=stages, output=output, fit={})
-    checks = [validation_of(whole, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
+    checks = [
+        validation_of(whole, Sensor.of(options).taken_off(log), options.skip_seconds) for log in validation
+    ]
     unit = f" {model.output.unit}" if model.output.unit else ""
     # Of lag and memories the slow rows tell what the dynamics say better.
     told = [line for line in base.summary if not line.startswith("lag ")]

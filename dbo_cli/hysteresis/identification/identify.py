@@ -27,13 +27,14 @@ from dbo_cli.hysteresis.identification.evaluation import (
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
+    IdentificationOptions,
     Recording,
     check_recordings,
     split,
     widest_first,
 )
 from dbo_cli.hysteresis.identification.refinement import corners, zero_shift
-from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions, identify_static
+from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather
 from dbo_cli.hysteresis.model import (
     ActuatorModel,

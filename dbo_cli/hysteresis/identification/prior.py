@@ -27,6 +27,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
     KNOWN_PAST,
     Floats,
+    IdentificationOptions,
     Recording,
     drive_shape,
     first_wiped_row,
@@ -35,7 +36,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.search import LONGEST_DELAY
-from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions
+from dbo_cli.hysteresis.identification.static import Identification
 from dbo_cli.hysteresis.identification.statistics import drift_columns
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
 from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
@@ -133,7 +134,7 @@ def refresh(
             "`prior` has a lag, which needs a clock: name the time column (`time`) or give `sample_rate`"
         )
     cycle = median_cycle_seconds(recordings) if clocked else None
-    sensor = options.sensor or _sensor_of(prior.fit)
+    sensor = Sensor.of(options) or _sensor_of(prior.fit)
     sensor.check(cycle)
     recordings, notes = without_voltage_glitches([sensor.taken_off(log) for log in recordings])
     mended = [cleaned(log) for log in recordings]

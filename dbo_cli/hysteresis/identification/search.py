@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     quadratic,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import Floats
+from dbo_cli.hysteresis.identification.recordings import Floats, IdentificationOptions
 from dbo_cli.hysteresis.identification.statistics import (
     LENGTHS,
     Basis,
@@ -102,17 +103,6 @@ CREEP_EVIDENCE = (
 
 
 @dataclass(frozen=True)
-class Orders:
-    """What the user fixed; None stands for 'auto'. ``delay`` and ``time_constants`` in seconds."""
-
-    gears: int | None = None
-    segments: int | None = None
-    time_constants: tuple[float, ...] | None = None
-    delay: float | None = None
-    slopes: str | None = None
-
-
-@dataclass(frozen=True)
 class Choice:
     """What the search settled on.
 
@@ -175,7 +165,7 @@ def _moving_slowly(prepared: Prepared, taus: tuple[float, ...], cycle: float) ->
     return [tau for tau, moves in zip(taus, moving, strict=True) if moves]
 
 
-def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
+def choose(prepared: Prepared, options: IdentificationOptions, cycle: float | None) -> Choice:
     """Choose among all structures that the logs can tell apart; what the user fixed stays fixed.
 
     One list of rules for the slopes, segments of the asymmetry and memories is judged together on data left
@@ -185,39 +175,33 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
     Parameters
     ----------
     prepared : the logs
-    orders : what the user fixed
+    options : what the user fixed
     cycle : median duration of a cycle in seconds, None without a clock
     """
     logs = fewer_rows(prepared.logs)
     period = sample_period(logs)
-    if period is None or cycle is None:
-        grid: tuple[float, ...] = ()
-    elif orders.time_constants is not None:
-        grid = orders.time_constants
-    else:
-        grid = time_constant_grid(prepared, period, cycle)
-    slopes_wanted, split = SLOPE_CHOICES[0], ALL_GEARS // SLOPE_CHOICES[0]
-    if orders.gears is not None:
-        few = orders.gears <= 2 * slopes_wanted
-        slopes_wanted, split = (
-            (orders.gears, 1) if few else (slopes_wanted, -(-orders.gears // slopes_wanted))
-        )
-    search = _Search(logs, orders, prepared.one_amplitude, grid, period, cycle)
-    basis = Basis(slopes_wanted, prepared.low, prepared.high, split, grid, orders.delay or 0.0)
-    if orders.delay is None and period is not None:
+    grid: tuple[float, ...] = ()
+    if period is not None and cycle is not None:
+        given = options.relaxation
+        grid = time_constant_grid(prepared, period, cycle) if given is None else tuple(given)
+    slopes, split = SLOPE_CHOICES[0], ALL_GEARS // SLOPE_CHOICES[0]
+    if options.gears is not None:
+        few = options.gears <= 2 * slopes
+        slopes, split = (options.gears, 1) if few else (slopes, -(-options.gears // slopes))
+    search = _Search(logs, options, prepared.one_amplitude, len(grid), period, cycle)
+    basis = Basis(slopes, prepared.low, prepared.high, split, grid, options.delay or 0.0)
+    if options.delay is None and period is not None:
         basis = replace(basis, delay=search.evident_delay(basis))
     rule, clockwise = search.direction(basis)
     basis, structure = search.bend(basis, rule)
-    basis, memories, interval = search.lag(basis, structure)
-    rule = search.rule(basis, structure, memories)
-    settled = replace(structure, slopes=rule, memories=memories[0])
-    again = search.bend_again(basis, settled)
-    if again != basis and basis.delay != orders.delay:
-        again, _, interval = search.delayed(replace(again, delay=0.0), settled)
-    basis = again
-    basis, structure, score = search.gears(basis, rule, memories)
-    if orders.time_constants is None and structure.memories and search.forgets(basis, structure, score):
-        return choose(prepared, replace(orders, time_constants=()), cycle)
+    basis, structure, interval = search.lag(basis, structure)
+    structure = replace(structure, slopes=search.rule(basis, structure))
+    again = search.bend_again(basis, structure)
+    if again != basis and basis.delay != options.delay:
+        again, interval = search.delayed(replace(again, delay=0.0), structure)
+    basis, structure, score = search.gears(again, structure)
+    if options.relaxation is None and structure.memories and search.forgets(basis, structure, score):
+        return choose(prepared, replace(options, relaxation=()), cycle)
     return Choice(basis, structure, score, interval, clockwise)
 
 
@@ -227,28 +211,27 @@ class _Search:
     Parameters
     ----------
     logs : the rows that structures are chosen on
-    orders : what the user fixed
+    options : what the user fixed
     one_amplitude : whether the logs go over one range only: then the simpler model is right more often
-    grid : time constants in seconds
+    memories : the number of time constants
     period, cycle : sample period and duration of a cycle in seconds, None without a clock
     """
 
     def __init__(
         self,
         logs: Sequence[PreparedLog],
-        orders: Orders,
+        options: IdentificationOptions,
         one_amplitude: bool,
-        grid: tuple[float, ...],
+        memories: int,
         period: float | None,
         cycle: float | None,
     ) -> None:
-        self._logs, self._orders, self._one = logs, orders, one_amplitude
-        self._period, self._cycle = period, cycle
-        self._all = tuple(range(len(grid)))
-        if orders.segments is not None:
-            self._segments: tuple[tuple[int, float], ...] = ((orders.segments, KNOT_SMOOTHNESS),)
-        else:
-            self._segments = SEGMENTS[: SEGMENTS_ONE_AMPLITUDE if one_amplitude else None]
+        self._logs, self._options, self._one = logs, options, one_amplitude
+        self._period, self._cycle = period or 0.0, cycle
+        self._all = tuple(range(memories))
+        self._segments = SEGMENTS[: SEGMENTS_ONE_AMPLITUDE if one_amplitude else None]
+        if options.points is not None:
+            self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
         self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
         self._gathered: dict[Basis, Statistics] = {}
@@ -260,7 +243,7 @@ class _Search:
 
     def _memories(self) -> list[tuple[int, ...]]:
         """Return the choices of memories, simplest first; those that the user gave are not a choice."""
-        return [self._all] if self._orders.time_constants is not None or not self._all else [(), self._all]
+        return [self._all] if self._options.relaxation is not None or not self._all else [(), self._all]
 
     def _listed(
         self,
@@ -310,17 +293,17 @@ class _Search:
             for slopes in ("growing", "falling")
         }
         ratio = errors["growing"] / max(errors["falling"], np.finfo(float).tiny)
-        return self._orders.slopes or ("growing" if ratio <= 1.0 else "falling"), ratio
+        return self._options.slopes or ("growing" if ratio <= 1.0 else "falling"), ratio
 
-    def rule(self, basis: Basis, structure: Structure, memories: Sequence[tuple[int, ...]]) -> str:
+    def rule(self, basis: Basis, structure: Structure) -> str:
         """Return 'free' slopes where they are far better on cycles and on swings of a kind left out.
 
         Among the cycles of one amplitude, and of few, free slopes always win, and lose on another amplitude.
         """
-        if self._orders.slopes is not None or self._one:
+        if self._options.slopes is not None or self._one:
             return structure.slopes
-        ruled, score = self._best(basis, self._listed(structure.slopes, memories))
-        free, other = self._best(basis, self._listed("free", memories))
+        ruled, score = self._best(basis, self._listed(structure.slopes, [structure.memories]))
+        free, other = self._best(basis, self._listed("free", [structure.memories]))
         if other.rmse >= FREE_GAIN * score.rmse or no_worse(score, other):
             return structure.slopes
         mine, groups = groups_left_out(self._logs, basis, ruled, score.rmse)
@@ -333,17 +316,22 @@ class _Search:
         (25 ms at 200 samples a second: 2 segments of asymmetry instead of 16, and 0.20 % of error for 0.03.)
         """
         structure = Structure("growing", self._all, *self._segments[-1][:1], START_SMOOTHNESS)
-        assert self._period is not None and self._cycle is not None
         errors: dict[float, float] = {}
-        for step in EVIDENT_DELAY_TRIALS:
-            if step * self._period > LONGEST_DELAY * self._cycle:
-                break
-            statistics = gather(self._logs, replace(basis, delay=step * self._period), self._finest)
-            errors[step] = fitted_rmse(statistics, structure)
+        for step in self._steps_within(EVIDENT_DELAY_TRIALS):
+            errors[step] = fitted_rmse(self._late(basis, step), structure)
             if errors[step] > min(errors.values()):
                 break
         best = min(errors, key=lambda step: errors[step])
         return best * self._period if errors[best] < EVIDENT_DELAY_GAIN * errors[0.0] else 0.0
+
+    def _steps_within(self, samples: Sequence[float]) -> list[float]:
+        """Return the delays, in samples, that are within an eighth of a cycle."""
+        assert self._cycle is not None
+        longest = LONGEST_DELAY * self._cycle
+        return list(itertools.takewhile(lambda step: step * self._period <= longest, samples))
+
+    def _late(self, basis: Basis, samples: float) -> Statistics:
+        return self._statistics(replace(basis, delay=samples * self._period))
 
     def bend(self, basis: Basis, slopes: str) -> tuple[Basis, Structure]:
         """Asymmetry that acts on the drive, beyond the paper: taken where it clearly helps on data left out.
@@ -353,7 +341,7 @@ class _Search:
         """
         listed = self._listed(slopes, [self._memories()[0] if self._one else self._all])
         found = [(basis, *self._best(basis, listed))]
-        if self._orders.segments is not None:
+        if self._options.points is not None:
             return found[0][:2]
         needed = (1.0 - BEND_GAIN) * found[0][2].rmse
         trials = found[0][1], listed[-1]
@@ -387,88 +375,73 @@ class _Search:
         scores = [cross_validate(self._statistics(one), structure).rmse for one in near]
         return near[int(np.argmin(scores))]
 
-    def lag(
-        self, basis: Basis, structure: Structure
-    ) -> tuple[Basis, list[tuple[int, ...]], tuple[float, float] | None]:
+    def lag(self, basis: Basis, structure: Structure) -> tuple[Basis, Structure, tuple[float, float] | None]:
         """Delay and relaxation: none where the data left out do not ask for any, a delay alone before both.
 
         The delay is the middle of those that explain the logs no worse than the best one does. A log with one
         amplitude and one frequency hardly tells a delay from a lag or a wider loop; the middle bounds what
         that costs on the next recording.
         """
-        if self._period is None or self._cycle is None:
-            return basis, [()], None
-        found = [
-            (basis, replace(structure, memories=self._memories()[0]), None),
-            *(self.delayed(basis, replace(structure, memories=some)) for some in self._memories()),
-        ]
-        if self._orders.delay is None and basis.delay > 0.0:
+        choices = [replace(structure, memories=some) for some in self._memories()]
+        if self._cycle is None:
+            return basis, choices[0], None
+        found: list[tuple[Basis, Structure, tuple[float, float] | None]] = [(basis, choices[0], None)]
+        for one in choices:
+            late, interval = self.delayed(basis, one)
+            found.append((late, one, interval))
+        if self._options.delay is None and basis.delay > 0.0:
             basis, structure, interval = found[-1]
-            return basis, [structure.memories], interval  # without any delay the fit was far worse
+            return basis, structure, interval  # without any delay the fit was far worse
         scores = [cross_validate(self._statistics(one), other) for one, other, _ in found]
         best = simplest_of(scores)
         if self._one and best == len(found) - 1 > 1:
             short = simplest_of(scores[:-1])
             if no_worse(scores[short], scores[best], ONE_AMPLITUDE_MEMORY, ONE_AMPLITUDE_MEMORY):
                 best = short
-        return found[best][0], [found[best][1].memories], found[max(best, 1)][2]
+        return found[best][0], found[best][1], found[max(best, 1)][2]
 
-    def delayed(
-        self, basis: Basis, structure: Structure
-    ) -> tuple[Basis, Structure, tuple[float, float] | None]:
+    def delayed(self, basis: Basis, structure: Structure) -> tuple[Basis, tuple[float, float] | None]:
         """Return the basis with the delay that the logs ask for beside these memories, and its interval."""
-        if self._orders.delay is not None:
-            return basis, structure, None
-        assert self._period is not None
+        if self._options.delay is not None:
+            return basis, None
         interval = _interval(self._delays(basis, structure))
         middle = round((interval[0] + interval[1]) / 2.0 / self._period * 4.0) / 4.0 * self._period
-        return replace(basis, delay=middle), structure, interval
+        return replace(basis, delay=middle), interval
 
-    def _delays(self, basis: Basis, structure: Structure) -> list[tuple[float, Floats, Floats]]:
-        """Squared error by fold, and the folds' rows, of the fit with each delay (seconds) tried."""
-        scanned: list[tuple[float, Floats, Floats]] = []
-        assert self._period is not None and self._cycle is not None
-        period = self._period
+    def _delays(self, basis: Basis, structure: Structure) -> dict[float, Score]:
+        """Return the error by fold of the fit with each delay (seconds) tried."""
+        tried: dict[float, Score] = {}
 
-        def error(delay: float) -> float:
-            statistics = self._statistics(replace(basis, delay=delay))
-            by_fold = fitted_squares(statistics, structure)
-            scanned.append((delay, by_fold, np.asarray(statistics.rows, dtype=float)))
-            return float(by_fold.sum())
+        def attempt(step: float) -> None:
+            statistics = self._late(basis, step)
+            tried[step] = Score.of(fitted_squares(statistics, structure), statistics.rows)
 
-        tried: dict[float, float] = {}
-        for step in DELAY_TRIALS:
-            if step * period > LONGEST_DELAY * self._cycle:
-                break
-            tried[step] = error(step * period)
-            if len(tried) > 4 and tried[step] > 1.5 * min(tried.values()):  # chosen: far beyond the least
+        for step in self._steps_within(DELAY_TRIALS):
+            attempt(step)
+            far = tried[step].rmse ** 2 > 1.5 * min(score.rmse for score in tried.values()) ** 2
+            if len(tried) > 4 and far:  # chosen: far beyond the least
                 break
         while True:  # halve the gaps beside the best until they are a quarter of a sample
-            best = min(tried, key=lambda step: tried[step])
-            beside = [step for step in tried if step != best]
-            below = max((step for step in beside if step < best), default=best)
-            above = min((step for step in beside if step > best), default=best)
+            best = min(tried, key=lambda step: tried[step].rmse)
+            below = max((step for step in tried if step < best), default=best)
+            above = min((step for step in tried if step > best), default=best)
             between = [(best + step) / 2.0 for step in (below, above) if abs(step - best) > FINEST_DELAY_STEP]
             if not between:
-                break
+                return {step * self._period: score for step, score in tried.items()}
             for step in between:
-                tried[step] = error(step * period)
-        return scanned
+                attempt(step)
 
-    def gears(
-        self, basis: Basis, slopes: str, memories: Sequence[tuple[int, ...]]
-    ) -> tuple[Basis, Structure, Score]:
+    def gears(self, basis: Basis, structure: Structure) -> tuple[Basis, Structure, Score]:
         """Smoothest slopes that are no worse, then how many of them, then finer gears where they show.
 
         Never fewer gears: they cost nothing per sample, and a turn inside a gear retraces it, an error that
         the logs do not show where they turn at few levels, on the gears' own edges perhaps (128 gears looked
         as good as 1024 on two amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
         """
-        structure, _ = self._best(
-            basis, self._listed(slopes, memories), INDIFFERENCE if self._one else self._indifference
-        )
+        listed = self._listed(structure.slopes, [structure.memories])
+        structure, _ = self._best(basis, listed, INDIFFERENCE if self._one else self._indifference)
         structure, score = self._smoothness(basis, structure)
-        if self._orders.gears is not None:
+        if self._options.gears is not None:
             return basis, structure, score
         usable = sum(int(log.used.sum()) for log in self._logs)
         candidates = [(basis, score)]
@@ -501,11 +474,11 @@ class _Search:
         return smoothed[best], scores[best]
 
 
-def _interval(scanned: list[tuple[float, Floats, Floats]]) -> tuple[float, float]:
+def _interval(tried: dict[float, Score]) -> tuple[float, float]:
     """Delays whose error is within one standard error (over folds) of the best one's."""
-    scores = [(delay, Score(errors / rows, rows / rows.sum())) for delay, errors, rows in scanned]
-    best = min(scores, key=lambda item: float(item[1].excess_over(scores[0][1]).mean()))[1]
-    held = [delay for delay, score in scores if no_worse(score, best)]
+    none = next(iter(tried.values()))
+    best = min(tried.values(), key=lambda score: float(score.excess_over(none).mean()))
+    held = [delay for delay, score in tried.items() if no_worse(score, best)]
     return min(held), max(held)
 
 
@@ -525,6 +498,12 @@ class Score:
     mean_squares: Floats
     weights: Floats
 
+    @staticmethod
+    def of(squares: Sequence[float] | Floats, rows: Sequence[int]) -> Score:
+        """Return the score of sums of squares by fold, and the folds' rows."""
+        held = np.asarray(rows, dtype=float)
+        return Score(np.asarray(squares) / np.maximum(held, 1.0), held / held.sum())
+
     @property
     def rmse(self) -> float:
         """Root of the mean square over all rows left out in turn."""
@@ -543,12 +522,8 @@ class Score:
 def cross_validate(statistics: Statistics, structure: Structure) -> Score:
     """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
     _, states = statistics.minimum(structure)
-    errors = [
-        statistics.left_out(structure, fold, states) / max(rows, 1)
-        for fold, rows in enumerate(statistics.rows)
-    ]
-    rows_of = np.asarray(statistics.rows, dtype=float)
-    return Score(np.asarray(errors), rows_of / rows_of.sum())
+    squares = [statistics.left_out(structure, fold, states) for fold in range(len(statistics.rows))]
+    return Score.of(squares, statistics.rows)
 
 
 def fitted_squares(statistics: Statistics, structure: Structure) -> Floats:
