@@ -18,13 +18,18 @@ from dbo_cli.records import dataclass
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
-HIDDEN_STEPS = 3.0  # times the largest change between samples is hidden between samples anyway; chosen
+HIDDEN_STEPS = 3.0  # times the largest change between samples: less is hidden between samples anyway; chosen
 SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion; chosen
-LEAST_BEHIND_GAPS = 0.3  # of the rows must be left; of fewer, a fit knows less than gaps spoil; chosen
+SMALL_SWING = 0.35  # of the range: larger ones are loops, no sweep's; divides the swings that are left out
+KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
+MOST = 0.5
+"""More than half of the rows, of an error, of a square is most of it. So many rows must be left behind gaps,
+or these are passed over: a fit to fewer knows less than gaps spoil."""
+BLOCK_ROWS = 1 << 12  # at once: changes no bit; windows that fit the cache are sorted in a third of the time
+EVEN = 1e-3  # of a step: a clock written with few digits still counts as even; with 1e-6 models were the same
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
 
 
@@ -334,7 +339,7 @@ def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Reco
         middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
         jump = np.abs(v[1:-1] - middle)
         usual = float(np.abs(np.diff(middle)).max())
-        rows = np.flatnonzero(jump > max(3.0 * usual, SMALLEST_TURN * float(np.ptp(middle)))) + 1
+        rows = np.flatnonzero(jump > max(HIDDEN_STEPS * usual, SMALLEST_TURN * float(np.ptp(middle)))) + 1
         if len(rows) and usual > 0.0:
             repaired = v.copy()
             repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
@@ -401,7 +406,7 @@ def known_behind_gaps(log: Recording, usable: NDArray[np.bool_]) -> NDArray[np.b
     known = usable.copy()
     for begin, wiped, _ in pieces_behind_gaps(log):
         known[begin:wiped] = False
-    enough = max(LEAST_BEHIND_GAPS * usable.sum(), FEWEST_ROWS)
+    enough = max(MOST * usable.sum(), FEWEST_ROWS)
     return known if known.sum() >= enough else usable
 
 
@@ -433,7 +438,6 @@ def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
 
 
 SMALLEST_SWING = 5e-4  # of the log's range: smaller reversals of the drive are converter steps and noise
-LARGEST_SWING = 0.35  # of the range, in a sweep: larger swings are loops
 FEWEST_SWINGS = 40  # in a sweep
 SWEPT = 5.0  # the highest frequency of a sweep over its lowest, at least
 SMOOTH = 0.7  # of neighbouring half periods, the larger over the smaller, as a logarithm: a sweep is gradual
@@ -557,7 +561,7 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
     rows, levels = _swings(log.voltage, span)
     halves, heights = np.diff(rows), np.abs(np.diff(levels))
     near = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
-    small = heights <= LARGEST_SWING * span
+    small = heights <= SMALL_SWING * span
     good = small[1:] & small[:-1] & (near | (np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD))
     best = (0, 0)
     begin = None

@@ -11,19 +11,29 @@ import numpy as np
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
-    quadratic,
 )
-from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import Floats, IdentificationOptions
+from dbo_cli.hysteresis.identification.preparation import LEVEL_MOVES, TRIAL_SMOOTHNESS, Prepared
+from dbo_cli.hysteresis.identification.recordings import IdentificationOptions
 from dbo_cli.hysteresis.identification.statistics import (
+    EARNED,
+    EVIDENT,
+    INDIFFERENCE,
     LENGTHS,
+    MAX_STANDARD_ERROR,
+    TIME_CONSTANT_RATIO,
     Basis,
     PreparedLog,
+    Score,
     Statistics,
+    cross_validate,
     fewer_rows,
+    fitted_rmse,
+    fitted_squares,
     gather,
     groups_left_out,
+    no_worse,
     relaxed_drive,
+    simplest_of,
 )
 from dbo_cli.records import dataclass
 
@@ -31,9 +41,9 @@ ALL_GEARS = 1024
 """However many slopes they share. On eight invented logs half as many left 0.997 to 1.42 of the error on new
 moves, twice as many 0.53 (springs that slip) to 1.003."""
 
-FINER_GEARS = 4  # see below; twice as many again would gain little
-FINER_INDIFFERENCE = 0.01
-"""Times as many gears where that lowers the error on data left out by more than this share, surely.
+FINER_GEARS = 4
+"""Times as many gears where that lowers the error on data left out, surely; twice as many again would gain
+little.
 
 A turn inside a gear retraces it. On a loop of 40 % of the range that is an error of 0.013 % with 1,280 gears
 (0.0055 with 2,560, 0.004 with 5,120): more than a good sensor's noise. Stages with 0.02 % of noise then
@@ -49,16 +59,9 @@ SEGMENTS = (
     *((count, KNOT_SMOOTHNESS) for count in (1, 2, 4, 8, 16)), (16, 1e-7), (32, 1e-7), (32, 1e-8), (32, 1e-9)
 )  # fmt: skip
 """Segments and smoothness of the asymmetry, simplest first: the error on a saturating curve falls from 0.69 %
-of the range with 8 to 0.33, on a shape-memory wing from 0.52 to 0.21; smooth piezos stay at 8 or 16."""
-
-SEGMENTS_ONE_AMPLITUDE = 5
-"""How many of them a log of one amplitude may choose from: with more, loop and asymmetry stand in for each
-other (three times the error on a softening loop)."""
-
-FREE_GAIN = 0.9
-"""Free slopes must lower the error on cycles left out, and on an amplitude, level or speed left out, to
-this share. On 20 invented plants (several amplitudes) the geometric mean of the error over the best
-rival's was 0.61 so; by the cycles alone 0.69."""
+of the range with 8 to 0.33, on a shape-memory wing from 0.52 to 0.21; smooth piezos stay at 8 or 16. A log of
+one amplitude may not choose from the rougher ones: loop and asymmetry then stand in for each other (three
+times the error on a softening loop)."""
 
 ONE_AMPLITUDE_MEMORY = 0.15
 """What memories must gain there over a delay alone: they make loops, too, at the logs' one frequency. Where
@@ -68,38 +71,23 @@ ONE_AMPLITUDE_INDIFFERENCE = 0.05
 """A gain below this share is no evidence there while bend and lag are looked for. On 26 logs of one amplitude
 the geometric mean of the error over the best rival's was 1.19 with 0.02, 1.13 with 0.05."""
 
-# On ten invented logs (benchmarks/halved_constants.py) half and double of FINE_INDIFFERENCE changed errors on
-# new moves by at most 1 %, of ORDER_INDIFFERENCE by 3, of BEND_TRIALS by 5, and of BEND_GAIN, LONGEST_DELAY,
-# EVIDENT_DELAY_GAIN (0.5, 0.85), FINEST_DELAY_STEP, CREEP_EVIDENCE, INDIFFERENCE and MAX_STANDARD_ERROR none.
-FINE_INDIFFERENCE = 0.005  # where the logs themselves can tell
-ORDER_INDIFFERENCE = 0.01  # a kink in the asymmetry is worth having for less than rougher slopes are
+FINE_INDIFFERENCE = 0.005
+"""Where the logs themselves can tell: of segments, smoothness, slopes and gears. With 0.01 for segments and
+finer gears 139 models erred as much, with 0.01 for all some three times as much."""
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-14, 1e-16)
 """Springs that slip at a few forces have slopes with kinks: their error on new moves (four kinds of logs) was
 0.36 to 0.52 of that with 1e-12 for the last; on nine other kinds it is the same or less (0.76 to 1.00)."""
-START_SMOOTHNESS = 1e-8  # for comparing the other choices; 1e-7 and 1e-9 led to the same models
 BEND_STEP = 0.1  # of the range, refined by half: 0.05 and 0.2 changed one of eight logs, by 5 %
-BEND_TRIALS = 4  # steps to either side, outwards while the fit gets better
-BEND_GAIN = 0.1  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
-FORGETTING_GAIN = 0.9
-"""Memories that fade with the way gone instead of the time must leave this share of the error on data left
-out: then those of the time only stand for them, and are left out. That comes to pass on 12 of 36 logs of
-plants that forget so (benchmarks/foreign_plants.py, seeds 1 to 3), and new moves err by 0.57 to 0.77 of what
-they did; with 1.0 on three more. Plants with memories of the time left 1.04 and more.
-"""
-
-TIME_CONSTANT_RATIO = 3.0  # with 6 a log of creep alone was followed four times worse, with 2 by 7 % worse
+BEND_TRIALS = (
+    4  # steps to either side, outwards while the fit gets better; half and double: 5 % on one of ten
+)
 LONGEST_MEMORY = 0.5
 """Of the longest log, wherever the ratio leads: creep over minutes, seen through 15 s at 5 kHz, was followed
 to 0.005 um instead of 0.007 so (0.9 and 0.45 of the error at 2.5 to 5 kHz); a whole log was worth no more."""
 
-LONGEST_DELAY = 0.125  # of a cycle
-EVIDENT_DELAY_TRIALS = (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample periods
-EVIDENT_DELAY_GAIN = 0.7  # of the RMSE without one
+LONGEST_DELAY = 0.125  # of a cycle; half and double changed none of ten models, nor of the next line
 FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
-DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # sample periods
-CREEP_EVIDENCE = (
-    0.02  # of the drive's range: how much a slow memory must move for creep to be told from drift
-)
+DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
 
 
 @dataclass(frozen=True)
@@ -161,7 +149,7 @@ def _moving_slowly(prepared: Prepared, taus: tuple[float, ...], cycle: float) ->
         for place in np.flatnonzero(~moving) if len(rows) >= 4 else ():
             memory = memories[used, place]
             means = np.bincount(window, memory - drift @ (drift.T @ memory)) / rows
-            moving[place] = float(means.std()) > CREEP_EVIDENCE
+            moving[place] = float(means.std()) > LEVEL_MOVES
     return [tau for tau, moves in zip(taus, moving, strict=True) if moves]
 
 
@@ -229,11 +217,14 @@ class _Search:
         self._logs, self._options, self._one = logs, options, one_amplitude
         self._period, self._cycle = period or 0.0, cycle
         self._all = tuple(range(memories))
-        self._segments = SEGMENTS[: SEGMENTS_ONE_AMPLITUDE if one_amplitude else None]
+        self._segments = SEGMENTS
+        if one_amplitude:
+            self._segments = tuple(one for one in SEGMENTS if one[1] == KNOT_SMOOTHNESS)
         if options.points is not None:
             self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
-        self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
+        self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
+        self._fine = INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
         self._gathered: dict[Basis, Statistics] = {}
 
     def _statistics(self, basis: Basis) -> Statistics:
@@ -249,7 +240,7 @@ class _Search:
         self,
         slopes: str,
         memories: Sequence[tuple[int, ...]],
-        smoothness: Sequence[float] = (START_SMOOTHNESS,),
+        smoothness: Sequence[float] = (TRIAL_SMOOTHNESS,),
     ) -> list[Structure]:
         """Return the list of candidates, simplest first."""
         return [
@@ -304,25 +295,25 @@ class _Search:
             return structure.slopes
         ruled, score = self._best(basis, self._listed(structure.slopes, [structure.memories]))
         free, other = self._best(basis, self._listed("free", [structure.memories]))
-        if other.rmse >= FREE_GAIN * score.rmse or no_worse(score, other):
+        if other.rmse >= EARNED * score.rmse or no_worse(score, other):
             return structure.slopes
         mine, groups = groups_left_out(self._logs, basis, ruled, score.rmse)
         its, _ = groups_left_out(self._logs, basis, free, other.rmse)
-        return "free" if groups and its < FREE_GAIN * mine else structure.slopes
+        return "free" if groups and its < EARNED * mine else structure.slopes
 
     def evident_delay(self, basis: Basis) -> float:
         """Delay in seconds that is seen at first sight, else 0: with it in the way, all is chosen wrong.
 
         (25 ms at 200 samples a second: 2 segments of asymmetry instead of 16, and 0.20 % of error for 0.03.)
         """
-        structure = Structure("growing", self._all, *self._segments[-1][:1], START_SMOOTHNESS)
+        structure = Structure("growing", self._all, *self._segments[-1][:1], TRIAL_SMOOTHNESS)
         errors: dict[float, float] = {}
-        for step in self._steps_within(EVIDENT_DELAY_TRIALS):
+        for step in self._steps_within(DELAY_TRIALS[::2]):
             errors[step] = fitted_rmse(self._late(basis, step), structure)
             if errors[step] > min(errors.values()):
                 break
         best = min(errors, key=lambda step: errors[step])
-        return best * self._period if errors[best] < EVIDENT_DELAY_GAIN * errors[0.0] else 0.0
+        return best * self._period if errors[best] < EVIDENT * errors[0.0] else 0.0
 
     def _steps_within(self, samples: Sequence[float]) -> list[float]:
         """Return the delays, in samples, that are within an eighth of a cycle."""
@@ -343,7 +334,7 @@ class _Search:
         found = [(basis, *self._best(basis, listed))]
         if self._options.points is not None:
             return found[0][:2]
-        needed = (1.0 - BEND_GAIN) * found[0][2].rmse
+        needed = EARNED * found[0][2].rmse
         trials = found[0][1], listed[-1]
 
         def error(bent: Basis) -> float:
@@ -405,7 +396,8 @@ class _Search:
         if self._options.delay is not None:
             return basis, None
         interval = _interval(self._delays(basis, structure))
-        middle = round((interval[0] + interval[1]) / 2.0 / self._period * 4.0) / 4.0 * self._period
+        finest = FINEST_DELAY_STEP * self._period
+        middle = round((interval[0] + interval[1]) / 2.0 / finest) * finest
         return replace(basis, delay=middle), interval
 
     def _delays(self, basis: Basis, structure: Structure) -> dict[float, Score]:
@@ -439,19 +431,20 @@ class _Search:
         as good as 1024 on two amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
         """
         listed = self._listed(structure.slopes, [structure.memories])
-        structure, _ = self._best(basis, listed, INDIFFERENCE if self._one else self._indifference)
+        structure, _ = self._best(basis, listed, self._fine)
         structure, score = self._smoothness(basis, structure)
         if self._options.gears is not None:
             return basis, structure, score
         usable = sum(int(log.used.sum()) for log in self._logs)
         candidates = [(basis, score)]
         for count in SLOPE_CHOICES[1:]:
-            if count * ROWS_PER_SLOPE <= usable:
-                other = replace(basis, gears=count, split=ALL_GEARS // count)
-                candidates.append((other, cross_validate(self._statistics(other), structure)))
+            other = replace(basis, gears=count, split=ALL_GEARS // count)
+            its = self._score(other, structure) if count * ROWS_PER_SLOPE <= usable else None
+            candidates += [] if its is None else [(other, its)]
         basis, score = candidates[simplest_of([one[1] for one in candidates], FINE_INDIFFERENCE)]
         finer = replace(basis, split=FINER_GEARS * basis.split)
-        if not no_worse(score, cross_validate(self._statistics(finer), structure), FINER_INDIFFERENCE):
+        its = self._score(finer, structure)
+        if its is not None and not no_worse(score, its, FINE_INDIFFERENCE):
             return finer, *self._smoothness(finer, structure)
         return basis, structure, score
 
@@ -459,19 +452,24 @@ class _Search:
         """Return whether memories of the way gone do far better on data left out than those of the time."""
         count = len(basis.time_constants)
         other = replace(structure, memories=tuple(range(count, count + len(LENGTHS))))
+        way = self._score(replace(basis, lengths=LENGTHS), other)
+        return way is not None and bool(way.excess_over(score).mean() < np.log(EARNED))
+
+    def _score(self, basis: Basis, structure: Structure) -> Score | None:
+        """Return the error on data left out; None where the candidate cannot be solved."""
         try:
-            way = cross_validate(self._statistics(replace(basis, lengths=LENGTHS)), other)
+            return cross_validate(self._statistics(basis), structure)
         except FitError:
-            return False
-        return bool(way.excess_over(score).mean() < np.log(FORGETTING_GAIN))
+            return None
 
     def _smoothness(self, basis: Basis, structure: Structure) -> tuple[Structure, Score]:
         """Smoothest slopes that are no worse on data left out."""
         smoothed = [replace(structure, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
-        statistics = self._statistics(basis)
-        scores = [cross_validate(statistics, one) for one in smoothed]
-        best = simplest_of(scores, INDIFFERENCE if self._one else FINE_INDIFFERENCE)
-        return smoothed[best], scores[best]
+        tried = [(one, self._score(basis, one)) for one in smoothed]
+        solved = [(one, score) for one, score in tried if score is not None]
+        if not solved:
+            return structure, cross_validate(self._statistics(basis), structure)
+        return solved[simplest_of([score for _, score in solved], self._fine)]
 
 
 def _interval(tried: dict[float, Score]) -> tuple[float, float]:
@@ -480,88 +478,3 @@ def _interval(tried: dict[float, Score]) -> tuple[float, float]:
     best = min(tried.values(), key=lambda score: float(score.excess_over(none).mean()))
     held = [delay for delay, score in tried.items() if no_worse(score, best)]
     return min(held), max(held)
-
-
-INDIFFERENCE = 0.02  # a gain in RMSE below this share is not worth a larger model, however certain
-
-MAX_STANDARD_ERROR = 0.03  # of the RMSE: what one standard error can excuse at most
-
-
-@dataclass(frozen=True)
-class Score:
-    """Cross-validated error of one candidate.
-
-    ``mean_squares`` of each fold, shape (folds,), in the square of the normalised output; ``weights`` the
-    folds' share of the rows.
-    """
-
-    mean_squares: Floats
-    weights: Floats
-
-    @staticmethod
-    def of(squares: Sequence[float] | Floats, rows: Sequence[int]) -> Score:
-        """Return the score of sums of squares by fold, and the folds' rows."""
-        held = np.asarray(rows, dtype=float)
-        return Score(np.asarray(squares) / np.maximum(held, 1.0), held / held.sum())
-
-    @property
-    def rmse(self) -> float:
-        """Root of the mean square over all rows left out in turn."""
-        return float(np.sqrt(self.weights @ self.mean_squares))
-
-    def excess_over(self, other: Score) -> Floats:
-        """Logarithm of the ratio of the root mean squares, fold by fold; shape (folds,).
-
-        Ratios let a small loop count as much as a large one, and a short log as much as a long one's part.
-        """
-        tiny = np.finfo(float).tiny
-        ratios: Floats = 0.5 * np.log((self.mean_squares + tiny) / (other.mean_squares + tiny))
-        return ratios
-
-
-def cross_validate(statistics: Statistics, structure: Structure) -> Score:
-    """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
-    _, states = statistics.minimum(structure)
-    squares = [statistics.left_out(structure, fold, states) for fold in range(len(statistics.rows))]
-    return Score.of(squares, statistics.rows)
-
-
-def fitted_squares(statistics: Statistics, structure: Structure) -> Floats:
-    """Sum of squared errors on each fold of a fit to all of them; shape (folds,)."""
-    found, _ = statistics.minimum(structure)
-    full = np.append(found, 1.0)
-    return np.array([max(quadratic(one, full), 0.0) for one in statistics.signed(structure)[1]])
-
-
-def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
-    """RMS error over all rows of a fit to all of them."""
-    return float(np.sqrt(fitted_squares(statistics, structure).sum() / sum(statistics.rows)))
-
-
-def no_worse(
-    candidate: Score,
-    best: Score,
-    indifference: float = INDIFFERENCE,
-    max_standard_error: float = MAX_STANDARD_ERROR,
-) -> bool:
-    """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
-
-    The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common. With few or uneven folds it says little, so it excuses a loss only up to ``max_standard_error``.
-    """
-    excess = candidate.excess_over(best)
-    mean = float(excess.mean())
-    error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
-    return bool(mean <= max(min(error, max_standard_error), float(np.log1p(indifference))))
-
-
-def simplest_of(
-    scores: Sequence[Score],
-    indifference: float = INDIFFERENCE,
-    max_standard_error: float = MAX_STANDARD_ERROR,
-) -> int:
-    """Index of the first (simplest first) candidate that is no worse than the best of all."""
-    best = min(scores, key=lambda score: float(score.excess_over(scores[0]).mean()))
-    return next(
-        k for k, score in enumerate(scores) if no_worse(score, best, indifference, max_standard_error)
-    )

@@ -50,7 +50,7 @@ from dbo_cli.records import dataclass
 
 NO_BETTER = 0.95  # of the straight line's RMSE: above this there is nothing but a line in the log
 
-BROKEN = 2.0  # times the expected error: what could make a move err by more is warned of
+BROKEN = 2.0  # times the expected error: what makes a move err by more is warned of, or refused of a prior
 
 LATE = 2.0
 """Sample periods: a shorter delay is no evidence of one, since a first-order lag looks alike. A sensor late
@@ -69,6 +69,10 @@ class Identification:
     warnings: list[str] = field(default_factory=list)
 
 
+NO_BETTER_THAN_LINE = (
+    "what is expected on new moves ({:.4g}) is no better than a straight line's error on the logs ({:.4g}): "
+    "record more amplitudes and cycles before using the model"
+)
 NO_CLOCK = (
     "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give "
     "`sample_rate`"
@@ -94,10 +98,8 @@ def identify_static(
     """
     clocked = all(log.seconds() is not None for log in recordings)
     cycle = median_cycle_seconds(recordings) if clocked else None
-    sensor = Sensor.of(options)
+    sensor, given = Sensor.of(options), recordings
     sensor.check(cycle)
-    begins = [float(log.voltage[0]) for log in recordings]
-    given = recordings
     recordings, said = without_voltage_glitches([sensor.taken_off(log) for log in recordings])
     logs = [cleaned(log) for log in recordings]
     recordings = [one.recording for one in logs]
@@ -106,10 +108,9 @@ def identify_static(
     choice = choose(prepared, options, cycle)
     fitted = fit(prepared.logs, choice.basis, choice.structure)
     model = model_of(fitted, prepared, recordings[0], options.zero, options.gears)
-    residuals = [residual_of(model, log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)]
-    line = pooled(
-        [straight_line(log, ready) for log, ready in zip(recordings, prepared.logs, strict=True)], residuals
-    )
+    pairs = list(zip(recordings, prepared.logs, strict=True))
+    residuals = [residual_of(model, log, ready) for log, ready in pairs]
+    line = pooled([straight_line(log, ready) for log, ready in pairs], residuals)
     rmse = pooled([one.rmse for one in residuals], residuals)
     if not any(tau > slowest_lag(cycle) for tau in fitted.basis.time_constants):
         prepared = dataclasses.replace(prepared, doubtful_drift=0.0)  # no creep was taken in its place
@@ -126,26 +127,23 @@ def identify_static(
     checks = [validation_of(model, sensor.taken_off(log), options.skip_seconds) for log in validation]
     noise = white_noise([one.values for one in residuals]) / max(rmse, TINY) ** 2
     expected = expect(prepared, choice, model, rmse, noise)
-    figures = _figures(
-        prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, begins
-    )
+    figures = _figures(prepared, choice, fitted, model, residuals, checks, rmse, line, cycle, expected, given)
     if expected.rmse is not None and expected.rmse >= line:
-        warnings.append(
-            f"what is expected on new moves ({expected.rmse:.4g}) is no better than a straight line's error "
-            f"on the logs ({line:.4g}): record more amplitudes and cycles before using the model"
-        )
+        warnings.append(NO_BETTER_THAN_LINE.format(expected.rmse, line))
     if not sensor and options.delay is None:
         warnings += _late_warnings(choice, prepared, expected)
     notes = fit_notes(model.output.unit, prepared, choice.clockwise, expected.gain_trend, expected.forgets)
     summary = said + prepared.notes + _summary(figures, model, prepared, residuals, checks, sensor) + notes
-    figures["notes"] = notes
-    if sensor:
-        figures["sensor"] = {"delay": sensor.delay, "lag": sensor.lag}
-    if expected.gain_trend is not None:
-        figures["gain_trend"] = expected.gain_trend
-    figures |= {"swings": expected.swing_values(), "warnings": list(warnings)}
+    figures |= {"notes": notes} | _for_use(expected, sensor) | {"warnings": list(warnings)}
     figures["alternatives"] = [one.values() for one in expected.alternatives]
     return Identification(dataclasses.replace(model, fit=figures), figures, summary, warnings)
+
+
+def _for_use(expected: Expectation, sensor: Sensor) -> dict[str, object]:
+    """Return what is known of the sensor, of the gain, and of the logs' swings, for the model file."""
+    taken_off = {"delay": sensor.delay, "lag": sensor.lag} if sensor else None
+    found = {"sensor": taken_off, "gain_trend": expected.gain_trend, "swings": expected.swing_values()}
+    return {key: value for key, value in found.items() if value is not None}
 
 
 SCALES_APART = 2.0  # between the gains of logs; a piezo's own at small and at full swings differs by less
@@ -178,17 +176,14 @@ def _figures(
     line: float,
     cycle: float | None,
     expected: Expectation,
-    begins: Sequence[float],
+    given: Sequence[Recording],
 ) -> dict[str, object]:
-    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds.
-
-    ``begins`` is the first voltage of each log.
-    """
+    """Everything the model file says of its fit; errors in the displacement's unit, times in seconds."""
     span = abs(prepared.scale)
     cross = rmse * choice.score.rmse / expected.fitted
-    new_moves = expected.rmse
-    gears = fitted.basis
-    figures: dict[str, object] = {
+    new_moves, gears = expected.rmse, fitted.basis
+    taus = zip(gears.time_constants, fitted.gains, strict=True)
+    return {
         "method": "least-squares",
         "rmse": rmse,
         "rmse_percent": 100.0 * rmse / span,
@@ -200,9 +195,7 @@ def _figures(
         "left_out_rmse": expected.known,
         "straight_line_rmse": line,
         "fastest_drive": fastest_drive(prepared.logs),
-    }
-    figures |= validated(checks, span, "")[0]
-    figures |= {
+        **validated(checks, span, "")[0],
         "samples": sum(len(one.values) for one in residuals),
         "gears": model.backlash.n,
         "different_slopes": gears.gears,
@@ -211,35 +204,25 @@ def _figures(
         "slopes": choice.structure.slopes,
         "smoothness": choice.structure.smoothness,
         "loop_width_percent": loop_width_percent(model),
-        "relaxation_seconds": [
-            float(t) for t, c in zip(gears.time_constants, fitted.gains, strict=True) if c > 0.0
-        ],
+        "relaxation_seconds": [float(tau) for tau, gain in taus if gain > 0.0],
         "delay_seconds": gears.delay,
         "delay_interval_seconds": list(choice.delay_interval) if choice.delay_interval else None,
         "lag_seconds": lag_seconds(fitted, cycle),
-        "logs": _log_figures(prepared, residuals, begins),
+        "logs": [
+            {
+                "name": residual.name,
+                "samples": len(residual.values),
+                "rmse": residual.rmse,
+                "drift": residual.drift_span,
+                "begins_at": float(given[k].voltage[0]),
+                "start": None if prepared.transient_rows[k] or log.stretches else log.start,
+                "transient_rows": prepared.transient_rows[k],
+                "outlier_rows": prepared.outlier_rows[k],
+                "clipped_rows": prepared.clipped_rows[k],
+            }
+            for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
+        ],
     }
-    return figures
-
-
-def _log_figures(
-    prepared: Prepared, residuals: Sequence[Residual], begins: Sequence[float]
-) -> list[dict[str, object]]:
-    """Return what the model file says of each log."""
-    return [
-        {
-            "name": residual.name,
-            "samples": len(residual.values),
-            "rmse": residual.rmse,
-            "drift": residual.drift_span,
-            "begins_at": begins[k],
-            "start": None if prepared.transient_rows[k] or log.stretches else log.start,
-            "transient_rows": prepared.transient_rows[k],
-            "outlier_rows": prepared.outlier_rows[k],
-            "clipped_rows": prepared.clipped_rows[k],
-        }
-        for k, (residual, log) in enumerate(zip(residuals, prepared.logs, strict=True))
-    ]
 
 
 def _late_warnings(choice: Choice, prepared: Prepared, expected: Expectation) -> list[str]:
@@ -250,12 +233,7 @@ def _late_warnings(choice: Choice, prepared: Prepared, expected: Expectation) ->
     """
     delay = choice.basis.delay
     lags_as_well = any(one.kind == "lag" and one.weight > np.exp(-1.0) for one in expected.alternatives)
-    if (
-        not delay
-        or expected.rmse is None
-        or lags_as_well
-        or delay < LATE * (sample_period(prepared.logs) or 0.0)
-    ):
+    if not delay or expected.rmse is None or lags_as_well:
         return []
     rate = max(rms(_rates(log)) for log in prepared.logs)
     cost = delay * abs(prepared.scale) / prepared.span * rate
