@@ -11,7 +11,7 @@ import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.stated_clock import (

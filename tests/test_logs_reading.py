@@ -14,7 +14,7 @@ import pytest
 from dbo_cli.errors import InputError
 from dbo_cli.logs import columns, stated_clock, time_column
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -14,7 +14,7 @@ from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.addresses import Address
+    from dbo_cli.logs.request import Address
 
 _PARAMETER = pattern(r"`([a-z]\w*)`")
 

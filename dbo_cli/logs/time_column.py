@@ -16,7 +16,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, any_of, find_column, guess_columns
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, TimeCheck
 from dbo_cli.logs.stated_clock import FACTORS, HHMMSS, StatedTime, is_other_kind, stated_time, time_unit
 from dbo_cli.logs.units import ONE, UnitFactor

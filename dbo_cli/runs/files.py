@@ -23,19 +23,20 @@ from dbo_cli.hysteresis.model_file import model_to_bytes, state_to_bytes
 from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import DriveLimits, Quantity
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.addresses import (
+from dbo_cli.logs.columns import OutColumn, split_header
+from dbo_cli.logs.request import (
+    ALL_ROWS,
     Address,
     Given,
+    ReadingOptions,
     check_document,
     check_format,
     other_file,
     parse_output,
     selected_files,
 )
-from dbo_cli.logs.columns import split_header
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks, plain

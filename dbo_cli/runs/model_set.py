@@ -15,7 +15,7 @@ from dbo_cli.errors import DboError, InputError
 from dbo_cli.hysteresis.model_set import Coupling, read_set, set_to_bytes
 from dbo_cli.hysteresis.model_set import ModelSet as SetFile
 from dbo_cli.hysteresis.model_state import ModelState
-from dbo_cli.logs.addresses import check_document
+from dbo_cli.logs.request import check_document
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.remarks import DboWarning
 from dbo_cli.runs.channel_models import ChannelFits

@@ -11,10 +11,9 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import read_state
 from dbo_cli.hysteresis.model_state import START_NAMES, ModelState, Quantity, StartName
-from dbo_cli.logs.addresses import Address
 from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source

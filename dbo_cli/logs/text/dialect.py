@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import counted, decoded, pattern
-from dbo_cli.logs.reading_options import BLANKS, FILL_GAPS, ReadingOptions
+from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
 from dbo_cli.records import dataclass

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.plain_text import pattern, shortened
-from dbo_cli.logs.reading_options import BLANKS
+from dbo_cli.logs.request import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
 from dbo_cli.records import dataclass
 

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import ByteSource, Request
+from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import counted, decoded, pattern
-from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Rows, remedy_for
+from dbo_cli.logs.request import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Request, Rows, remedy_for
 from dbo_cli.logs.sample_block import (
     TIME,
     ColumnInfo,
