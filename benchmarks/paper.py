@@ -30,7 +30,7 @@ from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.reports.drawing import Plot, check_folder, save
 from dbo_cli.reports.figures import plots_of_log
 from dbo_cli.reports.models import plots_of_model
-from dbo_cli.reports.page import to_html
+from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read

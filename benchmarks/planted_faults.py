@@ -217,7 +217,7 @@ FAULTS: list[Fault] = [
          "one smoothness means the same for any number of gears"),
     ),
     *_faults(
-        "hysteresis/identification/regressors.py",
+        "hysteresis/identification/statistics.py",
         IDENTIFICATION,
         ("np.clip(share, 0.0, 1.0)", "np.zeros(samples)", "delays of parts of a sample, in the fit"),
     ),

@@ -18,8 +18,7 @@ import pytest
 
 from dbo_cli import __version__
 from dbo_cli.cli import app
-from dbo_cli.cli.commands import COMMANDS
-from dbo_cli.cli.messages import Progress, Reporter
+from dbo_cli.cli.commands import COMMANDS, Progress, Reporter
 from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions

@@ -1,4 +1,4 @@
-"""What a report says about one or several logs, as values; ``renderers`` and ``page`` turn them into text.
+"""What a report says about one or several logs, as values; ``renderers`` turns them into text.
 
 A stream of ``PairBlock`` is all it needs: logs larger than memory are fine, and so is a prediction that a
 model makes block by block (then ``labels`` is ``("model", "measured")``). To compare, for each log::

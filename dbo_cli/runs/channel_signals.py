@@ -35,9 +35,8 @@ from dbo_cli.runs.channels import (
     patterns_of,
     sum_up_remarks,
 )
-from dbo_cli.runs.files import Destination, SignalRun, check_order
+from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish
 from dbo_cli.runs.jobs import Done, Outcome, Work
-from dbo_cli.runs.roles import bring_to, quantity_wish
 
 _ROWS = 1 << 12  # of a table of channels, written at a time; chosen, bounds the memory
 

@@ -35,7 +35,7 @@ from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import bring_to, opened, recording_wishes, short_names
+from dbo_cli.runs.files import bring_to, opened, recording_wishes, short_names
 from dbo_cli.version import program_version_string
 
 

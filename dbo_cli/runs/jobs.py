@@ -77,11 +77,6 @@ class Outcome:
     remarks: Remarks = field(default_factory=Remarks)
     failure: DboError | None = None
 
-    def check(self) -> None:
-        """Raise the error, if there is one."""
-        if self.failure is not None:
-            raise self.failure
-
     def good(
         self,
         jobs: Jobs[Value],
