@@ -193,7 +193,7 @@ def test_a_list_of_unlike_values_states_no_rate() -> None:
 
 
 def test_a_rate_of_unlike_lists_is_refused_in_words() -> None:
-    from dbo_cli.logs.stated_clock import read_statements
+    from dbo_cli.logs.clock import read_statements
 
     (stated,) = read_statements("fs", [1.0, [2.0, 3.0]])
     assert stated.problem == "'fs' (several values) is no single number"

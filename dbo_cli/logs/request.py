@@ -361,7 +361,7 @@ class ReadingOptions:
                 "`time` and `sample_rate` exclude each other: the log has the one or needs the other"
             )
         if self.time_unit is not None:
-            from dbo_cli.logs.stated_clock import parse_time_unit
+            from dbo_cli.logs.units import parse_time_unit
 
             parse_time_unit(self.time_unit)
             if self.sample_rate is not None:

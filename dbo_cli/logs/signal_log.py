@@ -24,6 +24,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.byte_source import BINARY, ZIP, input_record
+from dbo_cli.logs.clock import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
 from dbo_cli.logs.request import (
     ALL_ROWS,
@@ -49,7 +50,6 @@ from dbo_cli.logs.sample_block import (
 )
 from dbo_cli.logs.sources import Source
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
 from dbo_cli.records import dataclass
 

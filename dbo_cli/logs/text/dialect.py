@@ -189,7 +189,7 @@ def _writings(rows: list[list[str]], shape: _Shape) -> tuple[str, ...]:
     others = sorted(set(range(shape.width)) - shape.numeric)
     if not others:
         return ()
-    from dbo_cli.logs.stated_clock import writing_of
+    from dbo_cli.logs.text.lines import writing_of
 
     rows = [row for row in rows if len(row) >= shape.width]
     found = {column: writing_of([row[column] for row in rows]) for column in others}

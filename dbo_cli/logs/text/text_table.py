@@ -119,7 +119,7 @@ class TextTable(Table):
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
         if self._header is None:
             return None, 0.0
-        from dbo_cli.logs.stated_clock import agreed_rate
+        from dbo_cli.logs.clock import agreed_rate
 
         return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
 
@@ -557,7 +557,7 @@ def _parse_plain(
 
 
 def _stamp_reader(written: str) -> Callable[[str], float | None]:
-    from dbo_cli.logs.stated_clock import READERS
+    from dbo_cli.logs.text.lines import READERS
 
     return READERS[written]
 
