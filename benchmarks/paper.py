@@ -23,7 +23,7 @@ from dbo_cli.errors import DboError, InputError
 from dbo_cli.hysteresis.identification import Identification, IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions, Rows
+from dbo_cli.logs.request import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.whole_output import write_whole

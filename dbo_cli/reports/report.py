@@ -21,7 +21,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs

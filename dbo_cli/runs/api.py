@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set
-from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.channels import is_pattern
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
+from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, parse_address, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
 from dbo_cli.remarks import DboWarning

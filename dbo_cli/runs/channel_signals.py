@@ -14,10 +14,9 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
-from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.channels import PLACE, ChannelReader, column_of, is_matrix
-from dbo_cli.logs.out_column import OutColumn
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, parse_output
 from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer

@@ -17,16 +17,17 @@ from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model
-from dbo_cli.logs.addresses import (
+from dbo_cli.logs.columns import is_order
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.request import (
+    ALL_ROWS,
     Address,
+    ReadingOptions,
     check_document,
     check_format,
     selected_files,
     without_folder,
 )
-from dbo_cli.logs.columns import is_order
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of

@@ -21,8 +21,7 @@ from dbo_cli.hysteresis.model_set import Coupling, read_set, set_to_bytes
 from dbo_cli.hysteresis.model_set import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.addresses import check_document
-from dbo_cli.logs.reading_options import ALL_ROWS, Rows, parse_rows
+from dbo_cli.logs.request import ALL_ROWS, Rows, check_document, parse_rows
 from dbo_cli.logs.sources import is_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.records import dataclass

@@ -17,9 +17,16 @@ from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
-from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.columns import ColumnWish, wish
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    Address,
+    Given,
+    ReadingOptions,
+    Rows,
+    check_document,
+    selected_files,
+)
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
