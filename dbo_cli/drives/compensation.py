@@ -161,8 +161,8 @@ class Compensation(ModelRun):
         if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.output.span:
             raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
         if asked is None and known is None and self.start in ("empty", "full"):
-            end = self.model.drive_at(str(self.start))
-            known = min(max(end, self.limits.v_min), self.limits.v_max)
+            end = self.model.covered_gears.operator.x_range[0 if self.start == "empty" else 1]
+            known = min(max(self.model.inverted.outer_drive(end), self.limits.v_min), self.limits.v_max)
         return asked if known is None else known
 
     def _usual_step(self, stamps: FloatArray) -> float:

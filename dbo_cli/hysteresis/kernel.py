@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
@@ -230,15 +231,6 @@ def _remember(held: list[float], decay: list[float], drive: float) -> None:
         held[j] = a * held[j] + (1.0 - a) * drive
 
 
-def _known_part(weights: list[float], held: list[float], decay: list[float]) -> tuple[float, float]:
-    """Return what the terms keep of the past, and their part kappa of the present output."""
-    remembered = kappa = 0.0
-    for c, memory, a in zip(weights, held, decay, strict=True):
-        remembered += c * (a * memory)
-        kappa += c * (1.0 - a)
-    return remembered, kappa
-
-
 def window(low: float, high: float, step: float | None, last: float | None) -> tuple[float, float]:
     """Return the output limits of one sample; the range wins over the slew limit."""
     if step is None or last is None or math.isnan(last):
@@ -310,7 +302,9 @@ def backlash_run(
             for c, term in zip(weights, held, strict=True):
                 remembered += c * term
         elif weights:
-            remembered, kappa = _known_part(weights, held, a)
+            for c, term, kept in zip(weights, held, a, strict=True):
+                remembered += c * (kept * term)
+                kappa += c * (1.0 - kept)
             u = (u - remembered) - kappa * (y0 - reference)
         excess = -1.0
         if limited:
@@ -412,17 +406,8 @@ def compiled_kernel() -> ModuleType | None:
     return module
 
 
-class PythonKernel:
-    """The functions of this module under the names that the extension gives its own."""
-
-    backlash_run = staticmethod(backlash_run)
-    backlash_engagement = staticmethod(backlash_engagement)
-    memory_run = staticmethod(memory_run)
-    point_run = staticmethod(point_run)
-    dynamics_run = staticmethod(dynamics_run)
-    dynamics_undo = staticmethod(dynamics_undo)
-    smooth = staticmethod(smooth)
-    interpolated = staticmethod(interpolated)
+PythonKernel = sys.modules[__name__]
+"""This module: its functions have the names that the extension gives its own."""
 
 
 def choose(wish: str) -> tuple[str, Any]:
