@@ -23,14 +23,14 @@ from dbo_cli.errors import DboError, InputError
 from dbo_cli.hysteresis.identification import Identification, IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions, Rows
+from dbo_cli.logs.request import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.reports.drawing import Plot, check_folder, save
 from dbo_cli.reports.figures import plots_of_log
 from dbo_cli.reports.models import plots_of_model
-from dbo_cli.reports.page import to_html
+from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read

@@ -217,7 +217,7 @@ FAULTS: list[Fault] = [
          "one smoothness means the same for any number of gears"),
     ),
     *_faults(
-        "hysteresis/identification/regressors.py",
+        "hysteresis/identification/statistics.py",
         IDENTIFICATION,
         ("np.clip(share, 0.0, 1.0)", "np.zeros(samples)", "delays of parts of a sample, in the fit"),
     ),
@@ -349,7 +349,7 @@ FAULTS: list[Fault] = [
         ("while unique.casefold() in taken:", "while unique in taken:", "file names differ where letters' size does not"),
     ),
     *_faults(
-        "logs/binary/library_files.py",
+        "logs/binary.py",
         ("logs_values",),
         ("return None if index and stored.is_integer() else source", "return source",
          "row numbers of pandas are no column"),
@@ -372,6 +372,10 @@ FAULTS: list[Fault] = [
         ("logs_changing_files",),
         ("now.st_size < self._largest or", "False or", "a text log that is cut while it is read"),
         ("now.st_mtime_ns != self._begun.st_mtime_ns)", "False)", "a text log that is written over while it is read"),
+    ),
+    *_faults(
+        "logs/request.py",
+        ("logs_changing_files",),
         ("return found.st_ino, found.st_size, found.st_mtime_ns", "return found.st_ino, found.st_size, 0",
          "a binary log that is written over while it is read"),
     ),

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     )
     from dbo_cli.remarks import DboWarning
     from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
-    from dbo_cli.runs.model import Model
-    from dbo_cli.runs.model_set import ModelSet
+    from dbo_cli.runs.model import Model, ModelSet
     from dbo_cli.runs.trajectories import trajectory
 
 __all__ = [
@@ -48,7 +47,7 @@ __all__ = [
 
 _ROOMS = {
     "Model": "runs.model",
-    "ModelSet": "runs.model_set",
+    "ModelSet": "runs.model",
     "DboWarning": "remarks",
     "trajectory": "runs.trajectories",
 }

@@ -20,7 +20,7 @@ from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.shapes import TrajectoryOptions
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.runs.model import Result
 from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dbo_cli.cli import command_line, typer_adapter
+from dbo_cli.cli import options, typer_adapter
 from dbo_cli.cli.commands import COMMANDS, Command, Given
 from dbo_cli.cli.options import Option
 from dbo_cli.errors import DboError
@@ -68,7 +68,7 @@ def lines(draw: st.DrawFn) -> list[str]:
     name = draw(st.sampled_from(sorted(COMMANDS)))
     declared = COMMANDS[name].options
     arguments = [words_of(one) for one in declared if not one.names]
-    needed = [words_of(one) for one in declared if one.names and one.default is command_line.REQUIRED]
+    needed = [words_of(one) for one in declared if one.names and one.default is options.REQUIRED]
     parts = [draw(one) for one in arguments + needed if draw(st.integers(0, 19))]
     parts += draw(st.lists(st.sampled_from(declared).flatmap(words_of), max_size=6))
     return [name, *(word for part in draw(st.permutations(parts)) for word in part)]
@@ -76,7 +76,7 @@ def lines(draw: st.DrawFn) -> list[str]:
 
 @given(lines())
 def test_a_usual_line_means_what_it_means_to_the_library(words: list[str]) -> None:
-    read = command_line.read(words[1:], COMMANDS[words[0]].options)
+    read = options.read_line(words[1:], COMMANDS[words[0]].options)
     if read is not None:
         with pytest.MonkeyPatch.context() as monkeypatch:
             assert {"typed": tuple(words), **read} == by_library(words, monkeypatch)
@@ -84,7 +84,7 @@ def test_a_usual_line_means_what_it_means_to_the_library(words: list[str]) -> No
 
 def test_what_is_usual() -> None:
     words = "m.json a.csv - --rows=2:3 -q --scale voltage=2 --scale input=-3 -o b.csv --jobs 2 --jobs 3"
-    values = command_line.read(words.split(), COMMANDS["simulate"].options)
+    values = options.read_line(words.split(), COMMANDS["simulate"].options)
     assert values is not None
     assert [one.text for one in values["log"]] == ["a.csv", "-"] and values["output"].text == "b.csv"
     assert (values["rows"], values["quiet"], values["verbose"]) == ((2, 3), True, False)
@@ -97,7 +97,7 @@ def test_what_is_usual() -> None:
      "a b --jobs 0", "a b -qv", "a b --outside never"],
 )  # fmt: skip
 def test_what_is_left_to_the_library(line: str) -> None:
-    assert command_line.read(line.split(), COMMANDS["simulate"].options) is None
+    assert options.read_line(line.split(), COMMANDS["simulate"].options) is None
 
 
 def test_a_usual_line_loads_no_command_line_library() -> None:

@@ -181,7 +181,7 @@ def test_a_full_disk_behind_a_redirection_is_said(folder: Path) -> None:
 
 
 @posix
-@pytest.mark.parametrize("module", ["dbo_cli.cli.app", "dbo_cli.cli.command_line", "numpy"])
+@pytest.mark.parametrize("module", ["dbo_cli.cli.app", "dbo_cli.cli.commands", "numpy"])
 def test_an_interrupt_while_modules_are_imported(module: str, folder: Path) -> None:
     """The signal comes at the import itself: before the program has begun to work, or right after."""
     script = (

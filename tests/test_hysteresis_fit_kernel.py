@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dbo_cli.hysteresis import fit_kernel
-from dbo_cli.hysteresis.fit_kernel import ABSENT, AT_ZERO, FREE, POSITIVE, PythonFit
+from dbo_cli.hysteresis.identification import normal_equations
+from dbo_cli.hysteresis.identification.normal_equations import ABSENT, AT_ZERO, FREE, POSITIVE, PythonFit
 
 compiled: Any = pytest.importorskip("dbo_cli.hysteresis._fit")
 
@@ -65,7 +65,7 @@ def test_wrong_lengths_are_refused() -> None:
 
 def test_the_compiled_loops_are_chosen() -> None:
     expected = PythonFit if os.environ.get("DBO_KERNEL") == "python" else compiled
-    assert fit_kernel.CHOSEN is expected
+    assert normal_equations.CHOSEN is expected
 
 
 SCRIPT = """

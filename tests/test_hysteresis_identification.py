@@ -25,8 +25,7 @@ from dbo_cli.hysteresis.identification import (
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import prepare
 from dbo_cli.hysteresis.identification.recordings import drive_shape
-from dbo_cli.hysteresis.identification.regressors import Basis
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, Statistics, gather
+from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, Statistics, gather
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,

@@ -28,16 +28,18 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.refinement import asymmetry
-from dbo_cli.hysteresis.identification.regressors import (
+from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of, time_constant_grid
+from dbo_cli.hysteresis.identification.statistics import (
     BLOCK_ROWS,
     Basis,
     DriveRows,
+    PreparedLog,
     drift_columns,
+    fewer_rows,
+    gather,
     hat_functions,
     relaxed_drive,
 )
-from dbo_cli.hysteresis.identification.search import Score, no_worse, simplest_of, time_constant_grid
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, fewer_rows, gather
 from dbo_cli.hysteresis.move_error import turning_points
 
 

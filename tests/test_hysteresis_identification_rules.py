@@ -39,9 +39,8 @@ from dbo_cli.hysteresis.identification.refinement import (
     corners,
     stages_of,
 )
-from dbo_cli.hysteresis.identification.regressors import Basis
 from dbo_cli.hysteresis.identification.search import Orders, Score, choose, no_worse
-from dbo_cli.hysteresis.identification.statistics import gather
+from dbo_cli.hysteresis.identification.statistics import Basis, gather
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.text import text_table

@@ -9,7 +9,7 @@ import pytest
 from headless import Browser, find_browser
 
 from dbo_cli.reports.figures import plots_of_log
-from dbo_cli.reports.page import to_html
+from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock
 from dbo_cli.reports.thinned_curves import FigureData

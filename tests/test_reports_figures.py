@@ -28,7 +28,7 @@ from dbo_cli.reports.figures import (
     row_width,
 )
 from dbo_cli.reports.models import loop_of, plots_of_model
-from dbo_cli.reports.page import breakable, to_html
+from dbo_cli.reports.renderers import breakable, to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import BATCH
 from dbo_cli.reports.sample_pairs import PairBlock

@@ -105,11 +105,11 @@ def _open_closed_streams() -> None:
 
 def _dispatch(words: list[str]) -> int:
     """Parse the command line and run the command it names."""
-    from dbo_cli.cli import command_line
+    from dbo_cli.cli.commands import run_usual
 
     if any("\0" in word for word in words):  # from ``main`` in Python; a shell cannot hand one on
         raise UsageError("a word of the command line holds a NUL character, which no name and no value can")
-    if command_line.run(words):
+    if run_usual(words):
         return 0
     from dbo_cli.cli.typer_adapter import run as run_command
 
@@ -152,7 +152,7 @@ def _where_to_look(words: list[str]) -> str:
 
 def _print_line(text: str) -> None:
     """Print one line on stderr, whatever line breaks the text came with."""
-    from dbo_cli.cli.messages import Progress, shell_line
+    from dbo_cli.cli.commands import Progress, shell_line
 
     try:
         begin = Progress.ERASE if sys.stderr.isatty() else ""  # over what a long run has shown so far

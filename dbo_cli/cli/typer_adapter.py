@@ -283,9 +283,7 @@ def columns_beginning(incomplete: str) -> list[str]:
     Of a name with a blank only what stands before the unit is offered, and nothing where that has one too:
     the shells do not agree on how to quote it.
     """
-    from dbo_cli.logs.addresses import parse_address
-    from dbo_cli.logs.byte_source import Request
-    from dbo_cli.logs.reading_options import ReadingOptions
+    from dbo_cli.logs.request import ReadingOptions, Request, parse_address
     from dbo_cli.logs.signal_log import open_table
 
     line = next((os.environ[name] for name in TYPED if name in os.environ), "")

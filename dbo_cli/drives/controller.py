@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, memory_free, thro
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.hysteresis.stepper import ROUNDING, BacklashStepper
-from dbo_cli.logs.reading_options import checked_rate
+from dbo_cli.logs.request import checked_rate
 from dbo_cli.logs.sources import samples
 from dbo_cli.logs.units import in_unit
 

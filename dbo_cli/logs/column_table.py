@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import Request
+from dbo_cli.logs.clock import Statement, agreed_rate, read_statements
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.plain_text import counted
-from dbo_cli.logs.reading_options import remedy_for
+from dbo_cli.logs.request import Request, remedy_for
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, Table, are_measured, dropped_note
-from dbo_cli.logs.stated_clock import Statement, agreed_rate, read_statements
 from dbo_cli.records import dataclass
 
 Fetch = Callable[[int, int], Any]
@@ -112,8 +111,7 @@ def listed_source(name: str, values: list[Any]) -> ColumnSource | None:
 
     A value that is absent (None) is NaN.
     """
-    from dbo_cli.logs.stated_clock import stamp_seconds
-    from dbo_cli.logs.text.lines import to_number
+    from dbo_cli.logs.text.lines import stamp_seconds, to_number
 
     first = next((one for one in values if one is not None), None)
     stamps, unit = isinstance(first, str), None

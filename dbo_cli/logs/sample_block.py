@@ -29,7 +29,7 @@ class ColumnInfo:
     ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
     unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
     ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
-    ``date`` (logs.stated_clock); such columns are read as seconds. Rows without a value in a column that
+    ``date`` (logs.text.lines); such columns are read as seconds. Rows without a value in a column that
     ``may_be_blank`` are left out.
     """
 

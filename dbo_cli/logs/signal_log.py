@@ -23,10 +23,19 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import Address, Given, other_file, parse_address, without_folder
-from dbo_cli.logs.byte_source import BINARY, ZIP, Request, input_record
+from dbo_cli.logs.byte_source import BINARY, ZIP, input_record
+from dbo_cli.logs.clock import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, contradicted_unit, find_column
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    Address,
+    Given,
+    ReadingOptions,
+    Request,
+    other_file,
+    parse_address,
+    without_folder,
+)
 from dbo_cli.logs.sample_block import (
     JITTER,
     TIME,
@@ -41,13 +50,12 @@ from dbo_cli.logs.sample_block import (
 )
 from dbo_cli.logs.sources import Source
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.time_column import FoundTime, TimeColumn, find_time_column, time_column
 from dbo_cli.logs.units import Scale, kind_of_unit
 from dbo_cli.records import dataclass
 
-_HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.arrays.open_matlab"
-_EXCEL = "binary.library_files.open_excel"
-_ZIP_ENDINGS = {".npz": "binary.arrays.open_npz"} | dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".ods"), _EXCEL)
+_HDF5, _MATLAB = "hdf5.reader.open_hdf5", "binary.open_matlab"
+_EXCEL = "binary.open_excel"
+_ZIP_ENDINGS = {".npz": "binary.open_npz"} | dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".ods"), _EXCEL)
 _USER_BLOCKS = (512, 1024, 2048)  # where an HDF5 file may begin instead (MATLAB v7.3: 512)
 
 

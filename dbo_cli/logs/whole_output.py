@@ -27,13 +27,13 @@ from dataclasses import field
 from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import DboError, OutputError, UsageError
-from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.plain_text import pattern
+from dbo_cli.logs.request import Address, Given, parse_address
 from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.out_column import OutColumn
+    from dbo_cli.logs.columns import OutColumn
     from dbo_cli.logs.sample_block import FloatArray
 
 # --- which file an output is ------------------------------------------------------------------------

@@ -22,7 +22,6 @@ from dbo_cli.hysteresis.identification import normal_equations
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Recording
-from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
 from dbo_cli.hysteresis.identification.search import (
     FINE_INDIFFERENCE,
     LONGEST_DELAY,
@@ -31,7 +30,13 @@ from dbo_cli.hysteresis.identification.search import (
     sample_period,
     simplest_of,
 )
-from dbo_cli.hysteresis.identification.statistics import FoldProducts, PreparedLog, fewer_rows
+from dbo_cli.hysteresis.identification.statistics import (
+    Basis,
+    FoldProducts,
+    PreparedLog,
+    fewer_rows,
+    hat_functions,
+)
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
 from dbo_cli.records import dataclass

@@ -30,7 +30,6 @@ from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.reports.renderers import short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -227,6 +226,26 @@ def _plain_stem(name: str) -> str:
     stem = unicodedata.normalize("NFC", f"{base}-{group}" if group else base)
     stem = re.sub(r"[^\w.-]+", "_", stem).strip(".")
     return stem.encode()[:_LONGEST_STEM].decode(errors="ignore") or "log"
+
+
+def short_name(name: str, width: int) -> str:
+    """Return a name cut in its middle where it is too long; its end, the file, tells more than its start."""
+    if text_width(name) <= width:
+        return name
+    tail = (width - 1) * 2 // 3
+    head = width - 1 - tail
+    start, end = name[:head], name[-tail:]
+    while text_width(start) > head:
+        start = start[:-1]
+    while text_width(end) > tail:
+        end = end[1:]
+    return f"{start}…{end}"
+
+
+def text_width(text: str) -> int:
+    """Return how many columns of a terminal a text takes: Chinese and Japanese letters take two."""
+    wide = sum(unicodedata.east_asian_width(sign) in "WF" for sign in text)
+    return len(text) + wide - sum(unicodedata.combining(sign) > 0 for sign in text)
 
 
 def _fit_left(figure: Figure, axes: Axes) -> None:

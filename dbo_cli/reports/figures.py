@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.reports import drawing as style
-from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.renderers import digits, short_name
+from dbo_cli.reports.drawing import Plot, short_name
+from dbo_cli.reports.renderers import digits, shown_unit
 from dbo_cli.reports.report import LogReport, Report
 from dbo_cli.reports.running_statistics import Floats
 from dbo_cli.reports.thinned_curves import Band, Curve, FigureData, Raster
@@ -36,11 +36,6 @@ BARS: dict[str, Any] = {"color": style.FILL, "edgecolor": style.INK, "linewidth"
 NAMED = 20  # channels up to which bars are drawn, so that each has its name, though they are numbers
 LETTERS = 52  # of 9 points, in a row below the axes
 DECADES = 30.0  # times the least RMSE, from which on even steps would put all but the worst into one bar
-
-
-def shown_unit(unit: str | None) -> str:
-    """Return a unit as people write it: ``um`` is spelled with the Greek letter."""
-    return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
 
 
 def axis_label(quantity: str, unit: str | None) -> str:

@@ -19,10 +19,20 @@ from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePoint
 from dbo_cli.records import dataclass
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
-from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head, shown_unit
-from dbo_cli.reports.page import drawn_figures, filled, page_of, table
-from dbo_cli.reports.renderers import csv_text, digits, json_text, no_formula, wrapped
-from dbo_cli.reports.renderers import table as text_table
+from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head
+from dbo_cli.reports.renderers import (
+    csv_text,
+    digits,
+    drawn_figures,
+    filled,
+    html_table,
+    json_text,
+    no_formula,
+    page_of,
+    shown_unit,
+    text_table,
+    wrapped,
+)
 from dbo_cli.reports.running_statistics import Floats
 
 if TYPE_CHECKING:
@@ -261,7 +271,7 @@ class ModelTable:
         parts = [
             "<h1>Models side by side</h1>",
             f"<p>{escape(self._heading())}.</p>",
-            table(head, rows, chief=3 if self.validation else 1),
+            html_table(head, rows, chief=3 if self.validation else 1),
             filled("glossary_models.html"),
             drawn_figures(self.plots(), "models"),
             f"<footer>{escape(program)}</footer>",

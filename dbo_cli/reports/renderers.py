@@ -1,19 +1,25 @@
-"""The report as text in 80 columns, as JSON and as CSV: the same values, and always the same bytes."""
+"""The report as text in 80 columns, JSON, CSV and an HTML page: the same values, always the same bytes."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import re
 import textwrap
-import unicodedata
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+from string import Template
 from typing import Any, NamedTuple
 
+from dbo_cli.reports.drawing import Plot, draw, short_name, text_width
 from dbo_cli.reports.report import Report
 
 JSON_VERSION = 1  # of the form dbo-report; a change of meaning would need another
 WIDTH = 80  # columns of the narrowest usual terminal
+UNBROKEN = 28  # letters of a name that stay together: nine columns beside it fit into 1,000 pixels of a page
 LEFT = "Left over: hysteresis (loop: error going down less going up) and delay (lag)"
 
 
@@ -91,11 +97,11 @@ def to_text(report: Report) -> str:
     """Return one sentence and tables of at most 80 columns, four significant digits, for a terminal."""
     errors, left = log_tables(report)
     parts = ["\n".join(wrapped(headline(report))), "\n".join(wrapped(settings_line(report)))]
-    parts += [_text_table(errors, report.logs), f"{LEFT}\n{_text_table(left, report.logs)}"]
+    parts += [_table_of(errors, report.logs), f"{LEFT}\n{_table_of(left, report.logs)}"]
     for log in report.logs:
         if log.segments:
             title = "\n".join(wrapped(f"{log.name}, {segment_words(report)}"))
-            parts.append(f"{title}\n{_text_table(segment_table(report), log.segments)}")
+            parts.append(f"{title}\n{_table_of(segment_table(report), log.segments)}")
     if report.notes:
         parts.append("\n".join(line for note in report.notes for line in wrapped(f"Note: {note}")))
     return "\n\n".join(parts) + "\n"
@@ -181,10 +187,10 @@ def _unit(report: Report, form: str = " {}") -> str:
     return form.format(report.unit) if report.unit else ""
 
 
-def _text_table(columns: Sequence[Column], parts: Sequence[Any]) -> str:
+def _table_of(columns: Sequence[Column], parts: Sequence[Any]) -> str:
     shown = [column for column in columns if column.short]
     rows = [[column.cell(part) for column in shown] for part in parts]
-    return table([column.short for column in shown], rows)
+    return text_table([column.short for column in shown], rows)
 
 
 def digits(value: float | None, places: int = 4, factor: float = 1.0) -> str:
@@ -213,44 +219,24 @@ def settings_line(report: Report) -> str:
     return f"Error = {second} - {first}{unit}{offset}{lag}"
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return columns two blanks apart, the first to the left, numbers to the right.
 
     Where that is too wide: one blank, then every name on a line of its own above its numbers.
     """
-    widths = [max(map(_cells, column)) for column in zip(head, *rows, strict=True)]
+    widths = [max(map(text_width, column)) for column in zip(head, *rows, strict=True)]
     gap = "  " if sum(widths) + 2 * (len(widths) - 1) <= WIDTH else " "
     room = WIDTH - sum(widths[1:]) - len(gap) * (len(widths) - 1)
-    widths[0] = min(widths[0], max(room, _cells(head[0])))
+    widths[0] = min(widths[0], max(room, text_width(head[0])))
     lines = []
     for cells in [head, *rows]:
         name = cells[0]
-        if _cells(name) > widths[0]:
+        if text_width(name) > widths[0]:
             lines.append(short_name(name, WIDTH))
             name = ""
         numbers = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
-        lines.append(gap.join([name + " " * (widths[0] - _cells(name)), *numbers]).rstrip())
+        lines.append(gap.join([name + " " * (widths[0] - text_width(name)), *numbers]).rstrip())
     return "\n".join(lines)
-
-
-def short_name(name: str, width: int) -> str:
-    """Return a name cut in its middle where it is too long; its end, the file, tells more than its start."""
-    if _cells(name) <= width:
-        return name
-    tail = (width - 1) * 2 // 3
-    head = width - 1 - tail
-    start, end = name[:head], name[-tail:]
-    while _cells(start) > head:
-        start = start[:-1]
-    while _cells(end) > tail:
-        end = end[1:]
-    return f"{start}…{end}"
-
-
-def _cells(text: str) -> int:
-    """Return how many columns of a terminal a text takes: Chinese and Japanese letters take two."""
-    wide = sum(unicodedata.east_asian_width(sign) in "WF" for sign in text)
-    return len(text) + wide - sum(unicodedata.combining(sign) > 0 for sign in text)
 
 
 def wrapped(text: str) -> list[str]:
@@ -258,3 +244,122 @@ def wrapped(text: str) -> list[str]:
     return textwrap.wrap(
         text, WIDTH, subsequent_indent=" " * 6, break_long_words=False, break_on_hyphens=False
     )
+
+
+def shown_unit(unit: str | None) -> str:
+    """Return a unit as people write it: ``um`` is spelled with the Greek letter."""
+    return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
+
+
+# --- the report as one HTML file: no script, no network, the figures inside it ---
+
+
+def to_html(
+    report: Report,
+    plots: Sequence[Sequence[Plot]],
+    *,
+    comparison_plots: Sequence[Plot] = (),
+    model_plots: Sequence[Plot] = (),
+    title: str = "Tracking report",
+    program: str = "",
+) -> str:
+    """Return the whole page.
+
+    Parameters
+    ----------
+    report : Report
+        The values.
+    plots : sequence of sequences of Plot
+        For every log of the report, in its order, the figures to show (``figures.plots_of_log``); a log
+        that has neither figures nor segments has no section.
+    comparison_plots : sequence of Plot
+        The figures of all logs together (``figures.plots_of_comparison``); they stand before those of each,
+        and before the tables where there are no others: the tables of channels are long.
+    model_plots : sequence of Plot
+        The figures of the model, where one was compared (``models.plots_of_model``).
+    title, program : str
+        Heading of the page, and who made it (program and version), for the footer.
+    """
+    report = replace(report, unit=shown_unit(report.unit) or None)
+    found = " ".join(map(breakable, headline(report).split()))
+    errors, left = log_tables(report)
+    together = drawn_figures(comparison_plots, "all")
+    parts = [f"<h1>{escape(title)}</h1>", f'<p class="headline">{found}.</p>']
+    parts += [
+        f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
+        *([] if any(plots) else [together]),
+        _html_table(errors, report.logs),
+    ]
+    parts += ["<h2>What is left of hysteresis and delay</h2>", _html_table(left, report.logs, chief=1)]
+    first, second = map(escape, report.options.labels)
+    parts.append(filled("glossary.html", first=first, second=second))
+    if report.notes:
+        parts.append(
+            '<div class="notes">' + "".join(f"<p>{escape(note)}</p>" for note in report.notes) + "</div>"
+        )
+    if any(plots):
+        parts.append(together)
+    for number, (log, figures) in enumerate(zip(report.logs, plots, strict=True)):
+        if not (figures or log.segments):
+            continue
+        parts.append(f"<section><h2>{breakable(log.name)}</h2>{drawn_figures(figures, f'l{number}')}")
+        if log.segments:
+            parts.append(f"<h3>{escape(segment_words(report).capitalize())}</h3>")
+            parts.append(_html_table(segment_table(report), log.segments))
+        parts.append("</section>")
+    if model_plots:
+        parts.append(f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>")
+    if program:
+        parts.append(f"<footer>{escape(program)}</footer>")
+    return page_of(title, parts)
+
+
+def page_of(title: str, parts: Sequence[str]) -> str:
+    """Return a whole page of parts that are HTML already."""
+    return filled("page.html", title=escape(title), style=filled("page.css"), body="\n".join(parts))
+
+
+def filled(name: str, **values: str) -> str:
+    """Return a file that lies beside this module, its ``$names`` replaced."""
+    return Template(Path(__file__).with_name(name).read_text("utf-8")).substitute(values)
+
+
+def _html_table(columns: Sequence[Column], parts: Sequence[Any], chief: int = 2) -> str:
+    shown = [column for column in columns if column.long]
+    return html_table(
+        [column.long for column in shown], [[c.cell(part) for c in shown] for part in parts], chief
+    )
+
+
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -> str:
+    """Return a table whose cells know their heading, so that a narrow screen can show a row as a card."""
+    cells = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    lines = []
+    for row in rows:
+        line = ""
+        for number, (title, cell) in enumerate(zip(head, row, strict=True)):
+            mark = ' class="chief"' if number == chief else ""
+            content = breakable(cell) if number == 0 else escape(cell)
+            line += f'<td{mark} data-label="{escape(title)}">{content}</td>'
+        lines.append(f"<tr>{line}</tr>")
+    body = "\n".join(lines)
+    return f"<table><thead><tr>{cells}</tr></thead><tbody>\n{body}\n</tbody></table>"
+
+
+def breakable(name: str) -> str:
+    """Return a name as HTML that breaks, where it must, behind a separator; a short one does not break."""
+    if len(name) <= UNBROKEN:
+        return f'<span class="name">{escape(name)}</span>'
+    pieces = []
+    for piece in re.split(r"(?<=[/\\_. -])", name):
+        pieces += [piece[start : start + UNBROKEN] for start in range(0, len(piece), UNBROKEN)]
+    return "<wbr>".join(f'<span class="name">{escape(piece)}</span>' for piece in pieces if piece)
+
+
+def drawn_figures(plots: Sequence[Plot], scope: str) -> str:
+    """Return figures as part of a page; ``scope`` keeps their ids apart."""
+    drawn = []
+    for plot in plots:
+        image = draw(plot, "inline", scope=scope).decode()
+        drawn.append(f"<figure><figcaption>{escape(plot.title)}</figcaption>{image}</figure>")
+    return '<div class="figures">' + "\n".join(drawn) + "</div>" if drawn else ""

@@ -1,4 +1,4 @@
-"""What a report says about one or several logs, as values; ``renderers`` and ``page`` turn them into text.
+"""What a report says about one or several logs, as values; ``renderers`` turns them into text.
 
 A stream of ``PairBlock`` is all it needs: logs larger than memory are fine, and so is a prediction that a
 model makes block by block (then ``labels`` is ``("model", "measured")``). To compare, for each log::
@@ -20,7 +20,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.request import Rows
 from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
-from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
 from dbo_cli.records import dataclass
 from dbo_cli.reports.running_statistics import BATCH, Floats, comparable

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set
-from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.channels import is_pattern
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, parse_rows
+from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, parse_address, parse_rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
 from dbo_cli.remarks import DboWarning
-from dbo_cli.runs.model import Model, record_of
+from dbo_cli.runs.files import recording_wishes, short_names
+from dbo_cli.runs.model import Model, identify_set, read_model_set, record_of
 from dbo_cli.runs.model import read_model as read_single_model
-from dbo_cli.runs.roles import recording_wishes, short_names
 
 if TYPE_CHECKING:
     import pandas
@@ -178,8 +177,6 @@ def _identified(asked: IdentifyRun, jobs: int) -> Any:
     from dbo_cli.runs.identifying import identify_recordings
 
     if is_pattern(asked.voltage) or is_pattern(asked.displacement):
-        from dbo_cli.runs.model_set import identify_set
-
         return identify_set(asked, jobs)
     asked.refuse_channels_options()
     kept = None if asked.prior is None else _model(asked.prior).actuator
@@ -210,8 +207,6 @@ def read_model(path: str | os.PathLike[str]) -> Any:
         The file cannot be read, is no model, or contradicts itself; the message names file and key.
     """
     if is_set(os.fspath(path)):
-        from dbo_cli.runs.model_set import read_model_set
-
         return read_model_set(path)
     return read_single_model(path)
 

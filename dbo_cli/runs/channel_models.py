@@ -17,8 +17,7 @@ from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
-from dbo_cli.logs.addresses import Address, Given, check_document
-from dbo_cli.logs.reading_options import ALL_ROWS
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass

@@ -14,10 +14,9 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
-from dbo_cli.logs.addresses import Address, Given, parse_output
 from dbo_cli.logs.channels import PLACE, ChannelReader, column_of, is_matrix
-from dbo_cli.logs.out_column import OutColumn
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, parse_output
 from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
@@ -36,9 +35,8 @@ from dbo_cli.runs.channels import (
     patterns_of,
     sum_up_remarks,
 )
-from dbo_cli.runs.files import Destination, SignalRun, check_order
+from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish
 from dbo_cli.runs.jobs import Done, Outcome, Work
-from dbo_cli.runs.roles import bring_to, quantity_wish
 
 _ROWS = 1 << 12  # of a table of channels, written at a time; chosen, bounds the memory
 

@@ -14,10 +14,9 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
-from dbo_cli.logs.addresses import Address, parse_address
 from dbo_cli.logs.channels import ChannelReader, channels_of, column_of, is_pattern
 from dbo_cli.logs.columns import TIME_NAMES, column_info
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import Address, ReadingOptions, parse_address
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import all_or_none, make_folder

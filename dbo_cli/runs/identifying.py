@@ -17,16 +17,17 @@ from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model
-from dbo_cli.logs.addresses import (
+from dbo_cli.logs.columns import is_order
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.request import (
+    ALL_ROWS,
     Address,
+    ReadingOptions,
     check_document,
     check_format,
     selected_files,
     without_folder,
 )
-from dbo_cli.logs.columns import is_order
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
@@ -34,7 +35,7 @@ from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs.roles import bring_to, opened, recording_wishes, short_names
+from dbo_cli.runs.files import bring_to, opened, recording_wishes, short_names
 from dbo_cli.version import program_version_string
 
 

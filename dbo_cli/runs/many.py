@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dbo_cli.errors import UsageError
-from dbo_cli.logs.addresses import Address
+from dbo_cli.logs.request import Address
 from dbo_cli.logs.whole_output import check_outputs
 from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.files import Destination, SignalRun

@@ -17,9 +17,16 @@ from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
-from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.columns import ColumnWish, wish
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    Address,
+    Given,
+    ReadingOptions,
+    Rows,
+    check_document,
+    selected_files,
+)
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
@@ -30,8 +37,8 @@ from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch, rows_to_read
 from dbo_cli.runs.channels import columns_of, models_by_channel, opened_readers, patterns_of, sum_up_remarks
+from dbo_cli.runs.files import bring_to, opened, short_names
 from dbo_cli.runs.jobs import Outcome, Work, spread_line
-from dbo_cli.runs.roles import bring_to, opened, short_names
 from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
@@ -296,7 +303,7 @@ class TrackingReport:
         """Return the report as one self-contained page with its figures."""
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
-        from dbo_cli.reports.page import to_html
+        from dbo_cli.reports.renderers import to_html
 
         return to_html(
             self.report,
@@ -588,7 +595,7 @@ def _write(asked: ReportRun, report: Report, form: str, inputs: Sequence[Given])
     if asked.figures is not None:
         save(plots, Path(asked.figures), "channels")
     if form == "html":
-        from dbo_cli.reports.page import to_html
+        from dbo_cli.reports.renderers import to_html
 
         none = [()] * len(report.logs)
         page = to_html(report, none, comparison_plots=plots, program=program_version_string()).encode()

@@ -13,7 +13,7 @@ from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, P
 from dbo_cli.hysteresis.model_file import section_values
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.logs.addresses import Address, check_document
+from dbo_cli.logs.request import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen

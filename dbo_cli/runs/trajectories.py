@@ -16,8 +16,9 @@ from dbo_cli.drives.shapes import TrajectoryOptions, move
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import read_model
-from dbo_cli.logs.addresses import check_format
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.request import check_format
+from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dbo_cli.hysteresis.identification.identify import identify
-from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import Recording
-from dbo_cli.hysteresis.identification.static import Identification
+from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions
 
 __all__ = ["Identification", "IdentificationOptions", "Recording", "identify"]

@@ -26,21 +26,24 @@ from scipy.optimize import nnls
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
-from dbo_cli.hysteresis.identification.dynamics_choice import (
+from dbo_cli.hysteresis.identification.dynamics_fit import (
     EARNED,
     MOST_RESONANCES,
     TRUSTED,
+    Band,
+    Candidate,
+    Signals,
     chosen_dynamics,
+    fitted,
     interval,
     one_more,
+    residuals,
     response,
     said,
     trusted,
     with_delay,
 )
-from dbo_cli.hysteresis.identification.dynamics_fit import Band, Candidate, Signals, fitted, residuals
 from dbo_cli.hysteresis.identification.evaluation import predict, validated, validation_of
-from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import (
     FastPart,
     Floats,
@@ -49,7 +52,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     grid_step,
     split,
 )
-from dbo_cli.hysteresis.identification.static import Identification, identify_static
+from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions, identify_static
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
 from dbo_cli.records import dataclass
 

@@ -33,9 +33,10 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.refinement import Fitted, corners, stages_of
-from dbo_cli.hysteresis.identification.regressors import LENGTHS, Basis
 from dbo_cli.hysteresis.identification.search import Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import (
+    LENGTHS,
+    Basis,
     PreparedLog,
     fewer_rows,
     gather,

@@ -25,7 +25,6 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validation_of,
 )
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve
-from dbo_cli.hysteresis.identification.options import IdentificationOptions
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
     Recording,
@@ -34,9 +33,8 @@ from dbo_cli.hysteresis.identification.recordings import (
     widest_first,
 )
 from dbo_cli.hysteresis.identification.refinement import corners, zero_shift
-from dbo_cli.hysteresis.identification.regressors import Basis
-from dbo_cli.hysteresis.identification.static import Identification, identify_static
-from dbo_cli.hysteresis.identification.statistics import PreparedLog, gather
+from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions, identify_static
+from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,

@@ -15,7 +15,6 @@ import numpy as np
 
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned
-from dbo_cli.hysteresis.identification.drift import drift_order
 from dbo_cli.hysteresis.identification.evaluation import (
     beyond_noise,
     predict,
@@ -23,8 +22,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validated,
     validation_of,
 )
-from dbo_cli.hysteresis.identification.options import IdentificationOptions
-from dbo_cli.hysteresis.identification.preparation import STARTS
+from dbo_cli.hysteresis.identification.preparation import STARTS, drift_order
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
     KNOWN_PAST,
@@ -36,9 +34,9 @@ from dbo_cli.hysteresis.identification.recordings import (
     median_cycle_seconds,
     without_voltage_glitches,
 )
-from dbo_cli.hysteresis.identification.regressors import drift_columns
 from dbo_cli.hysteresis.identification.search import LONGEST_DELAY
-from dbo_cli.hysteresis.identification.static import Identification
+from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions
+from dbo_cli.hysteresis.identification.statistics import drift_columns
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
 from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
 from dbo_cli.records import dataclass

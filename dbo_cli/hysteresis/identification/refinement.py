@@ -30,13 +30,14 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
-from dbo_cli.hysteresis.identification.regressors import Basis, hat_functions
 from dbo_cli.hysteresis.identification.statistics import (
     FIT_ROWS,
+    Basis,
     Linearise,
     PreparedLog,
     fewer_rows,
     gather,
+    hat_functions,
 )
 from dbo_cli.hysteresis.model import (
     ActuatorModel,

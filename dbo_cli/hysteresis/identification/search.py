@@ -14,13 +14,15 @@ from dbo_cli.hysteresis.identification.normal_equations import (
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats
-from dbo_cli.hysteresis.identification.regressors import LENGTHS, Basis, relaxed_drive
 from dbo_cli.hysteresis.identification.statistics import (
+    LENGTHS,
+    Basis,
     PreparedLog,
     Statistics,
     fewer_rows,
     gather,
     groups_left_out,
+    relaxed_drive,
 )
 from dbo_cli.records import dataclass
 

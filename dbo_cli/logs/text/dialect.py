@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import counted, decoded, pattern
-from dbo_cli.logs.reading_options import BLANKS, FILL_GAPS, ReadingOptions
+from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
 from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
 from dbo_cli.logs.units import is_known_unit
 from dbo_cli.records import dataclass
@@ -189,7 +189,7 @@ def _writings(rows: list[list[str]], shape: _Shape) -> tuple[str, ...]:
     others = sorted(set(range(shape.width)) - shape.numeric)
     if not others:
         return ()
-    from dbo_cli.logs.stated_clock import writing_of
+    from dbo_cli.logs.text.lines import writing_of
 
     rows = [row for row in rows if len(row) >= shape.width]
     found = {column: writing_of([row[column] for row in rows]) for column in others}

@@ -13,9 +13,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.plain_text import decoded
-from dbo_cli.logs.reading_options import BLANKS, ReadingOptions
-from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
+from dbo_cli.logs.request import BLANKS, ReadingOptions
 from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect
 from dbo_cli.logs.text.lines import END_OF_HEADER, find_header_block, is_number, split_cells
 from dbo_cli.records import dataclass

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import ByteSource, Request
+from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import counted, decoded, pattern
-from dbo_cli.logs.reading_options import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Rows, remedy_for
+from dbo_cli.logs.request import ALL_ROWS, BLANKS, PIPE_ROWS, ReadingOptions, Request, Rows, remedy_for
 from dbo_cli.logs.sample_block import (
     TIME,
     ColumnInfo,
@@ -119,7 +119,7 @@ class TextTable(Table):
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
         if self._header is None:
             return None, 0.0
-        from dbo_cli.logs.stated_clock import agreed_rate
+        from dbo_cli.logs.clock import agreed_rate
 
         return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
 
@@ -557,7 +557,7 @@ def _parse_plain(
 
 
 def _stamp_reader(written: str) -> Callable[[str], float | None]:
-    from dbo_cli.logs.stated_clock import READERS
+    from dbo_cli.logs.text.lines import READERS
 
     return READERS[written]
 
