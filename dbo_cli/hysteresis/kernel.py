@@ -231,6 +231,15 @@ def _remember(held: list[float], decay: list[float], drive: float) -> None:
         held[j] = a * held[j] + (1.0 - a) * drive
 
 
+def _known_part(weights: list[float], held: list[float], decay: list[float]) -> tuple[float, float]:
+    """Return what the terms keep of the past, and their part kappa of the present output."""
+    remembered = kappa = 0.0
+    for c, memory, a in zip(weights, held, decay, strict=True):
+        remembered += c * (a * memory)
+        kappa += c * (1.0 - a)
+    return remembered, kappa
+
+
 def window(low: float, high: float, step: float | None, last: float | None) -> tuple[float, float]:
     """Return the output limits of one sample; the range wins over the slew limit."""
     if step is None or last is None or math.isnan(last):
@@ -302,9 +311,7 @@ def backlash_run(
             for c, term in zip(weights, held, strict=True):
                 remembered += c * term
         elif weights:
-            for c, term, kept in zip(weights, held, a, strict=True):
-                remembered += c * (kept * term)
-                kappa += c * (1.0 - kept)
+            remembered, kappa = _known_part(weights, held, a)
             u = (u - remembered) - kappa * (y0 - reference)
         excess = -1.0
         if limited:
