@@ -312,7 +312,7 @@ FAULTS: list[Fault] = [
         ("inside &= block.time >= onward[:-1]", "pass", "a recording's clock that steps back"),
         ("(self.count == 0 and not block.time[0] < 0.0)", "not block.time[0] < 0.0",
          "a conditioning sweep that ends with a block"),
-        ('int(np.searchsorted(numbers, last, side="right"))', 'int(np.searchsorted(numbers, last, side="left"))',
+        ("part = block.within(rows)", "part = block.within((rows[0], rows[1] and rows[1] - 1))",
          "the last row asked for counts"),
     ),
     *_faults(
@@ -508,7 +508,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "reports/sample_pairs.py",
         ("settling", "cli_shell"),
-        ("held = block.only(~new & (time - start", "held = block.only((time - start",
+        ("held = _only(block, ~new & (time - start", "held = _only(block, (time - start",
          "the first row of a level is not one at which it has been held"),
     ),
     *_faults(
