@@ -133,7 +133,7 @@ FAULTS: list[Fault] = [
          "the inverse exchanges the origins (18)"),
         ("if target - low >= high - target - CROSSING_TOLERANCE * span:", "if target - low >= high - target:",
          "a tie of the settled state is decided by a tolerance"),
-        ("first_outside=self.first_outside + samples if self.outside else 0,", "first_outside=self.first_outside,",
+        ("self.first_outside if known[0] else later.first_outside + samples", "later.first_outside + samples",
          "the first sample outside is named by its place in the block"),
         ("factors = np.zeros((1, self._gain.size))", "factors = np.ones((1, self._gain.size))",
          "relaxation is at rest at the first sample"),

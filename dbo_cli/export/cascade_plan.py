@@ -47,11 +47,6 @@ class CascadePlan:
         return self.model.direction
 
     @property
-    def drive(self) -> Quantity:
-        """The drive: the input of a forward model, the output of an inverse."""
-        return self.model.output if self.direction == "inverse" else self.model.input
-
-    @property
     def backlash(self) -> DiscreteBacklashOperator:
         """The backlash stage in that direction."""
         return self.model.backlash
@@ -136,7 +131,7 @@ class CascadePlan:
     @property
     def trimmed_drive(self) -> float:
         """The drive that the self-test resets to: a little below the middle, inside of a gear."""
-        return self.drive.minimum + 0.37 * self.drive.span
+        return self.model.drive.minimum + 0.37 * self.model.drive.span
 
     def empty_state(self) -> ModelState:
         """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""

@@ -85,7 +85,7 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         "SPARE_STATE": str(covered.spare_bits),
         "LOWEST_DRIVE": c.hex_double(covered.operator.x0),
         "FIRST_OUTPUT": c.hex_double(plan.first_output),
-        "REACH": ignored_beyond(plan.model.input), "DRIVE_REACH": ignored_beyond(plan.drive),
+        "REACH": ignored_beyond(plan.model.input), "DRIVE_REACH": ignored_beyond(plan.model.drive),
         "LOWEST_OUTPUT": c.hex_double(plan.limits.v_min) if plan.limits else "",
         "HIGHEST_OUTPUT": c.hex_double(plan.limits.v_max) if plan.limits else "",
         "tables": parts.tables, "drive_steps": parts.drive, "step": parts.undo + step + parts.dynamics,

@@ -164,7 +164,7 @@ def _summary(
     # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
     passes = 1 if plan.direction == "forward" else 2 if plan.model.drive_lag is None else 3
     worst = worst_pass(plan.backlash.n, run, arithmetic)
-    beyond = "" if plan.limits is None else plan.limits.beyond(plan.drive)
+    beyond = "" if plan.limits is None else plan.limits.beyond(plan.model.drive)
     return ExportSummary(
         folder=folder, name=name, direction=plan.direction, arithmetic=arithmetic, files=(),
         gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
@@ -193,7 +193,7 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
 def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
     """Return what the caller must know or do."""
     found: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.backlash.n)}
-    drive, forward = plan.drive, plan.model if plan.direction == "forward" else plan.model.inverse()
+    drive, forward = plan.model.drive, plan.model if plan.direction == "forward" else plan.model.inverse()
     if plan.time_step is not None:
         steps = round(plan.read_ahead / plan.time_step, 6)
         found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"

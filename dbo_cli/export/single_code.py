@@ -281,13 +281,13 @@ def _limits(
     limits, inner = plan.limits, plan.inner_limits
     if limits is None or inner is None:
         return None, None, None
-    clip = _count_clip(limits, plan.drive) if q31 else _float_clip(limits)
+    clip = _count_clip(limits, plan.model.drive) if q31 else _float_clip(limits)
     if not clip[0] < clip[1]:
         raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
     change, step = None, -1.0
     if limits.max_slew is not None and plan.slew_step is not None and plan.time_step is not None:
         asked = limits.max_slew * plan.time_step
-        change, reached = _count_change(asked, plan.drive) if q31 else _float_change(asked, clip)
+        change, reached = _count_change(asked, plan.model.drive) if q31 else _float_change(asked, clip)
         step = plan.slew_step * (reached / asked) / axes.y_unit
         if step < 4.0:
             raise ModelError(
@@ -498,8 +498,8 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
-        "CHANGE": "" if t.change is None else text(t.change), "DRIVE_REACH": f"{ignored_beyond(plan.drive)}F",
-        "REACH": f"{ignored_beyond(plan.model.input)}F",
+        "CHANGE": "" if t.change is None else text(t.change), "REACH": f"{ignored_beyond(plan.model.input)}F",
+        "DRIVE_REACH": f"{ignored_beyond(plan.model.drive)}F",
         "Y_SHIFT": str(t.y_shift),
     }  # fmt: skip
     for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
@@ -563,7 +563,7 @@ def _between(t: SingleTables, text: Text) -> str:
 def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
     """Return two runs, computed by the readable twin of the kernel."""
     source, found = plan.model.input, []
-    start = to_counts(plan.trimmed_drive, plan.drive) if t.q31 else F(plan.trimmed_drive)
+    start = to_counts(plan.trimmed_drive, plan.model.drive) if t.q31 else F(plan.trimmed_drive)
     for seed, reset in enumerate((None, start), 1):
         moves = self_test_moves(source.minimum, source.maximum, seed)
         inputs: list[Any] = [to_counts(v, source) if t.q31 else F(v) for v in moves.tolist()]

@@ -20,7 +20,7 @@ from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import MemoryFree, least_slope, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
 from dbo_cli.hysteresis.kernel import window
-from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
+from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscreteBacklashOperator, Outside
 
 Floats = NDArray[np.float64]
@@ -105,8 +105,8 @@ class Prompt(Protocol):
         """See ``ActuatorModel.has_gears``."""
 
     @property
-    def drive_span(self) -> float:
-        """See ``ActuatorModel.drive_span``."""
+    def drive(self) -> Quantity:
+        """See ``ActuatorModel.drive``."""
 
     @property
     def forward_backlash(self) -> DiscreteBacklashOperator:
@@ -163,7 +163,7 @@ def _limited(rest: Prompt, block: Block, state: ModelState) -> Simulated:
             side *= rest.has_gears  # how far these go on without the inverse is known of gears alone
             count = FIRST_CHUNK
         found = Counts(done.outside_count, done.first_outside, done.clipped_count, done.first_clipped)
-        total, missed = total + found.shifted(at), missed or done.first_missed
+        total, missed = total.then(found, at), missed or done.first_missed
         drives.append(np.clip(done.y, block.limits.v_min, block.limits.v_max))
         state, at = done.state, at + done.y.size
     return Simulated(np.concatenate(drives), state, *total, missed)
@@ -224,7 +224,7 @@ def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
         drive = w if state.drive_lag is None else u + ((w - p) - part * (u - p)) / rise
         drive = min(max(drive, bounds[0]), bounds[1])
     drive = min(max(drive, block.limits.v_min), block.limits.v_max)
-    clipped = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive_span)
+    clipped = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive.span)
     held = replace(done.state, drive_lag=((w, 0.0, drive),))
     return Simulated(np.array([drive]), held, done.outside_count, 0, int(clipped), 0, done.first_missed), side
 
@@ -301,7 +301,7 @@ def _clearly_held(
     Near the ends of the gears a sample counts as outside by how far the demand goes beyond them, which only
     the inverse knows, unless the model does not cover the demand anyhow.
     """
-    gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive_span
+    gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive.span
     missing = (through(rest.head, block.x) - y) * (side * _sense(rest))
     slope = float(gears.gears[:, 2].max()) + (sum(gears.relaxation.gain) if gears.relaxation else 0.0)
     outer = math.prod(least_slope(stage) for stage in rest.tail)
@@ -310,5 +310,4 @@ def _clearly_held(
     low, high = gears.x_range
     inside = (inner > low + tolerance) & (inner < high - tolerance)
     beyond = (missing * outer / slope > unclear) & (room > unclear)
-    held: NDArray[np.bool_] = beyond & (inside | rest.uncovered(block.x))
-    return held
+    return beyond & (inside | rest.uncovered(block.x))

@@ -380,8 +380,7 @@ def sweep(
     rest = round(SETTLE * sample_rate)
     up = swings([v_min, middle, middle], [way, rest])
     down = swings([middle, middle, v_min, v_min], [rest, way, rest])
-    voltage: Floats = np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * turns), down])
-    return voltage
+    return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * turns), down])
 
 
 def _check(span: float, sample_rate: float, sweep_to: float, crest: float, max_slew: float | None) -> None:

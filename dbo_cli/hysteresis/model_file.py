@@ -505,7 +505,7 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         **model.state_values(state.backlash),
         "time": state.time,
         "drive": state.drive,
-        "delay": None if state.history is None else state.history.to_json_dict(),
+        "delay": state.history and {name: list(own) for name, own in vars(state.history).items()},
     }
     if state.dynamics is not None or state.undoing is not None:
         values["dynamics"] = _dynamics_values(state)
