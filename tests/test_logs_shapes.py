@@ -15,7 +15,8 @@ from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.text import text_table
 from dbo_cli.logs.text import text_table as parsing
-from dbo_cli.logs.text.instruments import InstrumentHeader, read_instrument_header
+from dbo_cli.logs.text.dialect import InstrumentHeader, detect
+from dbo_cli.logs.text.instruments import read_instrument_header
 from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.readable import READABLE, Shape
 
@@ -120,4 +121,5 @@ def test_what_is_taken_for_a_plain_log_has_no_instruments_header(tmp_path: Path)
     plain = [content for content in contents if text_table._PLAIN.fullmatch(content)]
     assert len(plain) > 10
     for content in plain:
-        assert read_instrument_header("log", content, ReadingOptions()) == InstrumentHeader()
+        header = read_instrument_header("log", content, ReadingOptions())
+        assert header == InstrumentHeader(detect("log", content, ReadingOptions()))
