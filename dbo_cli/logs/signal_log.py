@@ -514,10 +514,16 @@ class SignalLog(Source):
             check = TimeCheck(self.name, clock.periods())
         for raw in found:
             for start in range(0, len(raw.rows), most):
-                block = self._with_time(raw.part(start, start + most))
-                if block.time is not None and len(block.rows):
-                    first = block.time[0] if self._times is None else self._times[0]
-                    self._times = float(first), float(block.time[-1])
+                part = raw.part(start, start + most)
+                values, time = dict(part.values), None
+                if clock is not None:
+                    time = clock.seconds(values)
+                elif self.sample_rate is not None:
+                    rows = np.asarray(part.rows, dtype=np.float64)
+                    time = self._start_time + (rows - 1.0) / self.sample_rate
+                block = replace(part, time=time, values=self.in_units(values))
+                if time is not None and len(time):
+                    self._times = self._times[0] if self._times else float(time[0]), float(time[-1])
                     if check is not None:
                         check.feed(block)
                 self.rows_read += len(block.rows)
@@ -534,16 +540,6 @@ class SignalLog(Source):
         if (first, last) != ALL_ROWS:
             return f"`rows` {first}:{last or ''} is beyond the last data row"
         return "no good data row" if self._options.skip_bad else "no data rows"
-
-    def _with_time(self, raw: SampleBlock) -> SampleBlock:
-        """Take the time out of the columns, or make it from the sample rate; apply the scales."""
-        values = dict(raw.values)
-        time = None
-        if self._clock is not None:
-            time = self._clock.seconds(values)
-        elif self.sample_rate is not None:
-            time = self._start_time + (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
-        return SampleBlock(raw.rows, raw.lines, time, self.in_units(values))
 
 
 def _plain(value: float, digits: int = 4) -> str:

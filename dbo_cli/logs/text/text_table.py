@@ -90,8 +90,15 @@ class TextTable(Table):
         except BaseException:
             self.source.close()
             raise
-        self.dialect = self._header.dialect
-        self.columns = self._describe_columns()
+        self.dialect = found = self._header.dialect
+        units = found.units or ("",) * found.width
+        writings = found.writings or ("numbers",) * found.width
+        known = found.numeric | {number for number, how in enumerate(writings) if how != "numbers"}
+        names = found.headers or ["" if number in known else "(text)" for number in range(found.width)]
+        self.columns = [
+            replace(column_info(name, number, unit), written=how)
+            for number, (name, unit, how) in enumerate(zip(names, units, writings, strict=True), start=1)
+        ]
         self._small = live or (self._lines.ended and len(head) < PLAIN_BYTES)
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._ahead = self.source.is_regular and not (live or self._lines.ended)
@@ -170,15 +177,18 @@ class TextTable(Table):
 
     def _is_whole(self, last: bytes, parser: BlockParser) -> bool:
         """Judge a last line without its end: True with a note, False where it is dropped, or refuse it."""
-        line, row = decoded(last.removesuffix(b"\r")), parser.next_row
+        line, row, dialect = decoded(last.removesuffix(b"\r")), parser.next_row, self.dialect
         first, final = parser.rows
-        if is_comment(line, self.dialect.comments) or row < first or (final is not None and row > final):
+        if is_comment(line, dialect.comments) or row < first or (final is not None and row > final):
             return True
         place = f"{self.place}:{parser.next_line}"
-        cell = split_cells(line, self.dialect.delimiter)[-1]
-        above = last_cells(self._lines.above, self.dialect)
+        cell = split_cells(line, dialect.delimiter)[-1]
+        near = self._lines.above.split(b"\n")[1:-1][-_NEIGHBOURS:]
+        texts = [text for raw in near if not is_comment(text := decoded(raw), dialect.comments)]
+        rows = (split_cells(text, dialect.delimiter) for text in texts)
+        above = [cells[-1] for cells in rows if len(cells) == dialect.width]
         why = self.source.unfinished()
-        if why is None and not looks_cut(cell, above, self.dialect.decimal):
+        if why is None and not looks_cut(cell, above, dialect.decimal):
             self.notes.append(f"{place}: the last line has no line end: was the record cut there?")
             return True
         if why is None:
@@ -189,16 +199,6 @@ class TextTable(Table):
             raise InputError(f"{message} ({out}; end the line if it is whole)")
         parser.drop(message)
         return False
-
-    def _describe_columns(self) -> list[ColumnInfo]:
-        units = self.dialect.units or ("",) * self.dialect.width
-        written = self.dialect.writings or ("numbers",) * self.dialect.width
-        names = self.dialect.headers or [
-            "" if number in self.dialect.numeric or how != "numbers" else "(text)"
-            for number, how in enumerate(written)
-        ]
-        parts = enumerate(zip(names, units, written, strict=True), start=1)
-        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in parts]
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:
@@ -213,18 +213,6 @@ def _has_data(text: bytes, options: ReadingOptions) -> bool:
         for mark in marks
         for sign in ".,"
     )
-
-
-def last_cells(text: bytes, dialect: Dialect) -> list[str]:
-    """Return the last cells of the whole rows in the text above the last line, at most a hundred."""
-    cells = []
-    for raw in text.split(b"\n")[1:-1][-_NEIGHBOURS:]:
-        line = decoded(raw.removesuffix(b"\r"))
-        if not is_comment(line, dialect.comments):
-            row = split_cells(line, dialect.delimiter)
-            if len(row) == dialect.width:
-                cells.append(row[-1])
-    return cells
 
 
 # --- blocks of lines to arrays ------------------------------------------------------------------------
