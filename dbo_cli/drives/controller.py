@@ -321,6 +321,7 @@ class Controller:
         # A converter's code keeps the slew limit itself, since it may have to save up for it.
         self._planning = self._limits if dac is None else DriveLimits(self._limits.v_min, self._limits.v_max)
         self._inverse = model.inverse()
+        self._gears = self._inverse.backlash  # a model that has none is refused here
         self._start: StartName | ModelState = state
         self._last = None if from_ is None else in_unit("from_", from_, model.input.unit)
         if isinstance(state, ModelState):
@@ -553,7 +554,7 @@ class Controller:
             limits = DriveLimits(limits.v_min, limits.v_max)
         bound = inverse.output_limits(inverse.inner_limits(limits), self._step_seconds)
         last = math.nan if state.drive is None else state.drive
-        self._stepper = BacklashStepper(inverse.backlash, state.backlash, last, self._step_seconds, bound)
+        self._stepper = BacklashStepper(self._gears, state.backlash, last, self._step_seconds, bound)
 
     def _apply(self, volts: float) -> None:
         """Drive the forward model's gears by what was applied; the inverse goes on from their state."""
