@@ -295,6 +295,7 @@ def test_inline_figures_share_no_id_and_take_the_colours_of_the_page():
         Report.of([report.logs[0]] * 2, report.options, "um"),
         [plots, plots],
         model_plots=plots_of_model(model()),
+        program="dbo",
     )
     ids = re.findall(r' id="([^"]+)"', page)
     assert len(ids) == len(set(ids))
@@ -309,9 +310,9 @@ def test_inline_figures_share_no_id_and_take_the_colours_of_the_page():
 def test_page_is_self_contained_and_the_same_each_time():
     report, figure_data = log_of(3000)
     plots = plots_of_log(report, report.logs[0], figure_data)
-    page = to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
-    assert page == to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
-    assert "<title>A &lt; B &amp; C</title>" in page
+    page = to_html(report, [plots], title="A < B & C", program="dbo < 1")
+    assert page == to_html(report, [plots], title="A < B & C", program="dbo < 1")
+    assert "<title>A &lt; B &amp; C</title>" in page and "<footer>dbo &lt; 1</footer>" in page
     assert "<script" not in page
     outside = [
         link
@@ -453,7 +454,7 @@ def test_errors_of_all_logs_stand_in_one_figure():
     assert plot.title == "Error of the first 6 of 8 logs against time"
     assert plot.head == pytest.approx(5 * 0.17)
     own = plots_of_log(report, report.logs[0], figure_data[0])[1]
-    page = to_html(report, [[own], *[[]] * 7], comparison_plots=[plot])
+    page = to_html(report, [[own], *[[]] * 7], comparison_plots=[plot], program="dbo")
     assert page.count("<section>") == 1  # a log without figures and segments needs none
     assert page.index("Error of the first 6") < page.index("<section>")
 

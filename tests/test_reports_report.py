@@ -98,12 +98,6 @@ def test_json_numbers_read_back_exactly():
     assert log["lag_left_samples"] == report.logs[0].figures.lag_left
 
 
-def test_json_provenance_stands_last():
-    content = json.loads(to_json(report_of({"a.csv": 1.0}), {"program": "dbo 0.1.0"}))
-    assert list(content)[-1] == "provenance"
-    assert content["provenance"] == {"program": "dbo 0.1.0"}
-
-
 def test_csv_is_one_line_a_log():
     report = report_of({"a.csv": 1.0, "b, c.csv": 0.5}, rate=None)
     rows = list(csv.DictReader(io.StringIO(to_csv(report))))
