@@ -1,7 +1,8 @@
 """What a report says about one or several logs, as values; ``renderers`` turns them into text.
 
-A stream of ``PairBlock`` is all it needs: logs larger than memory are fine, and so is a prediction that a
-model makes block by block (then ``labels`` is ``("model", "measured")``). To compare, for each log::
+A stream of ``SampleBlock`` with the roles of ``sample_pairs`` is all it needs: logs larger than memory are
+fine, and so is a prediction that a model makes block by block (then ``labels`` is ``("model", "measured")``).
+To compare, for each log::
 
     merit = evaluate(name, blocks, options, unit="um", sample_rate=None, figure_data=FigureData() or None)
     report = Report.of([merit, ...], options, unit="um")
@@ -21,11 +22,11 @@ import numpy as np
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.request import Rows
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
 from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import PairBlock
 
 if TYPE_CHECKING:
     import pandas
@@ -162,7 +163,7 @@ def common_unit(units: Sequence[tuple[str, str | None]]) -> str | None:
 
 def evaluate(
     name: str,
-    blocks: Iterable[PairBlock],
+    blocks: Iterable[SampleBlock],
     options: ReportOptions,
     *,
     sample_rate: float | None = None,
@@ -176,7 +177,7 @@ def evaluate(
     ----------
     name : str
         What the log is called in messages and in the report.
-    blocks : iterable of PairBlock
+    blocks : iterable of SampleBlock
         The rows in order. To compare the rows A to B of two recorded signals, read
         ``rows_to_read((A, B), lag)``, so that the last desired rows find their measured ones too. A model's
         prediction depends on all that came before: run the model from the first row and give ``score_rows``.
@@ -262,7 +263,7 @@ class _Evaluation:
     figure_data: FigureData | None
     score_rows: Rows | None
 
-    def run(self, blocks: Iterable[PairBlock]) -> LogReport:
+    def run(self, blocks: Iterable[SampleBlock]) -> LogReport:
         """Take all blocks and return the figures."""
         name, options, figure_data = self.name, self.options, self.figure_data
         blocks, lag, notes = self._paired(blocks)
@@ -298,7 +299,7 @@ class _Evaluation:
             )
         return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
 
-    def _paired(self, blocks: Iterable[PairBlock]) -> tuple[Iterator[PairBlock], int, list[str]]:
+    def _paired(self, blocks: Iterable[SampleBlock]) -> tuple[Iterator[SampleBlock], int, list[str]]:
         """Return the pairs that count, their lag taken out, the lag and the notes on it."""
         lag, rows = self.options.lag, self.score_rows
         notes = []
@@ -310,7 +311,7 @@ class _Evaluation:
         pairs = sample_pairs.lagged(self.name, blocks, lag)
         return (pairs if rows is None else sample_pairs.scored(pairs, rows)), lag, notes
 
-    def _segmented(self, blocks: Iterator[PairBlock]) -> Iterator[PairBlock | None]:
+    def _segmented(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock | None]:
         segment = self.options.segment
         if segment is None:
             return blocks
@@ -325,11 +326,11 @@ class _Running:
         self.rows: tuple[int, int] | None = None
         self._name, self._rate = evaluation.name, evaluation.sample_rate
 
-    def add(self, part: PairBlock) -> None:
+    def add(self, part: SampleBlock) -> None:
         if len(part):
-            rows = part.row_numbers()
+            rows = sample_pairs.row_numbers(part)
             self.rows = (int(rows[0]) if self.rows is None else self.rows[0], int(rows[-1]))
-            self.metrics.add(part.desired, part.measured, row=rows, time=part.time)
+            self.metrics.add(part.values["desired"], part.values["measured"], row=rows, time=part.time)
 
     def result(self) -> TrackingFigures | None:
         figures = self.metrics.result()
@@ -350,8 +351,8 @@ class _Running:
 
 
 def cycles(
-    blocks: Iterable[PairBlock], part: float = 0.05, patience: int = PATIENCE
-) -> Iterator[PairBlock | None]:
+    blocks: Iterable[SampleBlock], part: float = 0.05, patience: int = PATIENCE
+) -> Iterator[SampleBlock | None]:
     """Yield the same samples, and None at the end of every cycle of the desired signal but the last.
 
     A cycle ends at a minimum. Turns smaller than ``part`` of the range seen so far are noise or rest and end
@@ -359,12 +360,12 @@ def cycles(
     most ``patience`` samples: a longer rest belongs to the cycle before it.
     """
     turns = _Turns(part)
-    held: list[PairBlock] = []
+    held: list[SampleBlock] = []
     start = end = 0  # stream positions of what is held
     for block in blocks:
         held.append(block)
         end += len(block)
-        for minimum in turns.minima(block.desired):
+        for minimum in turns.minima(block.values["desired"]):
             yield from sample_pairs.released(held, minimum - start)
             yield None
             start = max(start, minimum)
@@ -376,8 +377,8 @@ def cycles(
 
 
 def spans(
-    blocks: Iterable[PairBlock], seconds: float, sample_rate: float | None
-) -> Iterator[PairBlock | None]:
+    blocks: Iterable[SampleBlock], seconds: float, sample_rate: float | None
+) -> Iterator[SampleBlock | None]:
     """Yield the same samples, and None at the end of every span of ``seconds`` but the last.
 
     Without times, a span is ``seconds * sample_rate`` samples (UsageError where that is not known either).

@@ -281,7 +281,7 @@ def report(
     InputError, UsageError
         There is nothing to compare, or units differ; the options contradict each other.
     """
-    from dbo_cli.runs.reporting import TrackingRun, add_log
+    from dbo_cli.runs.reporting import TrackingRun
 
     logs = [] if measured is not None else _logs(wanted)
     asked = _tracking_options(options, logs, voltage, time)
@@ -295,7 +295,7 @@ def report(
     for number, one in enumerate(logs, 1):
         called = name if len(logs) < 2 else f"{name} {number}"
         shown = names.get(one) if isinstance(one, Address) else called
-        add_log(tracking, one, reading, asked, shown, time=time)
+        tracking.add(one, reading, asked, shown, time=time)
     return tracking.result()
 
 

@@ -17,7 +17,7 @@ from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs.channels import PLACE, ChannelReader, column_of, is_matrix
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, parse_output
-from dbo_cli.logs.sample_block import FloatArray, joined
+from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal, all_or_none, check_outputs, write_whole
@@ -176,10 +176,6 @@ def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[
     return found
 
 
-def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
-    return one is other or (one is not None and other is not None and np.array_equal(one, other))
-
-
 @dataclass
 class ChannelTable:
     """One output of all channels: columns that carry a channel's name, or (in HDF5, of matrices) matrices.
@@ -203,12 +199,13 @@ class ChannelTable:
         """Take the signal of a channel; matrices are written at once, columns wait for the others."""
         (signal,) = outputs.signals
         timed = signal.columns[0].header == "time_s"
-        time, arrays = (signal.arrays[0], signal.arrays[1:]) if timed else (None, signal.arrays)
+        time: Any = signal.arrays[0] if timed else None
+        arrays = signal.arrays[timed:]
         attributes = {key: value for key, value in signal.attributes.items() if key != "model_sha256"}
         signal = dataclasses.replace(signal, attributes=attributes)  # the models of all are not one
         if self._first is None:
             self._first, self._time = signal, time
-        elif len(arrays[0]) != len(self._first.arrays[0]) or not _same(time, self._time):
+        elif len(arrays[0]) != len(self._first.arrays[0]) or not np.array_equal(time, self._time):
             raise InputError(
                 f"channel {channel}: its {len(arrays[0]):,} rows are not at the times of the first channel's"
                 f" {len(self._first.arrays[0]):,}: write a file a channel (-o 'out/{CHANNEL}.csv')"

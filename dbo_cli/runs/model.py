@@ -587,14 +587,13 @@ def identify_set(asked: IdentifyRun, jobs: int) -> ModelSet:
     DboError
         As ``identify``, with the channel's name.
     """
-    from dbo_cli.runs.channel_models import ChannelFits
+    from dbo_cli.runs.channel_models import fits_of_channels
 
-    channels = ChannelFits(asked)
-    found = dict(channels.models(Work(jobs, all_needed=True), Outcome()))
+    found, coupling = fits_of_channels(asked, Work(jobs, all_needed=True), Outcome())
     models = {name: Model(one.model, one.summary, one.remarks) for name, one in found.items()}
     for text in summed_up({name: model.warnings for name, model in models.items()}, "channel"):
         warnings.warn(text, DboWarning, stacklevel=4)
-    return ModelSet(models, channels.coupling)
+    return ModelSet(models, coupling)
 
 
 def read_model_set(path: str | os.PathLike[str]) -> ModelSet:
