@@ -499,7 +499,7 @@ FAULTS: list[Fault] = [
          "weak slow bands do not stop learning"),
     ),
     *_faults(
-        "drives/lookahead.py",
+        "drives/controller.py",
         ("runs_controller",),
         ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",
          "the stated latency is the one that the drive has"),

@@ -20,7 +20,7 @@ import numpy as np
 from dbo_cli.drives.gate import DriveFigures, DriveGate
 from dbo_cli.drives.learning import write_history
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
-from dbo_cli.drives.options import DriveOptions, volts_a_unit
+from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.loops import slow_model
@@ -334,14 +334,21 @@ class Compensation(ModelRun):
                 f"{coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W (voltage times "
                 "current) on average"
             )
-        if warning := self._no_better():
-            remarks.warn(warning)
+        found = None if self.expected_rmse()[0] is None else self._move_error()
+        # Where clipping is the error, what is left of the move tells nothing of the logs.
+        if found is not None and not found.rmse < max(found.straight_line, self._lost_rms()):
+            unit = self.model.output.suffix
+            remarks.warn(
+                f"{name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than that of "
+                f"a straight line, {found.straight_line:.3g}{unit}: the logs do not tell what it asks"
+            )
         return remarks
 
     def _notes(self) -> Iterator[str]:
         """Say in which units limits are read, how the drive begins, where it may step, and what to expect."""
         unit, first, scale = self.output.suffix, self.drive.first, self.voltage_scale
-        if read := self.options.plain_in(self.model.input.unit):
+        asked = self.options
+        if read := plain_in(self.model.input.unit, asked.v_min, asked.v_max, asked.max_slew, asked.from_):
             yield read
         if first is not None and self.came_from is None:
             yield (
@@ -399,17 +406,6 @@ class Compensation(ModelRun):
         steps = [one for _, one in self.kept if one is not None]
         begin = min(self.rows_before, drive.size - 1)
         return move_error(self.model, drive, np.concatenate(steps) if steps else None, begin)
-
-    def _no_better(self) -> str:
-        """Warn where the expected error is no better than a straight line's."""
-        found = None if self.expected_rmse()[0] is None else self._move_error()
-        if found is None or found.rmse < max(found.straight_line, self._lost_rms()):
-            return ""  # where clipping is the error, what is left of the move tells nothing of the logs
-        unit = self.model.output.suffix
-        return (
-            f"{self.source.name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than "
-            f"that of a straight line, {found.straight_line:.3g}{unit}: the logs do not tell what it asks"
-        )
 
     def _clipping(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""

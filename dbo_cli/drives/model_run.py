@@ -190,7 +190,11 @@ class Inputs:
         low, high = self.input.minimum, self.input.maximum
         rest = iter(taken)
         first = next(rest, None)
-        memory = None if first is None else self._memory_at(first[0], inverter)
+        memory, start, late = None, self.start, 0.0
+        if first is not None and start is not None:
+            if start.time is not None and first[0].time is not None:
+                late = float(first[0].time[0]) - start.time
+            memory = start.memory_for(inverter) if late <= GAP_STEPS * inverter.time_step else None
         begun = memory is not None
 
         def counted() -> Iterator[tuple[Taken, FloatArray]]:
@@ -211,17 +215,6 @@ class Inputs:
                 self._corners += int(np.count_nonzero(asked & (x >= low) & (x <= high)))
             self.memory, self._ends_off = after, float(u[-1] - x[-1])
             yield block, u
-
-    def _memory_at(self, block: SampleBlock, inverter: DynamicsInverter) -> InverseMemory | None:
-        start = self.start
-        if start is None:
-            return None
-        if start.time is not None and block.time is not None:
-            if float(block.time[0]) - start.time > GAP_STEPS * inverter.time_step:
-                return None
-        if start.undoing is not None and start.undoing.time_step == inverter.time_step:
-            return start.undoing
-        return None if start.dynamics is None else inverter.memory_of(start.dynamics)
 
 
 def even_clock(

@@ -94,6 +94,9 @@ class Prompt(Protocol):
     def outer_drive(self, drive: float) -> float:
         """See ``ActuatorModel.outer_drive``."""
 
+    def drive_of(self, state: ModelState) -> float | None:
+        """See ``ActuatorModel.drive_of``."""
+
     def inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """See ``ActuatorModel.inner_limits``."""
 
@@ -175,7 +178,7 @@ def _free(rest: Prompt, block: Block, state: ModelState) -> Simulated:
     bad = (v < block.limits.v_min) | (v > block.limits.v_max)
     most = block.limits.largest_step(block.steps)
     if most is not None:
-        before = _last_drive(rest, state)
+        before = rest.drive_of(state)
         bad |= np.abs(np.diff(v, prepend=v[0] if before is None else before)) > most
     good = int(np.argmax(bad)) if bad.any() else v.size
     if good == 0:
@@ -193,20 +196,13 @@ def _unbounded(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
     return done._replace(state=replace(done.state, drive_lag=held)), v
 
 
-def _last_drive(rest: Prompt, state: ModelState) -> float | None:
-    """Return the drive before a block, from which a slew limit goes on."""
-    if state.drive_lag is not None:
-        return state.drive_lag[0][2]
-    return None if state.drive is None else rest.outer_drive(state.drive)
-
-
 def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, int]:
     """Return one sample whose drive is the bound that holds it back, and which one that is."""
     wanted = float(_unbounded(rest, block, state)[1][0])
     part, rise = block.numbers[0].tolist()
     most = block.limits.largest_step(block.steps)
     step = None if most is None else float(np.ravel(most)[0])
-    bounds = window(block.limits.v_min, block.limits.v_max, step, _last_drive(rest, state))
+    bounds = window(block.limits.v_min, block.limits.v_max, step, rest.drive_of(state))
     p, _, u = (0.0, 0.0, 0.0) if state.drive_lag is None else state.drive_lag[0]
     low, high = bounds
     if state.drive_lag is not None:  # else at rest at this sample: the lag passes on what it gets

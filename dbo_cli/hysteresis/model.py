@@ -244,10 +244,12 @@ class ActuatorModel:
         return dataclasses.replace(self, stages=kept)
 
     def drive_of(self, state: ModelState) -> float | None:
-        """Return the voltage at which a state of this forward model was left, where it knows."""
+        """Return the voltage at which a state was left, where it knows."""
         if state.drive_lag is not None:
             return state.drive_lag[0][2]
-        return None if state.drive is None else self.inverted.outer_drive(state.drive)
+        if state.drive is None:
+            return None
+        return (self if self.direction == "inverse" else self.inverted).outer_drive(state.drive)
 
     def displacement_of(self, state: ModelState) -> float:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
+from dbo_cli.hysteresis.model_file import relaxation_values
 from dbo_cli.hysteresis.operators import BacklashState, Floats, OutputLimits, Relaxation
 from dbo_cli.records import dataclass
 
@@ -337,11 +338,8 @@ class PlayOperator(OtherHysteresis):
             values |= {"by_rate": self.by_rate.tolist(), "fastest": self.fastest}
         if self.one_sided:
             values |= {"cubic": self.cubic, "linear": self.linear}
-        if self.relaxation is not None:
-            beside = {key: list(getattr(self.relaxation, key)) for key in ("tau", "gain")}
-            on = {"on": "output" if self.inverted else "input", "reference": self.relaxation.reference}
-            values["relaxation"] = on | beside
-        return values
+        beside = relaxation_values(self.relaxation, "output" if self.inverted else "input")
+        return values | ({"relaxation": beside} if beside else {})
 
     @cached_property
     def table(self) -> Floats:
