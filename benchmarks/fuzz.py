@@ -31,10 +31,10 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from dbo_cli.errors import DboError  # noqa: E402
-from dbo_cli.logs.columns import ColumnWish  # noqa: E402
-from dbo_cli.logs.reading_options import ReadingOptions, parse_rows  # noqa: E402
+from dbo_cli.logs.columns import ColumnWish, OutColumn  # noqa: E402
+from dbo_cli.logs.request import ReadingOptions, parse_rows  # noqa: E402
 from dbo_cli.logs.signal_log import open_log  # noqa: E402
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer  # noqa: E402
+from dbo_cli.logs.signal_writer import signal_writer  # noqa: E402
 from tests.shapes.readable import READABLE  # noqa: E402
 from tests.shapes.refusable import REFUSABLE  # noqa: E402
 

@@ -29,7 +29,7 @@ sys.path.insert(0, str(ROOT))
 
 from dbo_cli.errors import DboError  # noqa: E402
 from dbo_cli.logs.columns import wish  # noqa: E402
-from dbo_cli.logs.reading_options import ReadingOptions  # noqa: E402
+from dbo_cli.logs.request import ReadingOptions  # noqa: E402
 from dbo_cli.logs.signal_log import SignalLog, open_log  # noqa: E402
 
 # Written down apart from the program's own tables: what people write, and what it means.

@@ -34,7 +34,8 @@ class Run(NamedTuple):
 
 def write_log(path: Path, rows: int) -> None:
     """Write a drive of many amplitudes, part by part."""
-    from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+    from dbo_cli.logs.columns import OutColumn
+    from dbo_cli.logs.signal_writer import signal_writer
 
     with signal_writer(str(path), [OutColumn("time", "s"), OutColumn("voltage", "V")]) as writer:
         for start in range(0, rows, PART):

@@ -23,7 +23,7 @@ from dbo_cli.errors import DboError, InputError
 from dbo_cli.hysteresis.identification import Identification, IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions, Rows
+from dbo_cli.logs.request import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.whole_output import write_whole
@@ -33,7 +33,7 @@ from dbo_cli.reports.models import plots_of_model
 from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import PairBlock, rows_to_read
+from dbo_cli.reports.sample_pairs import rows_to_read, with_values
 from dbo_cli.reports.thinned_curves import FigureData
 from dbo_cli.version import program_version_string
 
@@ -94,20 +94,20 @@ def identified(path: Path) -> Identification:
     return identify([recording], options, [])
 
 
-def modelled(path: Path, model: ActuatorModel) -> Iterator[PairBlock]:
+def modelled(path: Path, model: ActuatorModel) -> Iterator[SampleBlock]:
     """Yield one cycle of the identification log beside the model, which has seen the cycle before."""
     first = CYCLE[0] - 200
     block = read(path, ("voltage", "measured"), (first, CYCLE[1]))
     voltage = block.values["voltage"]
     state = model.start(float(voltage[0]), "auto")
     output = model.simulate(voltage, state, time_step=1.0 / RATE).y
-    whole = PairBlock(block.rows, output, block.values["measured"], block.time, voltage)
+    whole = with_values(block, desired=output)
     yield whole.part(200, len(whole))
 
 
-def tracked(path: Path, rows: Rows) -> Iterator[PairBlock]:
+def tracked(path: Path, rows: Rows) -> Iterator[SampleBlock]:
     """Yield desired and measured displacement of the test log."""
-    yield PairBlock.of(read(path, ("desired", "measured", "voltage"), rows_to_read(rows, LAG)))
+    yield read(path, ("desired", "measured", "voltage"), rows_to_read(rows, LAG))
 
 
 def has_rows(path: Path, last: int) -> bool:
@@ -124,7 +124,9 @@ def numbered(plots: list[Plot], numbers: dict[str, int], folder: Path, note: str
     return chosen
 
 
-def evaluated(name: str, blocks: Iterator[PairBlock], options: ReportOptions) -> tuple[LogReport, FigureData]:
+def evaluated(
+    name: str, blocks: Iterator[SampleBlock], options: ReportOptions
+) -> tuple[LogReport, FigureData]:
     """Compare one log and keep what its figures need."""
     figure_data = FigureData("V")
     return evaluate(name, blocks, options, sample_rate=RATE, figure_data=figure_data), figure_data

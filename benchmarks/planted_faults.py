@@ -133,7 +133,7 @@ FAULTS: list[Fault] = [
          "the inverse exchanges the origins (18)"),
         ("if target - low >= high - target - CROSSING_TOLERANCE * span:", "if target - low >= high - target:",
          "a tie of the settled state is decided by a tolerance"),
-        ("first_outside=self.first_outside + samples if self.outside else 0,", "first_outside=self.first_outside,",
+        ("self.first_outside if known[0] else later.first_outside + samples", "later.first_outside + samples",
          "the first sample outside is named by its place in the block"),
         ("factors = np.zeros((1, self._gain.size))", "factors = np.ones((1, self._gain.size))",
          "relaxation is at rest at the first sample"),
@@ -312,7 +312,7 @@ FAULTS: list[Fault] = [
         ("inside &= block.time >= onward[:-1]", "pass", "a recording's clock that steps back"),
         ("(self.count == 0 and not block.time[0] < 0.0)", "not block.time[0] < 0.0",
          "a conditioning sweep that ends with a block"),
-        ('int(np.searchsorted(numbers, last, side="right"))', 'int(np.searchsorted(numbers, last, side="left"))',
+        ("part = block.within(rows)", "part = block.within((rows[0], rows[1] and rows[1] - 1))",
          "the last row asked for counts"),
     ),
     *_faults(
@@ -349,7 +349,7 @@ FAULTS: list[Fault] = [
         ("while unique.casefold() in taken:", "while unique in taken:", "file names differ where letters' size does not"),
     ),
     *_faults(
-        "logs/binary/library_files.py",
+        "logs/binary.py",
         ("logs_values",),
         ("return None if index and stored.is_integer() else source", "return source",
          "row numbers of pandas are no column"),
@@ -372,6 +372,10 @@ FAULTS: list[Fault] = [
         ("logs_changing_files",),
         ("now.st_size < self._largest or", "False or", "a text log that is cut while it is read"),
         ("now.st_mtime_ns != self._begun.st_mtime_ns)", "False)", "a text log that is written over while it is read"),
+    ),
+    *_faults(
+        "logs/request.py",
+        ("logs_changing_files",),
         ("return found.st_ino, found.st_size, found.st_mtime_ns", "return found.st_ino, found.st_size, 0",
          "a binary log that is written over while it is read"),
     ),
@@ -495,7 +499,7 @@ FAULTS: list[Fault] = [
          "weak slow bands do not stop learning"),
     ),
     *_faults(
-        "drives/lookahead.py",
+        "drives/controller.py",
         ("runs_controller",),
         ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",
          "the stated latency is the one that the drive has"),
@@ -504,7 +508,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "reports/sample_pairs.py",
         ("settling", "cli_shell"),
-        ("held = block.only(~new & (time - start", "held = block.only((time - start",
+        ("held = _only(block, ~new & (time - start", "held = _only(block, (time - start",
          "the first row of a level is not one at which it has been held"),
     ),
     *_faults(

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import write_whole
 
 READ = """

@@ -46,7 +46,8 @@ POLARS = (
 
 def write_log(path: Path, rows: int) -> None:
     """Write a drive of many amplitudes with full digits, as simulations and converted logs have them."""
-    from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+    from dbo_cli.logs.columns import OutColumn
+    from dbo_cli.logs.signal_writer import signal_writer
 
     time_s = np.arange(rows) / 2000.0
     drive = 50.0 + 50.0 * np.sin(0.7 * time_s) * np.cos(40.0 * time_s)
@@ -103,7 +104,7 @@ def whole_processes(folder: Path, rows: int) -> bool:
 
 def parsers(rows: int) -> None:
     """Show what each way of reading and writing costs inside a process."""
-    from dbo_cli.logs import out_column as numbers
+    from dbo_cli.logs import signal_writer as numbers
     from dbo_cli.logs.sample_block import ColumnInfo
     from dbo_cli.logs.text import text_table as parsing
     from dbo_cli.logs.text.dialect import Dialect

@@ -22,8 +22,7 @@ from dbo_cli.cli.commands import COMMANDS, Progress, Reporter
 from dbo_cli.cli.typer_adapter import root_command
 from dbo_cli.errors import FitError, InputError, LimitError, ModelError, OutputError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
-from dbo_cli.logs.addresses import parse_address
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions, parse_address
 from dbo_cli.runs.identifying import IdentifyRun
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -81,7 +81,7 @@ def test_blocks_of_any_size_give_the_same_bits(seed: int, cuts: list[int], relax
             part = None if decay is None else decay[begin:stop]
             y, state, found = one.run(signal[begin:stop], state, decay=part)
             parts.append(y)
-            total += found.shifted(begin)
+            total = total.then(found, begin)
         assert np.concatenate(parts).tobytes() == whole.tobytes()
         assert (state, total) == (end, counts)
 

@@ -16,7 +16,7 @@ import scipy.io
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
 ROWS = 300_000  # more than text that is read ahead, and several blocks

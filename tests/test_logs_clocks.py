@@ -11,16 +11,10 @@ import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.stated_clock import (
-    clock_seconds,
-    date_seconds,
-    minute_seconds,
-    stamp_seconds,
-    writing_of,
-)
+from dbo_cli.logs.text.lines import clock_seconds, date_seconds, minute_seconds, stamp_seconds, writing_of
 
 ROWS = 40
 STEP = 0.002

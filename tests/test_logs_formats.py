@@ -186,14 +186,14 @@ def test_a_damaged_file_reads_as_written_or_is_refused(data: st.DataObject) -> N
 
 
 def test_a_list_of_unlike_values_states_no_rate() -> None:
-    from dbo_cli.logs.binary.arrays import _statements
+    from dbo_cli.logs.binary import _statements
 
     stated = _statements({"signals": [{}, np.zeros(4)], "fs": 1000.0})
     assert [one.rate for one in stated] == [1000.0]
 
 
 def test_a_rate_of_unlike_lists_is_refused_in_words() -> None:
-    from dbo_cli.logs.stated_clock import read_statements
+    from dbo_cli.logs.clock import read_statements
 
     (stated,) = read_statements("fs", [1.0, [2.0, 3.0]])
     assert stated.problem == "'fs' (several values) is no single number"

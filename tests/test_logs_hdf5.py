@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, OutputError
-from dbo_cli.logs.columns import ColumnWish
+from dbo_cli.logs.columns import ColumnWish, OutColumn
 from dbo_cli.logs.hdf5.store import shuffled_deflated
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import signal_writer
 
 V = [0.0, 1.5, -2.5, 4.0]
 D = [10.25, 11.0, 9.125, 8.0]

@@ -13,7 +13,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
 X = np.arange(100.0)

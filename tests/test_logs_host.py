@@ -14,9 +14,9 @@ import polars
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import OutColumn, wish
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX files and signals")

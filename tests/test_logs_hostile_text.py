@@ -12,7 +12,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import ColumnWish, split_header
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
 HEADER = b"time_s,voltage_V\n"

@@ -11,7 +11,7 @@ import pytest
 from dbo_cli.cli.app import main
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from tests.shapes.format_files import D, T, V
 from tests.shapes.instrument_files import _TEK, TEK_T, TEK_V, beside, rows

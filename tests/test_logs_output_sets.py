@@ -17,8 +17,9 @@ import pytest
 
 from dbo_cli.cli.app import CommandProcess
 from dbo_cli.errors import OutputError, UsageError
-from dbo_cli.logs.addresses import check_document
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.request import check_document
+from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import (
     all_or_none,
     check_outputs,
@@ -170,7 +171,8 @@ def test_a_signal_among_the_renames_waits_until_all_are_done(
 def test_what_a_killed_writer_left_is_cleaned_up(tmp_path: Path) -> None:
     script = (
         "import os, sys\n"
-        "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
+        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.signal_writer import signal_writer\n"
         "with signal_writer(sys.argv[1], [OutColumn('time', 's')]) as writer:\n"
         "    writer.write([0.0] * 100_000)\n"
         "    os.kill(os.getpid(), 9)\n"
@@ -280,7 +282,8 @@ def test_what_stands_behind_standard_output_is_appended_to(tmp_path: Path, given
     (tmp_path / "link").symlink_to("/dev/stdout")
     script = (
         "import sys\n"
-        "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
+        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.signal_writer import signal_writer\n"
         "from dbo_cli.logs.whole_output import write_whole\n"
         "with signal_writer(sys.argv[1], [OutColumn('time', 's')]) as writer:\n"
         "    writer.write([1.0])\n"

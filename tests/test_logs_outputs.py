@@ -16,11 +16,10 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError, OutputError, UsageError
-from dbo_cli.logs.columns import wish
+from dbo_cli.logs.columns import OutColumn, wish
 from dbo_cli.logs.libraries import import_polars
-from dbo_cli.logs.out_column import _plain_rows, write_rows
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import _plain_rows, signal_writer, write_rows
 from dbo_cli.logs.whole_output import check_output, reason_of, write_whole
 
 COLUMNS = [OutColumn("time", "s"), OutColumn("voltage", "V")]
@@ -46,7 +45,8 @@ def test_a_signal_leaves_the_old_file_and_no_litter(name: str, number: int, tmp_
         "import sys, time, numpy\n"
         "from dbo_cli.cli.app import prepare_process\n"
         "prepare_process()\n"
-        "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
+        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.signal_writer import signal_writer\n"
         "with signal_writer(sys.argv[1], [OutColumn('voltage', 'V')]) as writer:\n"
         "    writer.write(numpy.zeros(100_000))\n"
         "    print('writing', flush=True)\n"
@@ -79,7 +79,8 @@ def test_a_full_disk_leaves_the_old_file_and_no_litter(name: str, tmp_path: Path
         "import resource, sys, numpy\n"
         "from dbo_cli.errors import OutputError\n"
         "from dbo_cli.logs.whole_output import write_whole\n"
-        "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
+        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.signal_writer import signal_writer\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "try:\n"
         "    if sys.argv[1].endswith('.json'):\n"
@@ -216,7 +217,8 @@ def test_a_device_is_written_directly(tmp_path: Path) -> None:
 def test_a_pipe_closed_early_stays_a_broken_pipe() -> None:
     script = (
         "import numpy\n"
-        "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
+        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.signal_writer import signal_writer\n"
         "import os, sys\n"
         "try:\n"
         "    with signal_writer('-', [OutColumn('voltage', 'V')]) as writer:\n"
@@ -238,7 +240,8 @@ def test_a_pipe_closed_early_stays_a_broken_pipe() -> None:
 def test_flush_hands_every_row_on(tmp_path: Path) -> None:
     script = (
         "import sys, numpy\n"
-        "from dbo_cli.logs.signal_writer import OutColumn, signal_writer\n"
+        "from dbo_cli.logs.columns import OutColumn\n"
+        "from dbo_cli.logs.signal_writer import signal_writer\n"
         "with signal_writer('-', [OutColumn('voltage', 'V')], flush=True) as writer:\n"
         "    for line in sys.stdin:\n"
         "        writer.write(numpy.array([float(line)]))\n"

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import columns, stated_clock, time_column
+from dbo_cli.logs import clock, columns, units
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import SignalLog, open_log
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -304,9 +304,9 @@ def test_the_page_on_instruments_lists_what_the_program_knows() -> None:
     assert row("desired", 1) == set(columns.DESIRED.by_unit)
     assert row("displacement, measured", 3) == columns.DISPLACEMENT.contrary
     assert row("voltage", 2) == columns.VOLTAGE.contrary
-    for unit, spellings in stated_clock.SPELLINGS.items():
+    for unit, spellings in units.SPELLINGS.items():
         assert row(unit) == set(spellings)
-    for calendar in (*time_column._CALENDARS, *time_column._DAY_CALENDARS):
+    for calendar in (*clock._CALENDARS, *clock._DAY_CALENDARS):
         assert f"| {calendar.name}" in page
 
 

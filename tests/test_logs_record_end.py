@@ -16,7 +16,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
 WANT = {"displacement": ColumnWish(None, ("displacement",), option="displacement")}
@@ -170,7 +170,7 @@ def test_a_file_on_standard_input_is_no_stream(tmp_path: Path) -> None:
     path.write_text("displacement_um\n10.5\n10.6")
     script = (
         "from dbo_cli.logs.columns import ColumnWish\n"
-        "from dbo_cli.logs.reading_options import ReadingOptions\n"
+        "from dbo_cli.logs.request import ReadingOptions\n"
         "from dbo_cli.logs.signal_log import open_log\n"
         "with open_log('-', {'d': ColumnWish('1')}, ReadingOptions()) as log:\n"
         "    print(log.read().values['d'].tolist(), log.notes)\n"

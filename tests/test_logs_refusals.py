@@ -9,7 +9,7 @@ import pytest
 
 from dbo_cli.errors import DboError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
+from dbo_cli.logs.request import ReadingOptions, parse_rows
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.text import text_table as parsing
 from tests.shapes.refusable import REFUSABLE, Refusal

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5 import store
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import signal_writer
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX locks")
 
@@ -38,7 +39,8 @@ APPENDERS = """
 import os, signal, sys, numpy
 from dbo_cli.errors import OutputError
 from dbo_cli.logs.hdf5 import store
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.signal_writer import signal_writer
 store._PATIENCE = store._QUEUE = 1e9  # on a busy machine another may hold the lock for long
 ready, go = os.pipe()
 running = []

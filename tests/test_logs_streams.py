@@ -17,12 +17,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.out_column import shortest, write_rows
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.columns import ColumnWish, OutColumn
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import shortest, signal_writer, write_rows
 from dbo_cli.logs.text import text_table as parsing
 from dbo_cli.logs.text.dialect import Dialect
 
@@ -31,7 +30,8 @@ ECHO = """
 import sys
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.signal_log import open_log
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.signal_writer import signal_writer
 live = sys.argv[1] == "live"
 with open_log("-", {"voltage": ColumnWish(None, ("voltage",))}, live=live, digest=True) as log:
     with signal_writer("-", [OutColumn("voltage", "V")], flush=live) as writer:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import ColumnWish
-from dbo_cli.logs.reading_options import ReadingOptions, parse_rows
+from dbo_cli.logs.request import ReadingOptions, parse_rows
 from dbo_cli.logs.sample_block import SampleBlock, TimeCheck, even_step, require_even, resampled
 from dbo_cli.logs.signal_log import open_log
 

@@ -10,7 +10,7 @@ import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import column_info, wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import Source
 from dbo_cli.logs.units import kind_of_unit, parse_scale, unit_factor

@@ -10,7 +10,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.signal_log import open_log
 
 WANT = {"voltage": wish("voltage"), "displacement": wish("displacement")}

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import OutputError
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.columns import OutColumn
+from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from tests import windows
 

@@ -24,13 +24,13 @@ from dbo_cli.hysteresis.identification.preparation import prepare
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DriveLimits
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import ModelState, OutsideError, Quantity
-from dbo_cli.hysteresis.operators import DiscretePointOperator, Relaxation
+from dbo_cli.hysteresis.operators import DiscretePointOperator, OutputLimits, Relaxation
 from dbo_cli.relatives import fitting
 from dbo_cli.relatives.fitting import RELATIVES, Design, Products, fit, gather, rows_of, solve
 from dbo_cli.relatives.judging import NAMES, compare
 from dbo_cli.relatives.play_model import RelativeModel, with_plays
-from dbo_cli.relatives.plays import KINDS, NOTHING, UNBOUND, Bounds, Kind, PlayOperator, PlayState
-from dbo_cli.runs.model import Model
+from dbo_cli.relatives.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
+from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
 COMPILED = kernel.compiled_kernel()
@@ -73,7 +73,7 @@ def shares(one: PlayOperator, seed: int, count: int = 400) -> Floats:
 def test_both_kernels_give_the_same_bits(kind: Kind, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     one = operator(kind, seed)
     x, share = drive(one.low, seed, 120), shares(one, seed, 120)
-    limits = Bounds(one.low + 0.1, 0.8, 1e-9, np.linspace(0.05, 0.4, 120))
+    limits = OutputLimits(one.low + 0.1, 0.8, np.linspace(0.05, 0.4, 120), 1e-9)
     found = []
     for chosen in (COMPILED, kernel.PythonKernel):
         monkeypatch.setattr(kernel, "CHOSEN", chosen)
@@ -202,7 +202,7 @@ def test_the_inverse_beside_memories_composes_to_the_identity(seed: int, known: 
     np.testing.assert_allclose(y, expected, rtol=0.0, atol=1e-13)
     assert memory == pytest.approx(held, abs=1e-13)
 
-    back, reached, clipped = one.solve_beside(y, begun, steps, UNBOUND, np.nan)
+    back, reached, clipped = one.solve_beside(y, begun, steps, OutputLimits(), None)
     assert np.abs(back - x).max() <= 1e-12 and clipped == (0, 0)
     again = one.run(back, np.array(begun.plays))[0] + one.remembered(back, begun.memory, steps)[0]
     assert np.abs(again - y).max() <= 1e-13 * np.abs(y).max()

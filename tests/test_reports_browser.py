@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from headless import Browser, find_browser
+from trials import pairs
 
 from dbo_cli.reports.figures import plots_of_log
 from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
-from dbo_cli.reports.sample_pairs import PairBlock
 from dbo_cli.reports.thinned_curves import FigureData
 
 PROGRAM = find_browser()
@@ -48,7 +48,7 @@ def page(tmp_path_factory) -> Path:
         time = np.arange(samples) / 100.0
         desired = 20.0 * np.sin(2.0 * np.pi * time / 20.0)
         figure_data = FigureData("V")
-        block = PairBlock(range(1, samples + 1), desired, 0.9 * desired - 12345.678, time, desired / 20.0)
+        block = pairs(range(1, samples + 1), desired, 0.9 * desired - 12345.678, time, desired / 20.0)
         logs.append(evaluate(name, [block], options, figure_data=figure_data))
         plots.append(figure_data)
     report = Report.of(logs, options, "um")

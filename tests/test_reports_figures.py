@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trials import pairs
 
 from dbo_cli.errors import OutputError
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
@@ -31,7 +32,6 @@ from dbo_cli.reports.models import loop_of, plots_of_model
 from dbo_cli.reports.renderers import breakable, to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
 from dbo_cli.reports.running_statistics import BATCH
-from dbo_cli.reports.sample_pairs import PairBlock
 from dbo_cli.reports.thinned_curves import (
     BUCKETS,
     PIXELS,
@@ -56,7 +56,7 @@ def log_of(samples, chunk=65536, drive=True, spike=None, options=None, unit="um"
     figure_data = FigureData("V")
     parts = (slice(start, start + chunk) for start in range(0, samples, chunk))
     blocks = (
-        PairBlock(
+        pairs(
             range(samples)[part],
             desired[part],
             measured[part],
@@ -198,7 +198,7 @@ def test_the_offset_is_taken_off_the_pixels_of_a_long_log():
 
     desired = 20.0 * np.sin(np.arange(20_000) / 300.0)
     data, options = FigureData("V"), ReportOptions(remove_offset=True)
-    block = PairBlock(range(1, 20_001), desired, desired + 1000.0, None, desired)
+    block = pairs(range(1, 20_001), desired, desired + 1000.0, None, desired)
     log = evaluate("far.csv", [block], options, figure_data=data)
     for plot in plots_of_log(Report.of([log], options, "um"), log, data):
         if plot.key in ("output", "loop"):
@@ -281,7 +281,7 @@ def test_every_logarithmic_axis_has_labels(ends: tuple[float, float]) -> None:
 
 def test_a_constant_log_can_be_drawn():
     figure_data = FigureData()
-    block = PairBlock(range(1, 101), np.full(100, 2.0), np.full(100, 2.0))
+    block = pairs(range(1, 101), np.full(100, 2.0), np.full(100, 2.0))
     log = evaluate("flat.csv", [block], ReportOptions(), figure_data=figure_data)
     report = Report.of([log], ReportOptions(), None)
     for plot in plots_of_log(report, log, figure_data):
@@ -295,6 +295,7 @@ def test_inline_figures_share_no_id_and_take_the_colours_of_the_page():
         Report.of([report.logs[0]] * 2, report.options, "um"),
         [plots, plots],
         model_plots=plots_of_model(model()),
+        program="dbo",
     )
     ids = re.findall(r' id="([^"]+)"', page)
     assert len(ids) == len(set(ids))
@@ -309,9 +310,9 @@ def test_inline_figures_share_no_id_and_take_the_colours_of_the_page():
 def test_page_is_self_contained_and_the_same_each_time():
     report, figure_data = log_of(3000)
     plots = plots_of_log(report, report.logs[0], figure_data)
-    page = to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
-    assert page == to_html(report, [plots], title="A < B & C", program="dbo 0.1.0")
-    assert "<title>A &lt; B &amp; C</title>" in page
+    page = to_html(report, [plots], title="A < B & C", program="dbo < 1")
+    assert page == to_html(report, [plots], title="A < B & C", program="dbo < 1")
+    assert "<title>A &lt; B &amp; C</title>" in page and "<footer>dbo &lt; 1</footer>" in page
     assert "<script" not in page
     outside = [
         link
@@ -453,7 +454,7 @@ def test_errors_of_all_logs_stand_in_one_figure():
     assert plot.title == "Error of the first 6 of 8 logs against time"
     assert plot.head == pytest.approx(5 * 0.17)
     own = plots_of_log(report, report.logs[0], figure_data[0])[1]
-    page = to_html(report, [[own], *[[]] * 7], comparison_plots=[plot])
+    page = to_html(report, [[own], *[[]] * 7], comparison_plots=[plot], program="dbo")
     assert page.count("<section>") == 1  # a log without figures and segments needs none
     assert page.index("Error of the first 6") < page.index("<section>")
 
@@ -531,7 +532,7 @@ def swept_log(to: float) -> tuple[Report, FigureData]:
     frequency = np.geomspace(1.0, to, time.size)
     desired = 10.0 * np.sin(2.0 * np.pi * np.cumsum(frequency) / 1000.0)
     figure_data = FigureData(None)
-    block = PairBlock(range(time.size), desired, desired * (1.0 + 1e-3 * frequency**2), time, None)
+    block = pairs(range(time.size), desired, desired * (1.0 + 1e-3 * frequency**2), time, None)
     options = ReportOptions(segment="cycles")
     log = evaluate("sweep.csv", [block], options, figure_data=figure_data)
     return Report.of([log], options, "um"), figure_data

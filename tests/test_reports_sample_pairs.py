@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from trials import pairs
 
+import dbo_cli as dbo
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import cycles, spans
-from dbo_cli.reports.sample_pairs import PairBlock, batched, find_lag, lagged, rows_to_read
+from dbo_cli.reports.sample_pairs import batched, find_lag, lagged, rows_to_read, with_values
 
 
 def blocks_of(desired, measured, chunk=7, time=None, first=1):
@@ -18,14 +20,14 @@ def blocks_of(desired, measured, chunk=7, time=None, first=1):
         stop = min(start + chunk, len(desired))
         rows = range(first + start, first + stop)
         clock = None if time is None else time[start:stop]
-        yield PairBlock(rows, desired[start:stop], measured[start:stop], clock, -desired[start:stop])
+        yield pairs(rows, desired[start:stop], measured[start:stop], clock, -desired[start:stop])
 
 
 def joined(blocks):
     blocks = list(blocks)
     return {
-        name: np.concatenate([getattr(block, name) for block in blocks])
-        for name in ("rows", "desired", "measured", "drive")
+        "rows": np.concatenate([block.rows for block in blocks]),
+        **{name: np.concatenate([block.values[name] for block in blocks]) for name in blocks[0].values},
     }
 
 
@@ -44,11 +46,11 @@ def lengths_of(parts):
 @settings(max_examples=60, derandomize=True, deadline=None)
 def test_lag_pairs_each_desired_sample_with_a_later_measured_one(lag, chunk):
     desired, measured = np.arange(50.0), np.arange(50.0) + 1000.0
-    pairs = joined(lagged("run.csv", blocks_of(desired, measured, chunk), lag))
-    assert np.array_equal(pairs["measured"] - 1000.0, pairs["desired"] + lag)
-    assert np.array_equal(pairs["rows"], pairs["desired"] + 1.0)
-    assert np.array_equal(pairs["drive"], -pairs["desired"])
-    assert len(pairs["rows"]) == 50 - abs(lag)
+    found = joined(lagged("run.csv", blocks_of(desired, measured, chunk), lag))
+    assert np.array_equal(found["measured"] - 1000.0, found["desired"] + lag)
+    assert np.array_equal(found["rows"], found["desired"] + 1.0)
+    assert np.array_equal(found["voltage"], -found["desired"])
+    assert len(found["rows"]) == 50 - abs(lag)
 
 
 @pytest.mark.parametrize("lag", [50, -50, 400])
@@ -66,12 +68,8 @@ def test_no_rows():
 
 
 def test_columns_of_different_length():
-    block = PairBlock(range(1, 6), np.zeros(5), np.zeros(4))
-    with pytest.raises(InputError) as caught:
-        list(lagged("run.h5", [block], 0))
-    assert str(caught.value) == (
-        "run.h5: desired has 5 samples, measured 4 (both must be recorded together, one for one)"
-    )
+    with pytest.raises(InputError, match=r"^`measured` has 4 samples where `desired` has 5$"):
+        dbo.report(np.zeros(5), np.zeros(4))
 
 
 @pytest.mark.parametrize(
@@ -90,14 +88,13 @@ def test_rows_count_desired_samples(rows, lag, read):
     assert rows_to_read(rows, lag) == read
 
 
-def test_a_pair_block_of_a_sample_block_copies_nothing():
+def test_a_prediction_takes_the_place_of_what_was_desired_and_nothing_is_copied():
     values = {"desired": np.zeros(5), "measured": np.ones(5), "voltage": np.ones(5)}
     block = SampleBlock(range(3, 8), None, np.arange(5.0), values)
-    pair = PairBlock.of(block)
-    assert pair.desired is values["desired"] and pair.measured is values["measured"]
-    assert pair.drive is values["voltage"] and pair.time is block.time and pair.rows is block.rows
     predicted = np.full(5, 7.0)
-    assert PairBlock.of(block, predicted).desired is predicted
+    pair = with_values(block, desired=predicted)
+    assert pair.values["desired"] is predicted and pair.values["measured"] is values["measured"]
+    assert pair.values["voltage"] is values["voltage"] and pair.time is block.time and pair.rows is block.rows
 
 
 @pytest.mark.parametrize("lag", [-17, -1, 0, 3, 40])
@@ -120,7 +117,7 @@ def test_lag_of_a_periodic_signal_is_not_a_period_more():
 def test_of_lags_that_fit_alike_the_smallest_is_taken():
     """A straight line, its offset aside, fits itself at any lag."""
     desired = np.arange(400.0)
-    block = PairBlock(range(1, 401), desired, desired + 5.0)
+    block = pairs(range(1, 401), desired, desired + 5.0)
     assert find_lag("log", [block])[0] == 0
 
 

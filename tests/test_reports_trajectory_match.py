@@ -7,7 +7,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.sample_block import SampleBlock
-from dbo_cli.reports.sample_pairs import TrajectoryMatch
+from dbo_cli.reports.sample_pairs import TrajectoryMatch, row_numbers
 
 
 def blocks(size, time=None, **values):
@@ -26,9 +26,9 @@ def joined(match):
     """Return all pairs as arrays: row, desired, measured, time."""
     parts = list(match.pairs())
     stack = [
-        [part.row_numbers() for part in parts],
-        [part.desired for part in parts],
-        [part.measured for part in parts],
+        [row_numbers(part) for part in parts],
+        [part.values["desired"] for part in parts],
+        [part.values["measured"] for part in parts],
         [part.time if part.time is not None else np.full(len(part), np.nan) for part in parts],
     ]
     return [np.concatenate(column) for column in stack]

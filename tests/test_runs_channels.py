@@ -15,11 +15,10 @@ from conftest import SMALL_MODEL, folder_content
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model, read_set, set_to_bytes
-from dbo_cli.logs.addresses import parse_address
 from dbo_cli.logs.channels import ChannelReader
+from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5.store import matrix_writer
-from dbo_cli.logs.out_column import OutColumn
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions, parse_address
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.runs.jobs import spread_line, summed_up

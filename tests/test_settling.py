@@ -16,11 +16,12 @@ from test_runs_repeated import RATE, actuator
 
 import dbo_cli
 from dbo_cli import InputError, LimitError, UsageError
-from dbo_cli.drives.settling import HeldLevels, distance_in, settling_notes, settling_seconds, step_times
+from dbo_cli.drives.gate import DriveFigures
+from dbo_cli.drives.settling import StepTimes, distance_in, settling_seconds
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import BacklashStage, Relaxation
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 
 @pytest.mark.parametrize("seed", [6, 7, 10, 11, 13, 15, 16, 28, 34])
@@ -64,15 +65,14 @@ def stairs(levels: Any, dwell: int = 60) -> np.ndarray[Any, Any]:
 def test_levels_are_found_however_blocks_are_cut(cut: int) -> None:
     wanted = stairs([1.0, 3.0, 2.0, 2.0, 6.0])
     drive = np.arange(wanted.size, dtype=np.float64)
-    held = HeldLevels()
+    held = StepTimes(actuator(frequency=None), 0.01)
     for k in range(0, wanted.size, cut):
         held.add(wanted[k : k + cut], drive[k : k + cut])
     # The level of 2 is held on: its "step" is none.
-    assert held.finished().steps == [(9.0, 89.0), (89.0, 169.0), (169.0, 329.0)]
-    assert held.shortest == 60
-    sine = HeldLevels()
+    assert [one[:2] for one in held.times()] == [(9.0, 89.0), (89.0, 169.0), (169.0, 329.0)]
+    sine = StepTimes(actuator(frequency=None), 0.01)
     sine.add(np.sin(np.arange(400) / 20.0), drive[:400])
-    assert sine.finished().steps == []
+    assert sine.times() == []
 
 
 def test_compensate_says_how_long_each_step_of_a_staircase_takes() -> None:
@@ -92,9 +92,11 @@ def test_compensate_says_how_long_each_step_of_a_staircase_takes() -> None:
 def test_very_many_steps_are_timed_from_the_smallest_to_the_largest() -> None:
     plant = actuator(frequency=None)
     steps = [(50.0, 50.0 + 0.1 * k) for k in range(1, 401)]
-    times = step_times(plant, steps, 0.01)
+    timed = StepTimes(plant, 0.01)
+    timed.steps = steps
+    times = timed.times()
     assert len(times) == 300 and times[0][:2] == steps[0] and times[-1][:2] == steps[-1]
-    (_, note) = settling_notes("log", plant, (0.0, 90.0), times, len(steps), 0.01)
+    (_, note) = timed.notes("log", DriveFigures(low=0.0, high=90.0, rows=2))
     assert "of 400 steps between held levels (300 looked at) the shortest takes" in note
 
 

@@ -23,7 +23,8 @@ KINDS = ("model.json", "drive.csv", "drive.json", "report.json", "report.csv")
 @pytest.fixture
 def bench(tmp_path: Path) -> Path:
     """A folder with three small logs of different forms and a trajectory."""
-    from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+    from dbo_cli.logs.columns import OutColumn
+    from dbo_cli.logs.signal_writer import signal_writer
 
     (tmp_path / "logs").mkdir()
     time = np.arange(600) / 100

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, Relaxation
+from dbo_cli.logs.sample_block import Places, SampleBlock
 
 Floats = NDArray[np.float64]
 
@@ -47,3 +48,11 @@ def random_trajectory(rng: np.random.Generator, operator: DiscreteBacklashOperat
     x = np.where(kinds == 4, high - (rng.choice(breakpoints, count) - low), x)
     near = np.clip(np.roll(x, 1) + rng.normal(0.0, 0.02 * (high - low), count), low, high)
     return np.where(kinds == 5, near, x)
+
+
+def pairs(
+    rows: Places, desired: Floats, measured: Floats, time: Floats | None = None, voltage: Floats | None = None
+) -> SampleBlock:
+    """Return a block as a report takes it."""
+    values = {"desired": desired, "measured": measured}
+    return SampleBlock(rows, None, time, values if voltage is None else values | {"voltage": voltage})

@@ -26,7 +26,7 @@ from arena import MODEL, RELAXATION, Hang, time_limit
 
 from dbo_cli.errors import DboError
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
-from dbo_cli.logs.out_column import OutColumn, require_finite
+from dbo_cli.logs.columns import OutColumn, require_finite
 
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 0.0, -0.0, 1.5, -2.5, 1e-9, 1e9, 1e150, 1e200, 1e308, -1e308, 1e-308, 5e-324,

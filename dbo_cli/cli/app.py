@@ -118,28 +118,24 @@ def _dispatch(words: list[str]) -> int:
 
 def _report_error(problem: BaseException, words: list[str]) -> int:
     """Print in one line what went wrong and return the exit code that belongs to it."""
+    text = f"internal error: {type(problem).__name__}: {problem} (--debug shows where; please report it)"
+    code = 1
     if isinstance(problem, DboError):
-        _print_line(f"error: {problem}")
-        return problem.exit_code
-    from dbo_cli.cli.typer_adapter import complaint
+        text, code = str(problem), problem.exit_code
+    else:
+        from dbo_cli.cli.typer_adapter import complaint
 
-    refused = complaint(problem)
-    if refused is not None:
-        text, code = refused
-        _print_line(f"error: {text}{_where_to_look(words)}")
-        return code
-    if isinstance(problem, OSError):
-        closed = "standard output: " if problem.errno == errno.EBADF else ""
-        place = f"{problem.filename}: " if problem.filename else closed
-        _print_line(f"error: {place}{problem.strerror or problem}")
-        return 1
-    if isinstance(problem, MemoryError):
-        _print_line("error: out of memory (--rows A:B takes a part of a log)")
-        return 1
-    _print_line(
-        f"error: internal error: {type(problem).__name__}: {problem} (--debug shows where; please report it)"
-    )
-    return 1
+        refused = complaint(problem)
+        if refused is not None:
+            text, code = f"{refused[0]}{_where_to_look(words)}", refused[1]
+        elif isinstance(problem, OSError):
+            closed = "standard output: " if problem.errno == errno.EBADF else ""
+            place = f"{problem.filename}: " if problem.filename else closed
+            text = f"{place}{problem.strerror or problem}"
+        elif isinstance(problem, MemoryError):
+            text = "out of memory (--rows A:B takes a part of a log)"
+    _print_line(f"error: {text}")
+    return code
 
 
 def _where_to_look(words: list[str]) -> str:

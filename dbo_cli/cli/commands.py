@@ -25,8 +25,7 @@ from dbo_cli.remarks import Listener, Remarks
 
 if TYPE_CHECKING:
     from dbo_cli.export import ExportSummary
-    from dbo_cli.logs.addresses import Address
-    from dbo_cli.logs.reading_options import ReadingOptions
+    from dbo_cli.logs.request import Address, ReadingOptions
     from dbo_cli.runs.jobs import Outcome, Work
 
 
@@ -156,7 +155,7 @@ class Given(SimpleNamespace):
     @property
     def reading(self) -> ReadingOptions:
         """How logs are to be read; what was not given stays at its default."""
-        from dbo_cli.logs.reading_options import ReadingOptions
+        from dbo_cli.logs.request import ReadingOptions
 
         given = self.of(options.READING_OF_LOGS if hasattr(self, "log_format") else options.READING)
         known = {name.removeprefix("log_"): value for name, value in given.items() if value is not None}

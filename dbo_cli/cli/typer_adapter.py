@@ -219,20 +219,13 @@ def _parameter(option: Option) -> inspect.Parameter:
         kind, given = bool, False
     elif given is None:
         kind = kind | None
+    words: dict[str, Any] = {"metavar": option.metavar, "help": option.meaning}
+    words["autocompletion"] = offers(option)
     if option.names:
         panel = None if option.heading == options.OPTIONS else option.heading
-        info: Any = typer.Option(
-            *option.names,
-            metavar=option.metavar,
-            help=option.meaning,
-            rich_help_panel=panel,
-            autocompletion=offers(option),
-        )
+        info: Any = typer.Option(*option.names, rich_help_panel=panel, **words)
     else:
-        offered = offers(option)
-        info = typer.Argument(
-            metavar=option.metavar, show_default=False, help=option.meaning, autocompletion=offered
-        )
+        info = typer.Argument(show_default=False, **words)
     key, keyword_only = option.key, inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(key, keyword_only, annotation=Annotated[kind, info], default=given)
 
@@ -283,9 +276,7 @@ def columns_beginning(incomplete: str) -> list[str]:
     Of a name with a blank only what stands before the unit is offered, and nothing where that has one too:
     the shells do not agree on how to quote it.
     """
-    from dbo_cli.logs.addresses import parse_address
-    from dbo_cli.logs.byte_source import Request
-    from dbo_cli.logs.reading_options import ReadingOptions
+    from dbo_cli.logs.request import ReadingOptions, Request, parse_address
     from dbo_cli.logs.signal_log import open_table
 
     line = next((os.environ[name] for name in TYPED if name in os.environ), "")

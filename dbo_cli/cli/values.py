@@ -15,7 +15,7 @@ from dbo_cli.logs.plain_text import pattern
 from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.addresses import Address
+    from dbo_cli.logs.request import Address
 
 Parser = Callable[[str, str], Any]
 
@@ -125,14 +125,14 @@ def span(option: str, text: str) -> tuple[float, float]:
 
 def address(option: str, text: str) -> Address:
     """Return a file, a group of an HDF5 file or a standard stream, taken apart once and for all."""
-    from dbo_cli.logs.addresses import parse_address
+    from dbo_cli.logs.request import parse_address
 
     return parse_address(text)
 
 
 def rows(option: str, text: str) -> tuple[int, int | None]:
     """Return the first and the last data row of ``A:B``."""
-    from dbo_cli.logs.reading_options import parse_rows
+    from dbo_cli.logs.request import parse_rows
 
     return parse_rows(text)
 

@@ -279,8 +279,7 @@ class Codes:
                 f"channel {channels[place]}: code {codes[place]:g} is not one of the converter's, 0 to"
                 f" {len(self._curve) - 1}"
             )
-        found: Floats = self._curve[codes.astype(np.int64)]
-        return found
+        return self._curve[codes.astype(np.int64)]
 
     def commit(self, volts: Floats) -> None:
         """Take what a change used off what was saved up."""

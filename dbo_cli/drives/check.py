@@ -20,9 +20,7 @@ EXACT = 1e-12  # of a variance: what sums and transforms of double precision lea
 FEWEST_SHARED = 0.25  # of the shorter of the two: in a few rows everything is like everything
 ANOTHER = 0.5  # correlation below which a recording is of another drive; chosen, in between
 OTHER_SPEED = 0.1  # of what is left at the right speed: less at another one, and it was played at that
-FEWEST_FOR_PARTS = (
-    16  # rows from which on a fraction of a row is looked for: three numbers are fitted to them
-)
+FEWEST_FOR_PARTS = 16  # rows from which on a part of a row is looked for: three numbers are fitted to them
 
 
 @dataclass
@@ -274,11 +272,8 @@ def _likeness(drive: Floats, played: Floats, most: float) -> Likeness:
         return found
     from scipy.interpolate import CubicSpline
 
-    curve, rows, part = (
-        CubicSpline(np.arange(float(drive.size)), drive),
-        np.arange(begin + 1.0, end - 1.0),
-        0.0,
-    )
+    curve, part = CubicSpline(np.arange(float(drive.size)), drive), 0.0
+    rows = np.arange(begin + 1.0, end - 1.0)
     b = played[begin + 1 + lag : end - 1 + lag]
     for _ in range(2):
         a = curve(rows - part)

@@ -20,7 +20,7 @@ import numpy as np
 from dbo_cli.drives.gate import DriveFigures, DriveGate
 from dbo_cli.drives.learning import write_history
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
-from dbo_cli.drives.options import DriveOptions, volts_a_unit
+from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, way
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.loops import slow_model
@@ -139,7 +139,7 @@ class Compensation(ModelRun):
     def _see(self, desired: FloatArray, drive: FloatArray) -> None:
         self.move.see(desired, None)
         if self.settling is not None:
-            self.settling.levels.add(desired, drive)
+            self.settling.add(desired, drive)
 
     def _played(self, before: Before, times: FloatArray, step: float) -> Iterator[Response]:
         """Play the voltages before a move, and go on from the state that they leave."""
@@ -149,7 +149,7 @@ class Compensation(ModelRun):
             self.state = before.state
             if self.source.has_time:
                 self.state = dataclasses.replace(before.state, time=float(times[-1]))
-                self.steps.follow(float(times[-1]))
+                self.steps.last = float(times[-1])
 
     # --- the rows before and after the trajectory ---
 
@@ -161,8 +161,8 @@ class Compensation(ModelRun):
         if asked is not None and known is not None and abs(asked - known) > SAME_DRIVE * self.output.span:
             raise UsageError(f"`from_` {asked:g} contradicts `state`, which was left at {known:g}")
         if asked is None and known is None and self.start in ("empty", "full"):
-            end = self.model.drive_at(str(self.start))
-            known = min(max(end, self.limits.v_min), self.limits.v_max)
+            end = self.model.covered_gears.operator.x_range[0 if self.start == "empty" else 1]
+            known = min(max(self.model.inverted.outer_drive(end), self.limits.v_min), self.limits.v_max)
         return asked if known is None else known
 
     def _usual_step(self, stamps: FloatArray) -> float:
@@ -271,15 +271,11 @@ class Compensation(ModelRun):
         self.missed = self.missed or done.first_missed
         self.gate.admit(done.y, steps)
         self.drive.see(done.y, steps)
-        self._keep(done.y, steps)
+        room = MOST_ROWS - sum(drive.size for drive, _ in self.kept)
+        if room > 0:  # on its first rows the error to expect is looked at in the end
+            every = None if steps is None else np.broadcast_to(steps, done.y.shape)[:room]
+            self.kept.append((done.y[:room], every))
         return done
-
-    def _keep(self, drive: FloatArray, steps: float | FloatArray | None) -> None:
-        """Keep the first rows, on which the error to expect is looked at in the end."""
-        kept = sum(drive.size for drive, _ in self.kept)
-        if kept < MOST_ROWS:
-            every = None if steps is None else np.broadcast_to(steps, drive.shape)[: MOST_ROWS - kept]
-            self.kept.append((drive[: MOST_ROWS - kept], every))
 
     def _clip(self, done: Simulated, block: SampleBlock | None) -> None:
         """Count what the limits held back, or refuse it (LimitError); rows before a loop are in no block."""
@@ -325,79 +321,70 @@ class Compensation(ModelRun):
         remarks = Remarks()
         remarks.add(self.remarks_before)
         remarks.add(super().remarks())
-        read = self.options.plain_in(self.model.input.unit)
-        texts = (
-            f"{self.source.name}: {read}" if read else "",
-            self._first_row(),
-            self._whose_volts(),
-            self.expected_error(),
-            *(self.settling.notes(self.source.name, self.drive) if self.settling is not None else ()),
-            self._load(),
-        )
-        remarks.note(text for text in texts if text)
-        if warning := self._no_better():
-            remarks.warn(warning)
+        name = self.source.name
+        remarks.note(f"{name}: {text}" for text in self._notes())
+        if self.settling is not None:
+            remarks.note(self.settling.notes(name, self.drive))
+        farad, drive = self.options.farad, self.drive
+        if farad is not None and drive.seconds:
+            volts = float(volts_a_unit(self.model))
+            coulombs, joules = farad * volts * drive.travel, farad * volts**2 * drive.work
+            remarks.notes.append(
+                f"{name}: into {farad:g} F the drive takes {farad * volts * drive.fastest:.3g} A at most, "
+                f"{coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W (voltage times "
+                "current) on average"
+            )
+        found = None if self.expected_rmse()[0] is None else self._move_error()
+        # Where clipping is the error, what is left of the move tells nothing of the logs.
+        if found is not None and not found.rmse < max(found.straight_line, self._lost_rms()):
+            unit = self.model.output.suffix
+            remarks.warn(
+                f"{name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than that of "
+                f"a straight line, {found.straight_line:.3g}{unit}: the logs do not tell what it asks"
+            )
         return remarks
 
-    def _whose_volts(self) -> str:
-        """Say that the drive is in other voltages than the model's logs, where they were scaled."""
-        scale = self.voltage_scale
-        if scale is None:
-            return ""
-        return (
-            f"{self.source.name}: the drive is in the voltages of the model's logs {scale} (`gain` of "
-            "waveform takes it back to the converter's)"
-        )
-
-    def _first_row(self) -> str:
-        """Say how the drive begins, where it may step."""
-        unit, first = self.output.suffix, self.drive.first
-        if first is None:
-            return ""
-        if self.came_from is None:
-            return (
-                f"{self.source.name}: the drive begins at {first:.6g}{unit}; from where the amplifier comes "
-                "is not known (`from_` VOLT says it, `approach` ramps there)"
+    def _notes(self) -> Iterator[str]:
+        """Say in which units limits are read, how the drive begins, where it may step, and what to expect."""
+        unit, first, scale = self.output.suffix, self.drive.first, self.voltage_scale
+        asked = self.options
+        if read := plain_in(self.model.input.unit, asked.v_min, asked.v_max, asked.max_slew, asked.from_):
+            yield read
+        if first is not None and self.came_from is None:
+            yield (
+                f"the drive begins at {first:.6g}{unit}; from where the amplifier comes is not known "
+                "(`from_` VOLT says it, `approach` ramps there)"
             )
-        if self.limits.max_slew is None and abs(first - self.came_from) > self.drive.largest_step:
-            return (
-                f"{self.source.name}: the first row steps from {self.came_from:.6g} to {first:.6g}{unit} "
-                "(`approach` SECONDS ramps there)"
+        elif first is not None and self.came_from is not None and self.limits.max_slew is None:
+            if abs(first - self.came_from) > self.drive.largest_step:
+                yield (
+                    f"the first row steps from {self.came_from:.6g} to {first:.6g}{unit} (`approach` SECONDS "
+                    "ramps there)"
+                )
+        if scale is not None:
+            yield (
+                f"the drive is in the voltages of the model's logs {scale} (`gain` of waveform takes it back "
+                "to the converter's)"
             )
-        return ""
+        if self.lesson is None and self.rows:
+            yield from self._expected_error()
 
-    def _load(self) -> str:
-        """Say what the drive asks of the amplifier, where its load is known."""
-        farad, drive = self.options.farad, self.drive
-        if farad is None or not drive.seconds:
-            return ""
-        volts = float(volts_a_unit(self.model))
-        coulombs, joules = farad * volts * drive.travel, farad * volts**2 * drive.work
-        return (
-            f"{self.source.name}: into {farad:g} F the drive takes {farad * volts * drive.fastest:.3g} A at "
-            f"most, {coulombs / drive.seconds:.3g} A and {joules / drive.seconds:.3g} W "
-            "(voltage times current) on average"
-        )
-
-    def expected_error(self) -> str:
-        """Say what error to expect of the move, unless a pass was learned or the model does not know."""
-        name, covered = self.source.name, self.model.input
-        if self.lesson is not None or not self.rows:
-            return ""
-        if self.model.fit.get("expected_rmse", "") is None:
-            return f"{name}: what error to expect cannot be told: {self.model.fit.get('expected_from')}"
+    def _expected_error(self) -> Iterator[str]:
+        """Say what error to expect of the move, unless the model does not know."""
+        stated, unknown = self.model.fit.get("expected_rmse", ""), "what error to expect cannot be told: "
         rmse, percent = self.expected_rmse()
-        if rmse is None:
-            if not isinstance(self.model.fit.get("expected_rmse"), float):
-                return ""
-            return (
-                f"{name}: what error to expect cannot be told: the drive goes from {self.drive.low:.6g} to "
-                f"{self.drive.high:.6g}{covered.suffix}, beyond what the model was identified on"
+        if stated is None:
+            yield f"{unknown}{self.model.fit.get('expected_from')}"
+        elif rmse is not None:
+            part = "" if percent is None else f" ({percent:.2g} % of the move)"
+            held = ", clipped samples included" if self.clipped.count else ""
+            held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
+            yield f"expected error of the move {rmse:.3g}{self.model.output.suffix} RMS{part}{held}"
+        elif isinstance(stated, float):
+            yield (
+                f"{unknown}the drive goes from {self.drive.low:.6g} to {self.drive.high:.6g}"
+                f"{self.model.input.suffix}, beyond what the model was identified on"
             )
-        part = "" if percent is None else f" ({percent:.2g} % of the move)"
-        held = ", clipped samples included" if self.clipped.count else ""
-        held += ", besides what `bandwidth` takes off" if self.bandwidth is not None else ""
-        return f"{name}: expected error of the move {rmse:.3g}{self.model.output.suffix} RMS{part}{held}"
 
     def expected_rmse(self) -> tuple[float | None, float | None]:
         """Return the error to expect of the move, in its unit and in % of it; None where it is not known."""
@@ -419,17 +406,6 @@ class Compensation(ModelRun):
         steps = [one for _, one in self.kept if one is not None]
         begin = min(self.rows_before, drive.size - 1)
         return move_error(self.model, drive, np.concatenate(steps) if steps else None, begin)
-
-    def _no_better(self) -> str:
-        """Warn where the expected error is no better than a straight line's."""
-        found = None if self.expected_rmse()[0] is None else self._move_error()
-        if found is None or found.rmse < max(found.straight_line, self._lost_rms()):
-            return ""  # where clipping is the error, what is left of the move tells nothing of the logs
-        unit = self.model.output.suffix
-        return (
-            f"{self.source.name}: the expected error of the move, {found.rmse:.3g}{unit}, is no better than "
-            f"that of a straight line, {found.straight_line:.3g}{unit}: the logs do not tell what it asks"
-        )
 
     def _clipping(self) -> str:
         """Say how much of a trajectory the drive's limits do not allow."""

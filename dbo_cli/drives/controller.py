@@ -2,6 +2,8 @@
 
 A control loop calls ``plan`` with what is wanted, hands the voltage (or the converter's code) to the
 hardware, and calls ``commit`` once the hardware has acknowledged it. A plan never committed leaves no trace.
+Beyond the gears, what is wanted later undoes delay and dynamics (``LookAhead``), and a lag before the gears
+is undone sample by sample (``DriveLag``); all with the bits of ``compensate``.
 """
 
 from __future__ import annotations
@@ -16,17 +18,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.drives.gate import DriveGate, GateError
-from dbo_cli.drives.lookahead import DriveLag, LookAhead
-from dbo_cli.drives.options import DriveOptions, Figure
+from dbo_cli.drives.options import DriveOptions, Figure, check_seconds
 from dbo_cli.drives.pieces import ramp
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, memory_free, through
+from dbo_cli.hysteresis.cascade import WHOLE, MemoryFree, ScaleStage, through
+from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
+from dbo_cli.hysteresis.dynamics import InverseMemory
+from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.hysteresis.stepper import ROUNDING, BacklashStepper
-from dbo_cli.logs.reading_options import checked_rate
+from dbo_cli.logs.request import checked_rate
 from dbo_cli.logs.sources import samples
 from dbo_cli.logs.units import in_unit
+
+Window = tuple[list[float], Floats, InverseMemory | None]
 
 
 class Converter:
@@ -103,6 +109,170 @@ class Converter:
             self.saved = max(most - change, 0.0)
 
 
+class LookAhead:
+    """What the gears are to follow now, from what is wanted ``samples`` later.
+
+    Before the first value the same value holds: the output is that of a trajectory with ``samples`` rows at
+    its first value before it (``lead`` of ``compensate``).
+
+    Parameters
+    ----------
+    model : ActuatorModel
+        A forward model.
+    rate : float
+        Samples a second (Hz).
+    seconds : float or "auto"
+        How much later what is passed is wanted; auto: the shortest time that the model needs.
+
+    Attributes
+    ----------
+    samples : int
+        That time in samples, rounded up.
+    held : tuple, or None
+        What is wanted from the sample committed last on, the same with the delay undone, and what the inverse
+        of the dynamics remembers; None before the first.
+
+    Raises
+    ------
+    InputError
+        The rate does not resolve the dynamics.
+    UsageError
+        The model needs more.
+    """
+
+    def __init__(self, model: ActuatorModel, rate: float, seconds: float | Literal["auto"]) -> None:
+        check_seconds("lookahead", seconds)
+        self._rate, self._step, self._delay = rate, 1.0 / rate, model.delay_seconds
+        self._inverter = None if model.dynamics is None else model.dynamics.inverter(self._step)
+        self._late = math.ceil(self._delay / self._step - WHOLE)
+        self._ahead = 0 if self._inverter is None else self._inverter.ahead
+        needed = self._late + self._ahead
+        self.samples = needed if seconds == "auto" else math.ceil(seconds / self._step - WHOLE)
+        if self.samples < needed:
+            raise UsageError(
+                f"`lookahead` {seconds:g} s is {self.samples} samples, and the inverse of this model reads "
+                f"{needed} ahead (`lookahead` {needed / rate:.6g} or auto)"
+            )
+        self._count = 0  # values committed
+        self.held: Window | None = None
+        self._planned: Window | None = None
+
+    def plan(self, wanted: float, state: ModelState | None) -> float:
+        """Return what the gears are to follow now; ``state`` is that before the first value."""
+        memory: InverseMemory | None = None
+        if self.held is None:
+            raw, shifted = (
+                [float(wanted)] * (self.samples - self._ahead + 1),
+                np.full(self._ahead + 1, wanted),
+            )
+            if self._inverter is not None:
+                memory = (state and state.memory_for(self._inverter)) or self._inverter.rest(wanted)
+        else:
+            raw, shifted, memory = self.held
+            raw = [*raw[1:], float(wanted)]
+            shifted = np.append(shifted[1:], self._shifted(raw))
+        u = float(shifted[0])
+        if self._inverter is not None and memory is not None:
+            undone, memory = self._inverter.run(shifted, memory)
+            u = float(undone[0])
+        self._planned = raw, shifted, memory
+        return u
+
+    def commit(self) -> None:
+        """Go on to the next sample; without a plan what is wanted stays as it is."""
+        if self._planned is None and self.held is not None:
+            self.plan(self.held[0][-1], None)
+        if self._planned is not None:
+            self.held, self._planned, self._count = self._planned, None, self._count + 1
+
+    def forget(self) -> None:
+        """Begin anew with the next value."""
+        self.held, self._planned, self._count = None, None, 0
+
+    def _shifted(self, raw: list[float]) -> float:
+        """Return what is wanted the delay after the oldest value; as ``cascade.interpolated`` does."""
+        if not self._late:
+            return raw[0]
+        row = self._count + self._ahead
+        newer, older = self._stamp(row + self._late), self._stamp(row + self._late - 1)
+        later, earlier = raw[self._late], raw[self._late - 1]
+        part = (newer - (self._stamp(row) + self._delay)) / (newer - older)
+        if part < WHOLE:
+            return later
+        return earlier if part > 1.0 - WHOLE else later + part * (earlier - later)
+
+    def _stamp(self, row: int) -> float:
+        """Return the time (s) of a row, counted from the first at the first value; 0 at the trajectory's."""
+        row -= self.samples
+        return row * self._step if row < 0 else row / self._rate
+
+
+class DriveLag:
+    """A lag before the gears, undone one sample at a time (``hysteresis.drive_lag``).
+
+    Parameters
+    ----------
+    model : ActuatorModel
+        A forward model with such a lag.
+    limits : DriveLimits
+        Of the drive.
+    step : float
+        Seconds between samples.
+    """
+
+    def __init__(self, model: ActuatorModel, limits: DriveLimits, step: float) -> None:
+        assert model.drive_lag is not None
+        self._model, self._lag, self._limits, self._step = model, model.drive_lag, limits, step
+        self._most = math.inf if limits.max_slew is None else limits.largest_change(step) or math.inf
+        row = undoing_rows(coefficients(self._lag, step))[0]
+        self._by_lead, self._by_change = float(row[1]), float(row[2])
+        self.held = self._planned = (0.0, 0.0)  # what the lag passes on, and the drive before it
+        self._instead: ModelState | None = None
+
+    def plan(self, behind: float, wanted: float, stepper: BacklashStepper) -> tuple[float, bool]:
+        """Return the drive that the lag makes ``behind`` of, or the nearest allowed, and if it is clipped.
+
+        What the limits of the drive allow behind the lag changes from sample to sample; only a sample that
+        they hold back is worked out by the whole model from what is ``wanted``.
+        """
+        late, last = self.held
+        volts = last + (self._by_lead * (late - last) + self._by_change * (behind - late))
+        self._planned, self._instead = (behind, volts), None
+        if self._limits.v_min <= volts <= self._limits.v_max and abs(volts - last) <= self._most:
+            return volts, bool(stepper.clipped)
+        before = ModelState(stepper.state, stepper.last, drive_lag=((late, 0.0, last),))
+        done = self._model.inverted.simulate([wanted], before, time_step=self._step, limits=self._limits)
+        self._instead = done.state
+        self._take(done.state)
+        return float(done.y[0]), bool(done.clipped_count)
+
+    def commit(self, stepper: BacklashStepper) -> None:
+        """Go on to the state, the gears' too, that the last plan leads to."""
+        self.held = self._planned
+        if self._instead is None:
+            stepper.commit()
+        else:
+            assert self._instead.drive is not None
+            stepper.set(self._instead.backlash, self._instead.drive)
+
+    def apply(self, volts: float) -> float:
+        """Go on with this voltage, whatever was planned; return what the lag passes on of it."""
+        late, last = self.held
+        behind = float(self._lag.run(np.array([volts]), self._step, ((late, 0.0, last),))[0][0])
+        self.held = behind, volts
+        return behind
+
+    def begin(self, state: ModelState) -> None:
+        """Take a state over."""
+        self._take(state)
+        self.held = self._planned
+
+    def _take(self, state: ModelState) -> None:
+        assert state.drive_lag is not None
+        late, _, last = state.drive_lag[0]
+        self._planned = late, last
+
+
 UPDATE = 128
 """Samples after which dynamics follow the drive: so many take hardly longer than one of them alone."""
 
@@ -151,6 +321,7 @@ class Controller:
         # A converter's code keeps the slew limit itself, since it may have to save up for it.
         self._planning = self._limits if dac is None else DriveLimits(self._limits.v_min, self._limits.v_max)
         self._inverse = model.inverse()
+        self._gears = self._inverse.backlash  # a model that has none is refused here
         self._start: StartName | ModelState = state
         self._last = None if from_ is None else in_unit("from_", from_, model.input.unit)
         if isinstance(state, ModelState):
@@ -173,7 +344,12 @@ class Controller:
         self._since: list[float] = []
         self._stepper: BacklashStepper | None = None
         self._begun: ModelState | None = None
-        self._prepare()
+        # Scales before the gears, where nothing else stands there, are worked out without an array.
+        self._head, self._after, self._drive_side = (
+            self._inverse.head, self._inverse.tail, self._inverse.tail_inverse
+        )  # fmt: skip
+        self._scales = [(s.gain, s.offset) for s in self._head if isinstance(s, ScaleStage)]
+        self._bent_before = len(self._scales) < len(self._head)
         self._clipped_now = False
         self._planned_volts = math.nan
         self.clipped = 0
@@ -199,7 +375,7 @@ class Controller:
             raise InputError(f"what is wanted is not a finite number: {displacement!r}")
         stepper = self._stepper
         if self._ahead is not None:
-            displacement = self._ahead.plan(displacement, None if self._ahead.begun else self.state)
+            displacement = self._ahead.plan(displacement, None if self._ahead.held else self.state)
         if stepper is None:
             volts = self._plan_first(displacement)
         else:
@@ -207,11 +383,12 @@ class Controller:
             for gain, offset in self._scales:
                 x = gain * x + offset
             if self._bent_before:
-                x = self._before(displacement)
+                x = float(through(self._head, np.array([displacement]))[0])
             volts = stepper.plan(x)
             self._clipped_now = bool(stepper.clipped)
             if self._after:
-                volts = self._bent(volts)
+                bent = float(through(self._after, np.array([volts]))[0])
+                volts = min(max(bent, self._limits.v_min), self._limits.v_max)
             if self._lag is not None:
                 volts, self._clipped_now = self._lag.plan(volts, displacement, stepper)
         self.planned = volts
@@ -315,8 +492,8 @@ class Controller:
         """The committed state, for ``simulate`` or ``compensate`` to go on from; None before the first."""
         if self._stepper is None:
             return self._start if isinstance(self._start, ModelState) else None
-        undoing = None if self._ahead is None else self._ahead.memory
-        return dataclasses.replace(self._update(), undoing=undoing, model=self._model.digest)
+        held = None if self._ahead is None else self._ahead.held
+        return dataclasses.replace(self._update(), undoing=held and held[2], model=self._model.digest)
 
     def _update(self) -> ModelState:
         """Return the committed state; let what is behind the gears follow the drive up to now."""
@@ -358,22 +535,6 @@ class Controller:
             self._gate.admit(np.array([volts]), self._step_seconds)
             raise GateError(f"this program planned {volts!r} after {last!r}, which breaks its limits")
 
-    def _prepare(self) -> None:
-        """Sort the stages around the gears: scales before them alone are worked out without an array."""
-        inverse, place = self._inverse, self._inverse.stages.index(self._inverse.backlash)
-        head, self._after = memory_free(inverse.stages[:place]), memory_free(inverse.stages[place:])
-        self._head = head
-        self._scales = [(s.gain, s.offset) for s in head if isinstance(s, ScaleStage)]
-        self._bent_before = len(self._scales) < len(head)
-        self._drive_side = [stage.inverse() for stage in reversed(self._after)]
-
-    def _before(self, displacement: float) -> float:
-        return float(through(self._head, np.array([displacement]))[0])
-
-    def _bent(self, volts: float) -> float:
-        bent = float(through(self._after, np.array([volts]))[0])
-        return min(max(bent, self._limits.v_min), self._limits.v_max)
-
     def _plan_first(self, displacement: float) -> float:
         """Find the start as ``compensate`` does; the fast way begins after the first sample."""
         self._gate.require_start(self._step_seconds)
@@ -393,7 +554,7 @@ class Controller:
             limits = DriveLimits(limits.v_min, limits.v_max)
         bound = inverse.output_limits(inverse.inner_limits(limits), self._step_seconds)
         last = math.nan if state.drive is None else state.drive
-        self._stepper = BacklashStepper(inverse.backlash, state.backlash, last, self._step_seconds, bound)
+        self._stepper = BacklashStepper(self._gears, state.backlash, last, self._step_seconds, bound)
 
     def _apply(self, volts: float) -> None:
         """Drive the forward model's gears by what was applied; the inverse goes on from their state."""

@@ -193,7 +193,8 @@ class RepeatedMove:
         zero = 0.0 if absolute else float(error.mean())
         remarks = Remarks(warnings=self._jumps(name, error))
         error = error - zero
-        passed = PassRecord(_digest(passes[0].voltage), _rms(error))
+        digest = hashlib.sha256(np.ascontiguousarray(passes[0].voltage).tobytes()).hexdigest()
+        passed = PassRecord(digest, _rms(error))
         drives = [one.drive_sha256 for one in history]
         if passed.drive_sha256 in drives:  # learned from before: what came of it is forgotten
             history = history[: drives.index(passed.drive_sha256)]
@@ -362,10 +363,6 @@ def _resting_ends(learned: FloatArray, per_sample: float) -> FloatArray:
     begun = learned[0] + weight * (learned - learned[0])
     rested: FloatArray = begun[-1] + weight[::-1] * (begun - begun[-1])
     return rested
-
-
-def _digest(drive: FloatArray) -> str:
-    return hashlib.sha256(np.ascontiguousarray(drive).tobytes()).hexdigest()
 
 
 def trusted_frequency(model: ActuatorModel) -> float | None:

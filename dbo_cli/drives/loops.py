@@ -105,7 +105,10 @@ class LoopCompensation(Compensation):
         self.step = step = self.whole.even_step("`periodic` needs an even clock")
         block, passes = self.whole.block, self.options.passes
         request = block.values[self.input.quantity]
-        asked = self._rounded(request)
+        asked = request
+        if self.bandwidth is not None:
+            asked = ZeroPhaseLowPass(self.bandwidth, step).loop(request)
+            self.inputs.note_rounding(request, asked)
         desired = request if self.lesson is None else self.lesson.desired
         _require_closed(self.whole.name, desired)
         self.period = undone_loop(self.model, asked, step)
@@ -137,13 +140,6 @@ class LoopCompensation(Compensation):
         self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
         response = self._response(zero + step * np.arange(float(drive.size)), desired, drive, step)
         yield response._replace(time=block.time)
-
-    def _rounded(self, x: FloatArray) -> FloatArray:
-        if self.bandwidth is None:
-            return x
-        rounded = ZeroPhaseLowPass(self.bandwidth, self.step).loop(x)
-        self.inputs.note_rounding(x, rounded)
-        return rounded
 
     def _count(self, settled: Settled) -> None:
         """Count what is unusual in the settled period, and say how it closes."""

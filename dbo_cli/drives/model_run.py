@@ -190,10 +190,19 @@ class Inputs:
         low, high = self.input.minimum, self.input.maximum
         rest = iter(taken)
         first = next(rest, None)
-        memory = None if first is None else self._memory_at(first[0], inverter)
+        memory, start, late = None, self.start, 0.0
+        if first is not None and start is not None:
+            if start.time is not None and first[0].time is not None:
+                late = float(first[0].time[0]) - start.time
+            memory = start.memory_for(inverter) if late <= GAP_STEPS * inverter.time_step else None
         begun = memory is not None
-        whole = self._counted(chain([first] if first else [], rest))
-        for (block, x), u, after in undone(whole, inverter, memory):
+
+        def counted() -> Iterator[tuple[Taken, FloatArray]]:
+            for block, x in chain([first] if first else [], rest):
+                self._read += x.size
+                yield (block, x), x
+
+        for (block, x), u, after in undone(counted(), inverter, memory):
             if not begun and self._read < inverter.ahead:
                 raise InputError(
                     f"{self.source.name}: {self._read:,} samples are fewer than the {inverter.ahead:,} that "
@@ -206,22 +215,6 @@ class Inputs:
                 self._corners += int(np.count_nonzero(asked & (x >= low) & (x <= high)))
             self.memory, self._ends_off = after, float(u[-1] - x[-1])
             yield block, u
-
-    def _counted(self, taken: Iterable[Taken]) -> Iterator[tuple[Taken, FloatArray]]:
-        for block, x in taken:
-            self._read += x.size
-            yield (block, x), x
-
-    def _memory_at(self, block: SampleBlock, inverter: DynamicsInverter) -> InverseMemory | None:
-        start = self.start
-        if start is None:
-            return None
-        if start.time is not None and block.time is not None:
-            if float(block.time[0]) - start.time > GAP_STEPS * inverter.time_step:
-                return None
-        if start.undoing is not None and start.undoing.time_step == inverter.time_step:
-            return start.undoing
-        return None if start.dynamics is None else inverter.memory_of(start.dynamics)
 
 
 def even_clock(
@@ -332,7 +325,7 @@ class TimeSteps:
     why : str, optional
         Why the time is needed, for the refusal of a source without; None: it is not needed.
     last : float, optional
-        When the sample before the first one was (s), from a state that knows it.
+        When the sample before the first one was (s), from a state that knows it; then that of the last one.
     """
 
     def __init__(self, source: Source, why: str | None, last: float | None = None) -> None:
@@ -343,7 +336,7 @@ class TimeSteps:
         # One number where samples are evenly spaced by definition: a delay of whole samples is exact then.
         rate = source.even_rate
         self.step = None if rate is None else 1.0 / rate
-        self._last = last
+        self.last = last
         self._begun = False
 
     def of(self, block: SampleBlock) -> float | FloatArray | None:
@@ -360,19 +353,15 @@ class TimeSteps:
             self._begin(block.time)
         if self.step is not None:
             return self.step
-        steps: FloatArray = np.diff(block.time, prepend=0.0 if self._last is None else self._last)
+        steps: FloatArray = np.diff(block.time, prepend=0.0 if self.last is None else self.last)
         if (steps < 0.0).any():
             place = block.place(self.name, int(np.argmax(steps < 0.0)))
             raise InputError(
                 f"{place}: time goes backwards, and this model's lag and creep depend on the time between "
                 "samples (cut the log with `rows` A:B)"
             )
-        self._last = float(block.time[-1])
+        self.last = float(block.time[-1])
         return steps
-
-    def follow(self, last: float) -> None:
-        """Let the first sample come after one at ``last`` (s)."""
-        self._last = last
 
     def _begin(self, time: FloatArray) -> None:
         """Find when the sample before the first one was.
@@ -384,9 +373,9 @@ class TimeSteps:
         self._begun = True
         first = float(time[0])
         usual = self.step if self.step is not None else float(time[1]) - first if len(time) > 1 else 0.0
-        if self._last is None or self._last > first or (self.step is not None and self._last == first):
-            self._last = first - usual
-        elif self.step is not None and abs(first - self._last - self.step) > SAME_STEP * self.step:
+        if self.last is None or self.last > first or (self.step is not None and self.last == first):
+            self.last = first - usual
+        elif self.step is not None and abs(first - self.last - self.step) > SAME_STEP * self.step:
             self.step = None  # a pause: from here on the stamps count
 
 

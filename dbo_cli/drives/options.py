@@ -156,10 +156,6 @@ class DriveOptions:
         """The load, where it is known."""
         return None if self.capacitance is None else in_unit("capacitance", self.capacitance, "F")
 
-    def plain_in(self, unit: str | None) -> str:
-        """Say in which unit plain limits are read, where that is not volts."""
-        return plain_in(unit, self.v_min, self.v_max, self.max_slew, self.from_)
-
     @property
     def why_time(self) -> str | None:
         """Why the time between samples is needed, where it is."""

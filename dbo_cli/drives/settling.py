@@ -40,22 +40,37 @@ def distance_in(given: float | str, unit: str | None) -> float:
     return size
 
 
-class HeldLevels:
-    """The steps between levels that a trajectory holds, and the drive at either end of each.
+class StepTime(NamedTuple):
+    """A step of the drive between held levels, and the seconds until it has settled."""
+
+    begin: float
+    end: float
+    seconds: float
+
+
+class StepTimes:
+    """How long the steps of a drive have to be held, as it is computed: those between levels that are held.
+
+    Parameters
+    ----------
+    model : ActuatorModel
+        The forward model.
+    settle : float or str
+        The distance within which a level counts as reached (see ``distance_in``).
 
     Attributes
     ----------
     steps : list of (float, float)
         Drive of a level and of the next one, each at its tenth row; the last rows may lead to the next level.
-    shortest : float
-        Rows of the level that is held the shortest.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, model: ActuatorModel, settle: float | str) -> None:
+        self.model, self.distance = model, distance_in(settle, model.output.unit)
         self.steps: list[tuple[float, float]] = []
-        self.shortest = math.inf  # rows
         self._level, self._rows, self._drive = math.nan, 0, math.nan
         self._before: tuple[float, float] | None = None
+        self._timed: list[StepTime] = []
+        self._count = 0
 
     def add(self, desired: FloatArray, drive: FloatArray) -> None:
         """Take a block of what is desired and of its drive."""
@@ -75,67 +90,49 @@ class HeldLevels:
             if k < rows.size - 1:
                 self._close()
 
-    def finished(self) -> HeldLevels:
-        """Return the same with the level that it ends on."""
-        self._close()
-        return self
-
     def _close(self) -> None:
         if self._rows >= FEWEST_HELD:
             if self._before is not None and self._before[0] != self._level:
                 self.steps.append((self._before[1], self._drive))
-                self.shortest = min(self.shortest, self._rows)
             self._before = self._level, self._drive
         self._rows = 0
 
-
-class StepTime(NamedTuple):
-    """A step of the drive between held levels, and the seconds until it has settled."""
-
-    begin: float
-    end: float
-    seconds: float
-
-
-def step_times(model: ActuatorModel, steps: Sequence[tuple[float, float]], distance: float) -> list[StepTime]:
-    """Return the settling time of each step; of very many, of some from the smallest to the largest."""
-    if len(set(steps)) > MOST_TIMED:
-        sizes = sorted(set(steps), key=lambda step: (abs(step[1] - step[0]), step))
-        steps = [sizes[k] for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)]
-    found = {step: settling_seconds(model, *step, distance) for step in dict.fromkeys(steps)}
-    return [StepTime(*step, found[step]) for step in steps]
-
-
-class StepTimes:
-    """How long the steps of a drive have to be held, as it is computed.
-
-    Parameters
-    ----------
-    model : ActuatorModel
-        The forward model.
-    settle : float or str
-        The distance within which a level counts as reached (see ``distance_in``).
-    """
-
-    def __init__(self, model: ActuatorModel, settle: float | str) -> None:
-        self.model, self.distance = model, distance_in(settle, model.output.unit)
-        self.levels = HeldLevels()
-        self._timed: list[StepTime] = []
-        self._count = 0
-
     def times(self) -> list[StepTime]:
-        """Return how long each step between held levels takes."""
-        steps = self.levels.finished().steps
+        """Return the settling time of each step so far; of very many, of some, from the smallest on."""
+        self._close()
+        steps = self.steps
         if len(steps) != self._count:
-            self._timed, self._count = step_times(self.model, steps, self.distance), len(steps)
+            self._count = len(steps)
+            if len(set(steps)) > MOST_TIMED:
+                sizes = sorted(set(steps), key=lambda step: (abs(step[1] - step[0]), step))
+                steps = [sizes[k] for k in np.linspace(0, len(sizes) - 1, MOST_TIMED).astype(int)]
+            found = {one: settling_seconds(self.model, *one, self.distance) for one in dict.fromkeys(steps)}
+            self._timed = [StepTime(*step, found[step]) for step in steps]
         return self._timed
 
     def notes(self, name: str, drive: DriveFigures) -> list[str]:
         """Say how long a step over the whole drive, and each between levels, has to be held."""
         if not drive.rows:
             return []
-        times, whole = self.times(), (drive.low, drive.high)
-        return settling_notes(name, self.model, whole, times, len(self.levels.steps), self.distance)
+        model, distance, times, count = self.model, self.distance, self.times(), len(self.steps)
+        unit, volts = model.output.suffix, model.input.suffix
+        seconds = settling_seconds(model, drive.low, drive.high, distance)
+        notes = [
+            f"{name}: after a step from {drive.low:.6g} to {drive.high:.6g}{volts} that is held, creep and "
+            f"ringing stay within {distance:.6g}{unit} after {seconds:.3g} s{below_error(model, distance)}"
+        ]
+        said = [f"{one.seconds:.3g} s ({one.begin:.6g} to {one.end:.6g}{volts})" for one in times]
+        held = f"{name}: within {distance:.6g}{unit},"
+        if 0 < count <= MOST_SAID:
+            notes.append(f"{held} steps between held levels take {', '.join(said)}")
+        elif count:
+            order = sorted(range(len(times)), key=lambda k: times[k].seconds)
+            some = "" if count == len(times) else f" ({len(times)} looked at)"
+            notes.append(
+                f"{held} of {count:,} steps between held levels{some} the shortest takes {said[order[0]]}, "
+                f"the longest {said[order[-1]]} (`summary` has each)"
+            )
+        return notes
 
 
 def below_error(model: ActuatorModel, distance: float) -> str:
@@ -143,36 +140,6 @@ def below_error(model: ActuatorModel, distance: float) -> str:
     rmse = model.fit.get("expected_rmse")
     below = isinstance(rmse, float) and distance < rmse
     return f" (below the model's expected error of {rmse:.3g}{model.output.suffix})" if below else ""
-
-
-def settling_notes(
-    name: str,
-    model: ActuatorModel,
-    whole: tuple[float, float],
-    times: Sequence[StepTime],
-    count: int,
-    distance: float,
-) -> list[str]:
-    """Return how long a step over the whole drive has to be held, and the steps between held levels."""
-    unit, volts = model.output.suffix, model.input.suffix
-    begin, end = whole
-    seconds = settling_seconds(model, begin, end, distance)
-    notes = [
-        f"{name}: after a step from {begin:.6g} to {end:.6g}{volts} that is held, creep and ringing stay "
-        f"within {distance:.6g}{unit} after {seconds:.3g} s{below_error(model, distance)}"
-    ]
-    said = [f"{one.seconds:.3g} s ({one.begin:.6g} to {one.end:.6g}{volts})" for one in times]
-    held = f"{name}: within {distance:.6g}{unit},"
-    if 0 < count <= MOST_SAID:
-        notes.append(f"{held} steps between held levels take {', '.join(said)}")
-    elif count:
-        order = sorted(range(len(times)), key=lambda k: times[k].seconds)
-        some = "" if count == len(times) else f" ({len(times)} looked at)"
-        notes.append(
-            f"{held} of {count:,} steps between held levels{some} the shortest takes {said[order[0]]}, the "
-            f"longest {said[order[-1]]} (`summary` has each)"
-        )
-    return notes
 
 
 def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: float) -> float:

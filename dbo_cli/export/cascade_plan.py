@@ -42,24 +42,9 @@ class CascadePlan:
     limits: DriveLimits | None
 
     @property
-    def direction(self) -> Direction:
-        """The direction that is exported."""
-        return self.model.direction
-
-    @property
-    def drive(self) -> Quantity:
-        """The drive: the input of a forward model, the output of an inverse."""
-        return self.model.output if self.direction == "inverse" else self.model.input
-
-    @property
-    def backlash(self) -> DiscreteBacklashOperator:
-        """The backlash stage in that direction."""
-        return self.model.backlash
-
-    @property
     def drive_stages(self) -> MemoryFree:
         """The memory-free stages from a drive to the backlash stage."""
-        return self.model.head if self.direction == "forward" else self.model.tail_inverse
+        return self.model.head if self.model.direction == "forward" else self.model.tail_inverse
 
     @cached_property
     def inner_limits(self) -> DriveLimits | None:
@@ -69,7 +54,7 @@ class CascadePlan:
     @property
     def delay_samples(self) -> tuple[int, float] | None:
         """A forward model's delay as the delay stage counts: whole samples and the part beyond; or None."""
-        if self.direction == "inverse" or self.model.delay_seconds == 0.0:
+        if self.model.direction == "inverse" or self.model.delay_seconds == 0.0:
             return None
         assert self.time_step is not None
         return whole_and_part(self.model.delay_seconds / self.time_step)
@@ -82,12 +67,13 @@ class CascadePlan:
     @property
     def gain(self) -> Floats:
         """c_j, output of the forward backlash stage per unit of its input."""
-        return np.array(self.backlash.relaxation.gain if self.backlash.relaxation else (), dtype=np.float64)
+        relaxation = self.model.backlash.relaxation
+        return np.array(relaxation.gain if relaxation else (), dtype=np.float64)
 
     @property
     def decay(self) -> Floats:
         """a_j = exp(-dt/tau_j)."""
-        relaxation = self.backlash.relaxation
+        relaxation = self.model.backlash.relaxation
         if relaxation is None or self.time_step is None:
             return np.empty(0)
         factors: Floats = relaxation.decay(self.time_step)[0]
@@ -96,13 +82,13 @@ class CascadePlan:
     @property
     def kappa(self) -> float:
         """The immediate part of the memory on an inverse's output: sum c_j (1 - a_j), term by term."""
-        on_output = self.backlash.memory_on == "output"
+        on_output = self.model.backlash.memory_on == "output"
         return float(sum((self.gain * (1.0 - self.decay)).tolist())) if on_output else 0.0
 
     @property
     def reference(self) -> float:
         """The drive, as the backlash stage meets it, at which nothing is remembered."""
-        return self.backlash.relaxation.reference if self.backlash.relaxation else 0.0
+        return self.model.backlash.relaxation.reference if self.model.backlash.relaxation else 0.0
 
     @property
     def slew_step(self) -> float | None:
@@ -112,7 +98,7 @@ class CascadePlan:
     @cached_property
     def inverter(self) -> DynamicsInverter | None:
         """What undoes the dynamics of an inverse model, or None."""
-        if self.direction == "forward" or self.model.dynamics is None:
+        if self.model.direction == "forward" or self.model.dynamics is None:
             return None
         assert self.time_step is not None
         return self.model.dynamics.inverter(self.time_step)
@@ -120,7 +106,7 @@ class CascadePlan:
     @property
     def read_ahead(self) -> float:
         """How many seconds earlier an inverse needs its input: for its delay, and its dynamics."""
-        if self.direction == "forward":
+        if self.model.direction == "forward":
             return 0.0
         undoing = 0.0 if self.inverter is None else self.inverter.ahead * self.inverter.time_step
         return self.model.delay_seconds + undoing
@@ -129,14 +115,14 @@ class CascadePlan:
     def first_output(self) -> float:
         """The output after a rest at the lower end, no covered gear engaged."""
         covered = self.model.covered_gears.operator
-        at = covered.x0 if self.direction == "inverse" else covered.y0
+        at = covered.x0 if self.model.direction == "inverse" else covered.y0
         y = float(through(self.model.tail, np.array([at]))[0])
         return y if self.limits is None else min(max(y, self.limits.v_min), self.limits.v_max)
 
     @property
     def trimmed_drive(self) -> float:
         """The drive that the self-test resets to: a little below the middle, inside of a gear."""
-        return self.drive.minimum + 0.37 * self.drive.span
+        return self.model.drive.minimum + 0.37 * self.model.drive.span
 
     def empty_state(self) -> ModelState:
         """Return the state of ``NAME_init``: no covered gear engaged, nothing remembered."""
@@ -158,7 +144,7 @@ class CascadePlan:
     def spare_words(self, width: int) -> list[str]:
         """Return the spare gears' bits as C constants of ``width`` bits; empty where there are none."""
         bits = self.model.covered_gears.spare_bits
-        count, mask = -(-self.backlash.n // width), (1 << width) - 1
+        count, mask = -(-self.model.backlash.n // width), (1 << width) - 1
         form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
         return [form.format(bits >> width * k & mask) for k in range(count)] if bits else []
 

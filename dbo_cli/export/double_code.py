@@ -76,16 +76,16 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
         members += more
     dynamics, spare, covered = plan.model.dynamics is not None, plan.spare_words(64), plan.model.covered_gears
     values: dict[str, str | bool] = {
-        "inverse": plan.direction == "inverse", "counts": False, "lookup": lookup, "lag": lag,
+        "inverse": plan.model.direction == "inverse", "counts": False, "lookup": lookup, "lag": lag,
         "moving": dynamics, "terms": plan.terms > 0, "points": parts.segments > 0, "spare": bool(spare),
         "delay": bool(delay),
         "TERMS": str(plan.terms), "SEGMENTS": str(parts.segments), "COVERED": str(covered.operator.n),
-        "WORDS": str(buffer_words(plan.backlash.n)), "SPARE_WORDS": str(len(spare)),
+        "WORDS": str(buffer_words(plan.model.backlash.n)), "SPARE_WORDS": str(len(spare)),
         "MEMORY": "state->memory" if plan.terms else "0", "SPARE": "spare" if spare else "0",
         "SPARE_STATE": str(covered.spare_bits),
         "LOWEST_DRIVE": c.hex_double(covered.operator.x0),
         "FIRST_OUTPUT": c.hex_double(plan.first_output),
-        "REACH": ignored_beyond(plan.model.input), "DRIVE_REACH": ignored_beyond(plan.drive),
+        "REACH": ignored_beyond(plan.model.input), "DRIVE_REACH": ignored_beyond(plan.model.drive),
         "LOWEST_OUTPUT": c.hex_double(plan.limits.v_min) if plan.limits else "",
         "HIGHEST_OUTPUT": c.hex_double(plan.limits.v_max) if plan.limits else "",
         "tables": parts.tables, "drive_steps": parts.drive, "step": parts.undo + step + parts.dynamics,
@@ -101,7 +101,7 @@ def double_code(plan: CascadePlan, lookup: bool) -> c.ModelCode:
 
 def _gears(plan: CascadePlan, parts: _Parts, lookup: bool) -> None:
     """Add the gears: run by the package's kernel, or a table of all their states."""
-    gears, rest = plan.backlash, 1.0 - plan.decay
+    gears, rest = plan.model.backlash, 1.0 - plan.decay
     run = 1 if lookup else gears.equal_run
     limits, kappa, terms, corners = plan.inner_limits, plan.kappa, "", ""
     fixed = lookup or limits is not None
@@ -155,7 +155,7 @@ def _corners(plan: CascadePlan) -> str:
     ModelError
         There are too many gears.
     """
-    n = plan.backlash.n
+    n = plan.model.backlash.n
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
             f"dx: {n} gears are too many for a table of all states, {MOST_LOOKUP_GEARS} at most"
@@ -163,7 +163,7 @@ def _corners(plan: CascadePlan) -> str:
         )
     states = np.arange(2**n)
     engaged = (states[:, None] >> np.arange(n) & 1).astype(np.float64)
-    corners = engaged @ plan.backlash.gears[:, :2]  # exact: the widths lie on one binary grid
+    corners = engaged @ plan.model.backlash.gears[:, :2]  # exact: the widths lie on one binary grid
     lowest = [n, *((int(b) & -int(b)).bit_length() - 1 for b in states[1:])]
     return c.array("dbo_corner", "corners", c.double_rows(corners)) + c.array(
         "uint8_t", "lowest", [str(v) for v in lowest]
@@ -255,7 +255,7 @@ def _lag_step(plan: CascadePlan, parts: _Parts, gear_members: Sequence[str]) -> 
     output = "static const dbo_section_output lag_output = {0.0, 0.0};\n"
     parts.size += 64
     parts.members += ["dbo_section_state lag;", "int lagging;"]
-    if plan.direction == "forward":
+    if plan.model.direction == "forward":
         rows = c.double_rows(lag.rows(plan.time_step))
         parts.tables += c.array("dbo_section_step", "lag_step", rows) + output
         return c.fill("lag_forward.c", {"once": parts.once})

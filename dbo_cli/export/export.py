@@ -102,9 +102,9 @@ def translated(
 
 def _gears_that_do(model: ActuatorModel, plan: CascadePlan, arithmetic: str) -> str:
     """Return the remedy for gears that are too narrow: how many, halved until they do, are wide enough."""
-    gears, rate = plan.backlash.n // 2, None if plan.time_step is None else 1.0 / plan.time_step
+    gears, rate = plan.model.backlash.n // 2, None if plan.time_step is None else 1.0 / plan.time_step
     while gears:
-        fewer = plan_cascade(with_fewer_gears(model, gears)[0], plan.direction, rate, plan.limits)
+        fewer = plan_cascade(with_fewer_gears(model, gears)[0], plan.model.direction, rate, plan.limits)
         try:
             single_code(fewer, arithmetic == "q31")
         except NarrowGearsError:
@@ -138,7 +138,7 @@ def _limits(
         if (v_min, v_max, max_slew) != (None, None, None):
             raise UsageError("limits on the drive (`v_min`, `v_max`, `max_slew`) need `direction` inverse")
         return None
-    drive = model.input if model.direction == "forward" else model.output
+    drive = model.drive
     low = drive.minimum if v_min is None else in_unit("v_min", v_min, drive.unit)
     high = drive.maximum if v_max is None else in_unit("v_max", v_max, drive.unit)
     slew = None if max_slew is None else in_unit("max_slew", max_slew, drive.unit, "s")
@@ -159,15 +159,15 @@ def _summary(
     plan: CascadePlan, code: c.ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float],
     notes: tuple[str, ...],
 ) -> ExportSummary:  # fmt: skip
-    run = plan.backlash.equal_run
-    rows = -(-plan.backlash.n // run)
+    run = plan.model.backlash.equal_run
+    rows = -(-plan.model.backlash.n // run)
     # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
-    passes = 1 if plan.direction == "forward" else 2 if plan.model.drive_lag is None else 3
-    worst = worst_pass(plan.backlash.n, run, arithmetic)
-    beyond = "" if plan.limits is None else plan.limits.beyond(plan.drive)
+    passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
+    worst = worst_pass(plan.model.backlash.n, run, arithmetic)
+    beyond = "" if plan.limits is None else plan.limits.beyond(plan.model.drive)
     return ExportSummary(
-        folder=folder, name=name, direction=plan.direction, arithmetic=arithmetic, files=(),
-        gears=plan.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
+        folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
+        gears=plan.model.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
         state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
         vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
         notes=notes, warnings=(beyond,) if beyond else (),
@@ -176,10 +176,10 @@ def _summary(
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
     """Return what every file of an export knows."""
-    model, inverse = plan.model, plan.direction == "inverse"
+    model, inverse = plan.model, plan.model.direction == "inverse"
     return {
         "NAME": name, "GUARD": name.upper(),
-        "TITLE": f"The {plan.direction} hysteresis model of an actuator,"
+        "TITLE": f"The {plan.model.direction} hysteresis model of an actuator,"
         f" {model.input.quantity} to {model.output.quantity}",
         "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
         "MEANING": f"the {'displacement wanted' if inverse else 'drive'} in,"
@@ -192,18 +192,17 @@ def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
 
 def _notes(plan: CascadePlan, loss: dict[str, float], words: c.Values) -> list[str]:
     """Return what the caller must know or do."""
-    found: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.backlash.n)}
-    drive, forward = plan.drive, plan.model if plan.direction == "forward" else plan.model.inverse()
+    found: dict[str, str | bool] = {"loss": bool(loss), "GEARS": str(plan.model.backlash.n)}
     if plan.time_step is not None:
         steps = round(plan.read_ahead / plan.time_step, 6)
         found["SHOWN_RATE"] = f"{1.0 / plan.time_step:.12g}"
         found["SHOWN_AHEAD"] = f"{plan.read_ahead:.9g} s ({steps:.6g} sample{'s' if steps > 1 else ''})"
     if plan.limits is not None:
-        slew, unit = plan.limits.max_slew, drive.suffix
+        slew, unit = plan.limits.max_slew, plan.model.drive.suffix
         slowly = "" if slew is None else f", changing by at most {slew!r}{unit} a second"
         found["LEAST"], found["MOST_SLEW"] = repr(plan.limits.v_min), f"{plan.limits.v_max!r}{unit}{slowly}"
     if loss:
-        unit = forward.output.suffix
+        unit = (plan.model.output if plan.model.direction == "forward" else plan.model.input).suffix
         most, percent, rms = loss["max"], loss["max_percent"], loss["rms"]
         found["LOSS"] = f"{most:.3g}{unit} ({percent:.2g} % of the range) at most, {rms:.3g}{unit}"
     return c.fill("notes.md", {**words, **found}).splitlines()
@@ -322,7 +321,7 @@ def _set_files(made: Mapping[str, Translated], name: str) -> dict[str, str]:
     arithmetic = one.summary.arithmetic
     words: dict[str, str | bool] = {
         **one.words, "NAME": name, "GUARD": name.upper(), "alone": False, "FIRST": one.summary.name,
-        "TITLE": f"The {one.plan.direction} hysteresis models of {len(made)} actuators",
+        "TITLE": f"The {one.plan.model.direction} hysteresis models of {len(made)} actuators",
         "ORIGIN": "Written by dbo export from a model set.", "COUNT": str(len(made)),
         "VECTORS": str(sum(each.summary.vectors for each in made.values())), "ARITHMETIC": arithmetic,
         "moving": any(each.plan.model.dynamics is not None for each in made.values()),

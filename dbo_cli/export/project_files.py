@@ -155,7 +155,7 @@ def _capitalised(quantity: Quantity) -> str:
 def shown_figures(one: Translated) -> Values:
     """Return what README.md shows of an export's figures."""
     plan, _, summary, _ = one
-    drive, result = plan.drive, plan.model.output
+    drive, result = plan.model.drive, plan.model.output
     figures = {key.upper(): str(value) for key, value in asdict(summary).items()}
     for key in ("same_gears", "after_close_turn"):
         most, percent = summary.bounds.get(key, 0.0), summary.bounds.get(f"{key}_percent", 0.0)
@@ -325,7 +325,7 @@ def fmu_bytes(plan: CascadePlan, words: Values, code: Mapping[str, str]) -> byte
     units = sorted({quantity.unit for quantity in (source, result) if quantity.unit})
     values: dict[str, str | bool] = {
         "NAME": name, "GUID": hashlib.sha256(f"{name}{words['TITLE']}{parts}".encode()).hexdigest()[:32],
-        "START_DRIVE": repr(plan.drive.minimum), "timed": plan.time_step is not None,
+        "START_DRIVE": repr(plan.model.drive.minimum), "timed": plan.time_step is not None,
         "TIME_STEP": repr(plan.time_step), "VARIABLE_STEP": "true" if plan.time_step is None else "false",
     }  # fmt: skip
     sources = {**code, f"{name}_fmu.c": fill("NAME_fmu.c", values)}

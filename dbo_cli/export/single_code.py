@@ -129,7 +129,7 @@ def quantised(wanted: Floats, run: int, unit: float) -> Floats:
 
 def axes_of(plan: CascadePlan) -> Axes:
     """Return the gears with kappa in their widths, and the units of positions."""
-    gears = plan.backlash
+    gears = plan.model.backlash
     kappa = plan.kappa
     wide, high = gears.gears[:, 0] + kappa * gears.gears[:, 1], gears.gears[:, 1].copy()
     totals = [float(wide.sum()), float(high.sum())]
@@ -178,7 +178,7 @@ def _remembered(plan: CascadePlan, axes: Axes) -> tuple[int, float, float]:
 
     It is a count of the remembered axis, or coarser where the reference is far away: they have 31 bits.
     """
-    gears, on_output = plan.backlash, plan.backlash.memory_on == "output"
+    gears, on_output = plan.model.backlash, plan.model.backlash.memory_on == "output"
     offset = (gears.y0 if on_output else gears.x0) - plan.reference
     count = axes.y_count if on_output else axes.x_count
     coarse = max(math.frexp(abs(offset) / count / COUNTS)[1], 0) if plan.terms else 0
@@ -188,7 +188,7 @@ def _remembered(plan: CascadePlan, axes: Axes) -> tuple[int, float, float]:
 def _carried(plan: CascadePlan, axes: Axes) -> Floats:
     """Return what each memory adds, in positions, for one of its counts."""
     count = _remembered(plan, axes)[1]
-    if plan.backlash.memory_on == "output":
+    if plan.model.backlash.memory_on == "output":
         return plan.gain * plan.decay * (count / axes.x_unit)
     return plan.gain * (count / axes.y_unit)
 
@@ -226,7 +226,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     ModelError
         Something is beyond what the arithmetic holds.
     """
-    gears = plan.backlash
+    gears = plan.model.backlash
     if gears.n > MOST_GEARS:
         raise ModelError(f"dx: {gears.n} gears are more than {MOST_GEARS} (`gears` fewer, or double)")
     on_output = gears.memory_on == "output"
@@ -237,7 +237,7 @@ def single_tables(plan: CascadePlan, axes: Axes, q31: bool, tolerance: float) ->
     x_step, y_step = (axes.x_unit, axes.y_unit) if q31 else (axes.x_count, axes.y_count)
     before = fold(plan.model.head, source.minimum, source.maximum)
     behind = fold(plan.model.tail, gears.y0, gears.y0 + float(axes.high.sum()))
-    if plan.direction == "forward":
+    if plan.model.direction == "forward":
         drive = segments_of(before, q31, taken, (gears.x0, x_step))
     else:
         undone = fold(plan.drive_stages, result.minimum, result.maximum)
@@ -281,19 +281,19 @@ def _limits(
     limits, inner = plan.limits, plan.inner_limits
     if limits is None or inner is None:
         return None, None, None
-    clip = _count_clip(limits, plan.drive) if q31 else _float_clip(limits)
+    clip = _count_clip(limits, plan.model.drive) if q31 else _float_clip(limits)
     if not clip[0] < clip[1]:
         raise ModelError("`v_min`, `v_max`: too close for this arithmetic (`arithmetic` double)")
     change, step = None, -1.0
     if limits.max_slew is not None and plan.slew_step is not None and plan.time_step is not None:
         asked = limits.max_slew * plan.time_step
-        change, reached = _count_change(asked, plan.drive) if q31 else _float_change(asked, clip)
+        change, reached = _count_change(asked, plan.model.drive) if q31 else _float_change(asked, clip)
         step = plan.slew_step * (reached / asked) / axes.y_unit
         if step < 4.0:
             raise ModelError(
                 "`max_slew`: less than this arithmetic resolves in one step (`sample_rate` lower)"
             )
-    low, high = ((v - plan.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max))
+    low, high = ((v - plan.model.backlash.y0) / axes.y_unit for v in (inner.v_min, inner.v_max))
     if max(abs(low), abs(high), step) >= 2.0**59:
         raise ModelError("`v_min`, `v_max`: beyond what this arithmetic holds (`arithmetic` double)")
     return clip, change, (math.ceil(low), math.floor(high), math.floor(step))
@@ -366,7 +366,7 @@ def _loop(plan: CascadePlan, axes: Axes, steepest: float) -> tuple[float, float,
     c, a = plan.gain, plan.decay
     if not plan.terms:
         return 0.0, 0.0, 1.0
-    on_output = plan.backlash.memory_on == "output"
+    on_output = plan.model.backlash.memory_on == "output"
     b, carried = 1.0 - a, (c * a if on_output else c)
     _, count, offset = _remembered(plan, axes)
     drive = float((axes.high if on_output else axes.wide).sum()) + abs(offset)
@@ -400,7 +400,7 @@ def derive_bounds(plan: CascadePlan, axes: Axes, q31: bool) -> dict[str, float]:
     ModelError
         The gears are too narrow for the arithmetic: its rounding is beyond 1/16 of one.
     """
-    gears, source, result = plan.backlash, plan.model.input, plan.model.output
+    gears, source, result = plan.model.backlash, plan.model.input, plan.model.output
     run, on_output = gears.equal_run, gears.memory_on == "output"
     slopes = axes.high / axes.wide
     steepest, span, height = float(slopes.max()), float(axes.wide.sum()), float(axes.high.sum())
@@ -449,8 +449,8 @@ def _tolerance(place: float, narrow: float, rising: float, low: float, plan: Cas
     power = min(math.floor(-math.log2(part)) if part > 0.0 else LEAST_TOLERANCE, LEAST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
         raise NarrowGearsError(
-            f"{plan.backlash.n} gears are too narrow for this arithmetic: its rounding is {100.0 * part:.2g}"
-            " % of the smallest"
+            f"{plan.model.backlash.n} gears are too narrow for this arithmetic: its rounding is "
+            f"{100.0 * part:.2g} % of the smallest"
         )
     return 2.0**-power
 
@@ -491,15 +491,15 @@ def single_code(plan: CascadePlan, q31: bool) -> ModelCode:
         members += more
     low, high = ("", "") if t.clip is None else map(text, t.clip)
     values: dict[str, str | bool] = {
-        "counts": q31, "inverse": plan.direction == "inverse", "terms": bool(t.terms), "spare": bool(spare),
-        "delay": bool(delay), "tables": tables, "delay_line": delay,
-        "SPARE_WORDS": str(len(spare or ())),
+        "counts": q31, "inverse": plan.model.direction == "inverse", "terms": bool(t.terms),
+        "spare": bool(spare), "delay": bool(delay), "tables": tables, "delay_line": delay,
+        "SPARE_WORDS": str(len(spare)),
         "WORDS": str(words), "TERMS": str(len(t.terms)), "COVERED": str(plan.model.covered_gears.operator.n),
         "MEMORY": "state->memory" if t.terms else "0", "SPARE": "spare" if spare else "0",
         "LIMITS": "0" if t.limits is None else "&limits", "LOWEST_OUTPUT": low, "HIGHEST_OUTPUT": high,
         "FIRST_OUTPUT": text(t.first), "slew": t.change is not None,
-        "CHANGE": "" if t.change is None else text(t.change), "DRIVE_REACH": f"{ignored_beyond(plan.drive)}F",
-        "REACH": f"{ignored_beyond(plan.model.input)}F",
+        "CHANGE": "" if t.change is None else text(t.change), "REACH": f"{ignored_beyond(plan.model.input)}F",
+        "DRIVE_REACH": f"{ignored_beyond(plan.model.drive)}F",
         "Y_SHIFT": str(t.y_shift),
     }  # fmt: skip
     for label, segments in (("BEFORE", t.before), ("BEHIND", t.behind), ("DRIVE", t.drive)):
@@ -563,7 +563,7 @@ def _between(t: SingleTables, text: Text) -> str:
 def _vectors(plan: CascadePlan, t: SingleTables, text: Text) -> list[Vectors]:
     """Return two runs, computed by the readable twin of the kernel."""
     source, found = plan.model.input, []
-    start = to_counts(plan.trimmed_drive, plan.drive) if t.q31 else F(plan.trimmed_drive)
+    start = to_counts(plan.trimmed_drive, plan.model.drive) if t.q31 else F(plan.trimmed_drive)
     for seed, reset in enumerate((None, start), 1):
         moves = self_test_moves(source.minimum, source.maximum, seed)
         inputs: list[Any] = [to_counts(v, source) if t.q31 else F(v) for v in moves.tolist()]

@@ -11,6 +11,7 @@ import numpy as np
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.model import Quantity
+from dbo_cli.hysteresis.model_file import filled
 from dbo_cli.records import dataclass
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -102,14 +103,8 @@ def integer(value: int) -> str:
 
 def array(kind: str, name: str, items: Sequence[str]) -> str:
     """Return the definition of a constant array, private to its file, in lines of at most 108 characters."""
-    lines, line = [], "    "
-    for item in items:
-        if len(line) + len(item) + 1 > 108 and line.strip():
-            lines.append(line.rstrip())
-            line = "    "
-        line += item + ", "
-    lines.append(line.rstrip().removesuffix(","))
-    return f"static const {kind} {name}[{len(items)}] = {{\n" + "\n".join(lines) + "};\n"
+    lines = filled([*items[:-1], f"{items[-1]},"], 108, "    ").removesuffix(",")  # as if one more followed
+    return f"static const {kind} {name}[{len(items)}] = {{\n{lines}}};\n"
 
 
 def struct_rows(rows: Iterable[Iterable[str]]) -> list[str]:

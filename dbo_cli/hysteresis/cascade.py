@@ -8,6 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -51,8 +52,7 @@ class ScaleStage:
 
     def run(self, x: Floats) -> Floats:
         """Return the output for one block."""
-        y: Floats = self.gain * x + self.offset
-        return y
+        return self.gain * x + self.offset
 
     def inverse(self) -> ScaleStage:
         """Return the stage that undoes this one, to rounding."""
@@ -89,10 +89,6 @@ class DelayHistory:
 
     times: tuple[float, ...]
     values: tuple[float, ...]
-
-    def to_json_dict(self) -> dict[str, object]:
-        """Return the history as plain JSON values."""
-        return {"times": list(self.times), "values": list(self.values)}
 
 
 @dataclass(frozen=True)
@@ -179,25 +175,18 @@ def read_ahead(
     the signal is cut into blocks; empty blocks are dropped.
     """
     waiting: deque[tuple[Payload, Floats, Floats]] = deque()
-    for block in blocks:
-        if block[1].size == 0:
+    for block in chain(blocks, [None]):
+        if block is not None and block[1].size == 0:
             continue
-        waiting.append(block)
-        while waiting and block[1][-1] > waiting[0][1][-1] + seconds:
-            yield _shifted(waiting, seconds)
-    while waiting:
-        yield _shifted(waiting, seconds)
-
-
-def _shifted(waiting: deque[tuple[Payload, Floats, Floats]], seconds: float) -> tuple[Payload, Floats]:
-    """Take the first block off and return it shifted, by the blocks that wait behind it."""
-    time = np.concatenate([block[1] for block in waiting])
-    values = np.concatenate([block[2] for block in waiting])
-    payload, own, _ = waiting.popleft()
-    # Mirrored in time, so that the sample after takes the part of the one before: lagging the result by the
-    # delay again finds the same pairs of samples.
-    ahead, _ = interpolated(-time[::-1], values[::-1], -(own + seconds)[::-1])
-    return payload, ahead[::-1]
+        waiting.extend([block] if block is not None else [])
+        while waiting and (block is None or block[1][-1] > waiting[0][1][-1] + seconds):
+            time = np.concatenate([one[1] for one in waiting])
+            values = np.concatenate([one[2] for one in waiting])
+            payload, own, _ = waiting.popleft()
+            # Mirrored in time, so that the sample after takes the part of the one before: lagging the result
+            # by the delay again finds the same pairs of samples.
+            ahead, _ = interpolated(-time[::-1], values[::-1], -(own + seconds)[::-1])
+            yield payload, ahead[::-1]
 
 
 class OtherHysteresis(ABC):

@@ -20,7 +20,7 @@ from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import MemoryFree, least_slope, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
 from dbo_cli.hysteresis.kernel import window
-from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Simulated
+from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscreteBacklashOperator, Outside
 
 Floats = NDArray[np.float64]
@@ -94,6 +94,9 @@ class Prompt(Protocol):
     def outer_drive(self, drive: float) -> float:
         """See ``ActuatorModel.outer_drive``."""
 
+    def drive_of(self, state: ModelState) -> float | None:
+        """See ``ActuatorModel.drive_of``."""
+
     def inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """See ``ActuatorModel.inner_limits``."""
 
@@ -105,8 +108,8 @@ class Prompt(Protocol):
         """See ``ActuatorModel.has_gears``."""
 
     @property
-    def drive_span(self) -> float:
-        """See ``ActuatorModel.drive_span``."""
+    def drive(self) -> Quantity:
+        """See ``ActuatorModel.drive``."""
 
     @property
     def forward_backlash(self) -> DiscreteBacklashOperator:
@@ -163,7 +166,7 @@ def _limited(rest: Prompt, block: Block, state: ModelState) -> Simulated:
             side *= rest.has_gears  # how far these go on without the inverse is known of gears alone
             count = FIRST_CHUNK
         found = Counts(done.outside_count, done.first_outside, done.clipped_count, done.first_clipped)
-        total, missed = total + found.shifted(at), missed or done.first_missed
+        total, missed = total.then(found, at), missed or done.first_missed
         drives.append(np.clip(done.y, block.limits.v_min, block.limits.v_max))
         state, at = done.state, at + done.y.size
     return Simulated(np.concatenate(drives), state, *total, missed)
@@ -175,7 +178,7 @@ def _free(rest: Prompt, block: Block, state: ModelState) -> Simulated:
     bad = (v < block.limits.v_min) | (v > block.limits.v_max)
     most = block.limits.largest_step(block.steps)
     if most is not None:
-        before = _last_drive(rest, state)
+        before = rest.drive_of(state)
         bad |= np.abs(np.diff(v, prepend=v[0] if before is None else before)) > most
     good = int(np.argmax(bad)) if bad.any() else v.size
     if good == 0:
@@ -193,20 +196,13 @@ def _unbounded(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
     return done._replace(state=replace(done.state, drive_lag=held)), v
 
 
-def _last_drive(rest: Prompt, state: ModelState) -> float | None:
-    """Return the drive before a block, from which a slew limit goes on."""
-    if state.drive_lag is not None:
-        return state.drive_lag[0][2]
-    return None if state.drive is None else rest.outer_drive(state.drive)
-
-
 def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated, int]:
     """Return one sample whose drive is the bound that holds it back, and which one that is."""
     wanted = float(_unbounded(rest, block, state)[1][0])
     part, rise = block.numbers[0].tolist()
     most = block.limits.largest_step(block.steps)
     step = None if most is None else float(np.ravel(most)[0])
-    bounds = window(block.limits.v_min, block.limits.v_max, step, _last_drive(rest, state))
+    bounds = window(block.limits.v_min, block.limits.v_max, step, rest.drive_of(state))
     p, _, u = (0.0, 0.0, 0.0) if state.drive_lag is None else state.drive_lag[0]
     low, high = bounds
     if state.drive_lag is not None:  # else at rest at this sample: the lag passes on what it gets
@@ -224,7 +220,7 @@ def _held_back(rest: Prompt, block: Block, state: ModelState) -> tuple[Simulated
         drive = w if state.drive_lag is None else u + ((w - p) - part * (u - p)) / rise
         drive = min(max(drive, bounds[0]), bounds[1])
     drive = min(max(drive, block.limits.v_min), block.limits.v_max)
-    clipped = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive_span)
+    clipped = max(wanted - bounds[1], bounds[0] - wanted) > block.limits.slack(rest.drive.span)
     held = replace(done.state, drive_lag=((w, 0.0, drive),))
     return Simulated(np.array([drive]), held, done.outside_count, 0, int(clipped), 0, done.first_missed), side
 
@@ -301,7 +297,7 @@ def _clearly_held(
     Near the ends of the gears a sample counts as outside by how far the demand goes beyond them, which only
     the inverse knows, unless the model does not cover the demand anyhow.
     """
-    gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive_span
+    gears, unclear = rest.forward_backlash, UNCLEAR * rest.drive.span
     missing = (through(rest.head, block.x) - y) * (side * _sense(rest))
     slope = float(gears.gears[:, 2].max()) + (sum(gears.relaxation.gain) if gears.relaxation else 0.0)
     outer = math.prod(least_slope(stage) for stage in rest.tail)
@@ -310,5 +306,4 @@ def _clearly_held(
     low, high = gears.x_range
     inside = (inner > low + tolerance) & (inner < high - tolerance)
     beyond = (missing * outer / slope > unclear) & (room > unclear)
-    held: NDArray[np.bool_] = beyond & (inside | rest.uncovered(block.x))
-    return held
+    return beyond & (inside | rest.uncovered(block.x))

@@ -207,8 +207,7 @@ class Lag:
     def response(self, frequency: Floats) -> Complexes:
         """Return G(2πif) for frequencies in Hz."""
         turn = 2j * math.pi * frequency
-        response: Complexes = (1.0 + turn * self.lead) / (1.0 + turn * self.seconds)
-        return response
+        return (1.0 + turn * self.lead) / (1.0 + turn * self.seconds)
 
 
 Section = Resonance | Lag

@@ -200,9 +200,7 @@ class Excitation:
 
     def drive(self) -> tuple[Floats, Floats]:
         """Return time (s) and voltage."""
-        slew = None if self.max_slew is None else self.max_slew / self.span
-        count = round(self.duration * self.sample_rate)
-        legs = _Planner(1.0 / self.sample_rate, self.frequency, slew, self.seed).legs(count - 1)
+        legs = _legs(self, round(self.duration * self.sample_rate) - 1)
         part = swings([0.0, *(turn for turn, _ in legs)], [steps for _, steps in legs])
         voltage = np.clip(self.v_min + self.span * part, self.v_min, self.v_max)
         voltage[part == 1.0] = self.v_max
@@ -282,44 +280,33 @@ def excitation_of(
     return Excitation(sample_rate=rate, duration=(points - swept(rate)) / rate, **asked)
 
 
-class _Planner:
-    """Chooses turning points and the steps between them; voltages are parts of the range."""
+def _legs(asked: Excitation, steps: int) -> list[Leg]:
+    """Return two sweeps, random turns and holds, the return and the rest, ``steps`` in all."""
+    step, period = 1.0 / asked.sample_rate, 1.0 / asked.frequency
+    slew = None if asked.max_slew is None else asked.max_slew / asked.span
+    chance = random.Random(asked.seed).random  # the one generator whose numbers Python never changes
 
-    def __init__(self, time_step: float, frequency: float, max_slew: float | None, seed: int) -> None:
-        self._time_step = time_step
-        self._period = 1.0 / frequency
-        self._max_slew = max_slew
-        self._chance = random.Random(seed).random  # the one generator whose numbers Python never changes
+    def swing(distance: float, slowness: float = 1.0) -> int:
+        count = swing_samples(distance, step, 0.5 * period * distance * slowness, slew)
+        return max(count, SAMPLES_A_CYCLE // 2)
 
-    def legs(self, steps: int) -> list[Leg]:
-        """Return two sweeps, random turns, the return and the rest, ``steps`` in all."""
-        sweep = self._swing(1.0)
-        rest = round(_REST * self._period / self._time_step)
-        turns = self._random_turns(steps - 2 * sweep - rest)
-        back = self._swing(turns[-1][0])
-        turns = _stretched(turns, steps - 2 * sweep - back - rest)
-        return [(1.0, sweep), (0.0, sweep), *turns, (0.0, back), (0.0, rest)]
-
-    def _random_turns(self, steps: int) -> list[Leg]:
-        """Return turns and holds that take no more than ``steps``, the way back from the last included."""
-        turns: list[Leg] = []
-        here, used = 0.0, 0
-        while True:
-            turn = float(self._chance() < 0.5) if self._chance() < AT_AN_END else self._chance()
-            slowness = 10.0 ** (_FASTEST + (_SLOWEST - _FASTEST) * self._chance())
-            found = [(turn, self._swing(abs(turn - here), slowness))]
-            if self._chance() < _HOLD_CHANCE:
-                found.append((turn, round(_HOLD * self._period / self._time_step)))
-            used += sum(count for _, count in found)
-            if turns and used + self._swing(turn) > steps:
-                return turns
-            turns += found
-            here = turn
-
-    def _swing(self, distance: float, slowness: float = 1.0) -> int:
-        seconds = 0.5 * self._period * distance * slowness
-        steps = swing_samples(distance, self._time_step, seconds, self._max_slew)
-        return max(steps, SAMPLES_A_CYCLE // 2)
+    sweep, rest = swing(1.0), round(_REST * period / step)
+    turns: list[Leg] = []
+    here, used = 0.0, 0
+    while True:
+        turn = float(chance() < 0.5) if chance() < AT_AN_END else chance()
+        slowness = 10.0 ** (_FASTEST + (_SLOWEST - _FASTEST) * chance())
+        found = [(turn, swing(abs(turn - here), slowness))]
+        if chance() < _HOLD_CHANCE:
+            found.append((turn, round(_HOLD * period / step)))
+        used += sum(count for _, count in found)
+        if turns and used + swing(turn) > steps - 2 * sweep - rest:  # the way back included
+            break
+        turns += found
+        here = turn
+    back = swing(turns[-1][0])
+    turns = _stretched(turns, steps - 2 * sweep - back - rest)
+    return [(1.0, sweep), (0.0, sweep), *turns, (0.0, back), (0.0, rest)]
 
 
 def _stretched(legs: list[Leg], steps: int) -> list[Leg]:
@@ -380,8 +367,7 @@ def sweep(
     rest = round(SETTLE * sample_rate)
     up = swings([v_min, middle, middle], [way, rest])
     down = swings([middle, middle, v_min, v_min], [rest, way, rest])
-    voltage: Floats = np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * turns), down])
-    return voltage
+    return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * turns), down])
 
 
 def _check(span: float, sample_rate: float, sweep_to: float, crest: float, max_slew: float | None) -> None:

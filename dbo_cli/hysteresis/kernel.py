@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
@@ -412,17 +413,8 @@ def compiled_kernel() -> ModuleType | None:
     return module
 
 
-class PythonKernel:
-    """The functions of this module under the names that the extension gives its own."""
-
-    backlash_run = staticmethod(backlash_run)
-    backlash_engagement = staticmethod(backlash_engagement)
-    memory_run = staticmethod(memory_run)
-    point_run = staticmethod(point_run)
-    dynamics_run = staticmethod(dynamics_run)
-    dynamics_undo = staticmethod(dynamics_undo)
-    smooth = staticmethod(smooth)
-    interpolated = staticmethod(interpolated)
+PythonKernel = sys.modules[__name__]
+"""This module: its functions have the names that the extension gives its own."""
 
 
 def choose(wish: str) -> tuple[str, Any]:

@@ -191,7 +191,7 @@ def settling(
 
 def memory_effects(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> list[float]:
     """Return by how much the mean of a pass changes with each memory before it, per volt."""
-    mean, off, effects = float(slow_output(model, drive, step, before).mean()), 0.01 * model.drive_span, []
+    mean, off, effects = float(slow_output(model, drive, step, before).mean()), 0.01 * model.drive.span, []
     memory = before.backlash.memory or ()
     for k in range(len(memory)):
         one = tuple(held + off * (i == k) for i, held in enumerate(memory))

@@ -117,17 +117,6 @@ class ActuatorModel:
         self._check_dynamics()
         self._check_delay()
 
-    def _check_delay(self) -> None:
-        """Refuse a delay in another place than its own, or of the other direction's sign."""
-        forward = self.direction == "forward"
-        end = len(self.stages) - 1 if forward else 0
-        for place, stage in enumerate(self.stages):
-            if isinstance(stage, DelayStage):
-                if place != end:
-                    raise ModelError(f"stages[{place}]: a delay stands {'last' if forward else 'first'}")
-                if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
-                    raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
-
     def _check_dynamics(self) -> None:
         """Refuse dynamics in another place than theirs; the direction tells how they act."""
         forward = self.direction == "forward"
@@ -147,6 +136,16 @@ class ActuatorModel:
                     where = "after all stages but a delay" if forward else "before all stages but a delay"
                     raise ModelError(f"stages[{place}]: dynamics stand {where}, and once")
             self._turn(stage)
+
+    def _check_delay(self) -> None:
+        """Refuse a delay in another place than its own, or of the other direction's sign."""
+        forward = self.direction == "forward"
+        for place, stage in enumerate(self.stages):
+            if isinstance(stage, DelayStage):
+                if place != (len(self.stages) - 1 if forward else 0):
+                    raise ModelError(f"stages[{place}]: a delay stands {'last' if forward else 'first'}")
+                if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
+                    raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
 
     def _turn(self, stage: DynamicsStage | OtherHysteresis) -> None:
         """Let a stage act, or be undone, as the direction tells."""
@@ -190,9 +189,8 @@ class ActuatorModel:
     @cached_property
     def covered_gears(self) -> cascade.CoveredGears:
         """The forward gears that a drive inside the covered range moves; others take no part in starts."""
-        drive = self.input if self.direction == "forward" else self.output
         bent = self.head if self.direction == "forward" else self.tail_inverse
-        ends = through(bent, np.array([drive.minimum, drive.maximum]))
+        ends = through(bent, np.array([self.drive.minimum, self.drive.maximum]))
         return cascade.covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
@@ -246,14 +244,12 @@ class ActuatorModel:
         return dataclasses.replace(self, stages=kept)
 
     def drive_of(self, state: ModelState) -> float | None:
-        """Return the voltage at which a state of this forward model was left, where it knows."""
+        """Return the voltage at which a state was left, where it knows."""
         if state.drive_lag is not None:
             return state.drive_lag[0][2]
-        return None if state.drive is None else self.inverted.outer_drive(state.drive)
-
-    def drive_at(self, end: str) -> float:
-        """Return the voltage of an actuator that stands ``empty`` or ``full``."""
-        return self.inverted.outer_drive(self.covered_gears.operator.x_range[0 if end == "empty" else 1])
+        if state.drive is None:
+            return None
+        return (self if self.direction == "inverse" else self.inverted).outer_drive(state.drive)
 
     def displacement_of(self, state: ModelState) -> float:
         """Return the displacement that gears and memories of a state hold, at its own voltage."""
@@ -396,12 +392,13 @@ class ActuatorModel:
             done = drive_lag.simulate(self.drive_lag, behind, x, state, steps, outside, limits)
             if self.direction == "inverse":
                 return done
-        counts = self._with_uncovered(x, Counts(done.outside_count, done.first_outside))
-        if outside == "error" and counts.outside:
-            raise model_state.OutsideError(
-                counts.first_outside, float(x[counts.first_outside]), *self._covered
-            )
-        return done._replace(outside_count=counts.outside, first_outside=counts.first_outside)
+        beyond = np.flatnonzero(self.uncovered(x))  # of the model's input range, too
+        count, first = max(beyond.size, done.outside_count), done.first_outside
+        if beyond.size:
+            first = min(int(beyond[0]), first) if done.outside_count else int(beyond[0])
+        if outside == "error" and count:
+            raise model_state.OutsideError(first, float(x[first]), *self._covered)
+        return done._replace(outside_count=count, first_outside=first)
 
     def _simulate_prompt(
         self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
@@ -418,38 +415,29 @@ class ActuatorModel:
         if self.direction == "forward":
             if x.size:
                 after = dataclasses.replace(after, drive=float(x[-1]))
-            if steps is not None and (self.delay or self.dynamics):
-                y, after = self._lagging(y, after, steps, state)
+            if steps is not None and self.dynamics:
+                y, sections = self.dynamics.run(y, steps, state.dynamics)
+                after = dataclasses.replace(after, dynamics=sections)
+            if steps is not None and self.delay and self.delay.seconds > 0.0:
+                y, history = self.delay.lag(y, steps, state.history)
+                after = dataclasses.replace(after, history=history)
         return Simulated(y, after, *counts, missed)
 
     @property
-    def drive_span(self) -> float:
-        """Length of the range of voltages that the model covers."""
-        return (self.input if self.direction == "forward" else self.output).span
+    def drive(self) -> Quantity:
+        """The voltages that the model covers: what goes into it, or comes out of an inverse."""
+        return self.input if self.direction == "forward" else self.output
 
     def outer_drive(self, drive: float) -> float:
         """Return the voltage of an inverse model for a drive at its backlash stage."""
         return float(through(self.tail, np.array([drive]))[0])
-
-    def _lagging(
-        self, y: Floats, after: ModelState, steps: Steps, before: ModelState
-    ) -> tuple[Floats, ModelState]:
-        """Pass a block through the dynamics and the delay of a forward model."""
-        if self.dynamics:
-            y, sections = self.dynamics.run(y, steps, before.dynamics)
-            after = dataclasses.replace(after, dynamics=sections)
-        if self.delay and self.delay.seconds > 0.0:
-            y, history = self.delay.lag(y, steps, before.history)
-            after = dataclasses.replace(after, history=history)
-        return y, after
 
     def _held(self, x: Floats) -> Floats:
         """Return what reaches the gears, kept within those that the model covers."""
         core = self.covered_gears.operator
         if self.direction == "inverse" or core.n == self.backlash.n:
             return x
-        held: Floats = np.clip(x, *core.x_range)
-        return held
+        return np.clip(x, *core.x_range)
 
     def _steps(
         self, time_step: float | ArrayLike | None, count: int, state: ModelState, limits: DriveLimits | None
@@ -499,7 +487,7 @@ class ActuatorModel:
         rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
         begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
         y, after, counts, _ = self._backlash_block(x[1:], begun, rest_steps, outside, limits)
-        total = Counts(unbound.outside, 0, int(clipped), 0) + counts.shifted(1)
+        total = Counts(unbound.outside, 0, int(clipped), 0).then(counts, 1)
         low, high = self.backlash.x_range  # the mean size of this model's input per unit of the stage's input
         miss = missed if short and not clipped and not unbound.outside else 0.0
         return np.concatenate([[first.voltage], y]), after, total, miss * (self.input.span / (high - low))
@@ -516,18 +504,7 @@ class ActuatorModel:
         """Return which samples lie beyond the model's input range; gears may go on a little further."""
         low, high = self._covered
         slack = NEGLIGIBLE * self.input.span
-        beyond: NDArray[np.bool_] = (x < low - slack) | (x > high + slack)
-        return beyond
-
-    def _with_uncovered(self, x: Floats, counts: Counts) -> Counts:
-        """Count the samples beyond the model's input range, too."""
-        beyond = np.flatnonzero(self.uncovered(x))
-        if not beyond.size:
-            return counts
-        first = int(beyond[0])
-        if counts.outside:
-            first = min(first, counts.first_outside)
-        return counts._replace(outside=max(beyond.size, counts.outside), first_outside=first)
+        return (x < low - slack) | (x > high + slack)
 
     def compensate(
         self,

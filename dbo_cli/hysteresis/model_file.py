@@ -7,6 +7,7 @@ is wrong, spelled as a path: ``stages[0].dx[3]``.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import itertools
 import json
@@ -70,32 +71,31 @@ class Node(NamedTuple):
 
     def numbers(self, key: str) -> list[float]:
         """Return a list of finite numbers."""
-        given = self.values[key]
-        if not isinstance(given, list):
-            raise self.refuse(key, "is not a list of numbers")
-        return [self.finite(f"{key}[{i}]", value) for i, value in enumerate(given)]
+        return [self.finite(f"{key}[{i}]", value) for i, value in enumerate(self.listed(key, "numbers"))]
 
     def widths(self, key: str) -> list[float]:
         """Return a list of finite numbers in which (from version 2 on) a run of equal ones may stand once."""
-        given = self.values[key]
-        if not isinstance(given, list):
-            raise self.refuse(key, "is not a list of numbers")
         numbers: list[float] = []
-        for place, item in enumerate(given):
-            if not isinstance(item, dict):
-                numbers.append(self.finite(f"{key}[{place}]", item))
-                continue
-            run = self.below(f"{key}[{place}]", item)
-            run.only(("repeat", "value"))
-            count = item["repeat"]
-            if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-                raise run.refuse("repeat", f"{json.dumps(count)} is not a number of times")
+        for place, item in enumerate(self.listed(key, "numbers")):
+            count, at = 1, self
+            if isinstance(item, dict):
+                at = self.below(f"{key}[{place}]", item)
+                at.only(("repeat", "value"))
+                count = item["repeat"]
+                if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+                    raise at.refuse("repeat", f"{json.dumps(count)} is not a number of times")
             if len(numbers) + count > MOST_GEARS:
                 raise self.refuse(key, f"has more than {MOST_GEARS:,} entries")
-            numbers.extend([run.number("value")] * count)
-        if len(numbers) > MOST_GEARS:
-            raise self.refuse(key, f"has more than {MOST_GEARS:,} entries")
+            value = self.finite(f"{key}[{place}]", item) if at is self else at.number("value")
+            numbers.extend([value] * count)
         return numbers
+
+    def listed(self, key: str, what: str) -> list[Any]:
+        """Return a list of ``what``."""
+        given = self.values[key]
+        if not isinstance(given, list):
+            raise self.refuse(key, f"is not a list of {what}")
+        return given
 
     def finite(self, key: str, value: object) -> float:
         """Return a value as a finite number."""
@@ -207,12 +207,15 @@ def read_relaxation(node: Node, key: str) -> tuple[Relaxation, Axis]:
     return node.build(lambda: Relaxation(reference, tuple(tau), tuple(gain))), cast(Axis, axis)
 
 
-def _relaxation_values(stage: BacklashStage) -> Json | None:
-    terms = stage.relaxation
+def relaxation_values(terms: Relaxation | None, axis: Axis) -> Json | None:
+    """Return relaxation and the axis that it follows as plain values."""
     if terms is None:
         return None
-    lists = {"tau": list(terms.tau), "gain": list(terms.gain)}
-    return {"on": stage.memory_on, "reference": terms.reference, **lists}
+    return {"on": axis, "reference": terms.reference, "tau": list(terms.tau), "gain": list(terms.gain)}
+
+
+def _memory_values(stage: BacklashStage) -> Json | None:
+    return relaxation_values(stage.relaxation, stage.memory_on)
 
 
 def _backlash(relaxation: tuple[Relaxation | None, Axis] = (None, "input"), **gears: Any) -> BacklashStage:
@@ -229,9 +232,7 @@ def _antiresonance_values(section: Resonance) -> Json | None:
 
 def _sections(node: Node, key: str) -> tuple[Section, ...]:
     """Return lags and resonances, these perhaps with an antiresonance."""
-    given = node.values[key]
-    if not isinstance(given, list):
-        raise node.refuse(key, "is not a list of sections")
+    given = node.listed(key, "sections")
     nodes = [node.below(f"{key}[{k}]", values) for k, values in enumerate(given)]
     return tuple(
         _read(one, Lag, LAG) if "lag" in one.values else _read(one, Resonance, RESONANCE) for one in nodes
@@ -270,7 +271,7 @@ CURVE = (
     Field("dx", Node.widths, lambda stage: _with_runs(stage.dx.tolist())),
     Field("dy", Node.widths, lambda stage: _with_runs(stage.dy.tolist())),
 )
-GEARS = (*CURVE, Field("relaxation", read_relaxation, _relaxation_values, optional=True))
+GEARS = (*CURVE, Field("relaxation", read_relaxation, _memory_values, optional=True))
 SECTIONS = (Field("sections", _sections, lambda stage: [section_values(one) for one in stage.sections]),)
 
 
@@ -354,14 +355,13 @@ def load_document(path: str, wanted: str, noun: str, newest: int = VERSION) -> N
     if not text.strip():
         raise ModelError(f"{name}: is empty; this is no {noun} file")
     try:
-        values = json.loads(text, object_pairs_hook=_distinct)
+        values = json.loads(text, object_pairs_hook=functools.partial(_distinct, name))
         json.dumps(values, ensure_ascii=False).encode()  # half a surrogate pair could not be written again
     except json.JSONDecodeError as problem:
         log = "" if text.lstrip()[:1] in "{[" else " (identify makes a model from a log)"
         raise ModelError(f"{name}:{problem.lineno}: is not JSON: {problem.msg}{log}") from None
-    except (_RepeatedKeyError, ValueError, RecursionError) as problem:
-        reason = str(problem) if isinstance(problem, _RepeatedKeyError) else "is not readable JSON"
-        raise ModelError(f"{name}: {reason}") from None
+    except (ValueError, RecursionError):
+        raise ModelError(f"{name}: is not readable JSON") from None
     if isinstance(values, dict) and values.get("format") == SET_FORMAT != wanted:
         raise ModelError(
             f"{name}: is a set of models: name one of them ({name}::CHANNEL), or the columns of all with a "
@@ -384,16 +384,12 @@ def checked_version(root: Node, newest: int = VERSION) -> Node:
     return root
 
 
-class _RepeatedKeyError(Exception):
-    """An object holds one key twice."""
-
-
-def _distinct(pairs: list[tuple[str, Any]]) -> Json:
+def _distinct(name: str, pairs: list[tuple[str, Any]]) -> Json:
     """Return an object, refusing keys that occur twice: which of them counts would be a guess."""
     values: Json = {}
     for key, value in pairs:
         if key in values:
-            raise _RepeatedKeyError(f"{key}: occurs twice in one object")
+            raise ModelError(f"{name}: {key}: occurs twice in one object")
         values[key] = value
     return values
 
@@ -467,8 +463,12 @@ def _layout(value: Any, indent: str) -> str:
     if not isinstance(value, dict | list) or not value or len(indent) + len(flat) <= LINE:
         return flat
     inner = indent + "  "
-    if isinstance(value, list) and all(_is_short(item) for item in value):
-        return _filled([json.dumps(item, ensure_ascii=False) for item in value], inner, indent)
+    if isinstance(value, list) and all(
+        isinstance(item, int | float) or (isinstance(item, dict) and item.keys() == {"repeat", "value"})
+        for item in value
+    ):  # numbers, or numbers that are repeated: lines of as many as fit
+        items = [json.dumps(item, ensure_ascii=False) for item in value]
+        return f"[\n{filled(items, LINE, inner)}\n{indent}]"
     if isinstance(value, dict):
         parts = [
             f"{json.dumps(key, ensure_ascii=False)}: {_layout(item, inner)}" for key, item in value.items()
@@ -479,21 +479,16 @@ def _layout(value: Any, indent: str) -> str:
     return opening + "\n" + ",\n".join(inner + part for part in parts) + "\n" + indent + closing
 
 
-def _is_short(item: Any) -> bool:
-    """Tell whether a list's item is a number, or a number that is repeated."""
-    return isinstance(item, int | float) or (isinstance(item, dict) and item.keys() == {"repeat", "value"})
+def filled(items: Sequence[str], width: int, indent: str) -> str:
+    """Return items with commas between them, in lines of at most ``width`` characters where they fit."""
+    import textwrap  # most runs write no list
 
-
-def _filled(items: list[str], inner: str, indent: str) -> str:
-    """Return a list as lines of as many items as fit."""
-    lines, line = [], inner
-    for place, item in enumerate(items):
-        piece = item + ("," if place + 1 < len(items) else "")
-        if len(line) + len(piece) > LINE and line != inner:
-            lines.append(line.rstrip())
-            line = inner
-        line += piece + " "
-    return "[\n" + "\n".join([*lines, line.rstrip()]) + "\n" + indent + "]"
+    whole = ", ".join(item.replace(" ", "\0") for item in items)  # a line does not end inside an item
+    lines = textwrap.fill(
+        whole, width, initial_indent=indent, subsequent_indent=indent, break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
+    return lines.replace("\0", " ")
 
 
 def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
@@ -505,7 +500,7 @@ def state_to_bytes(state: ModelState, model: ActuatorModel) -> bytes:
         **model.state_values(state.backlash),
         "time": state.time,
         "drive": state.drive,
-        "delay": None if state.history is None else state.history.to_json_dict(),
+        "delay": state.history and {name: list(own) for name, own in vars(state.history).items()},
     }
     if state.dynamics is not None or state.undoing is not None:
         values["dynamics"] = _dynamics_values(state)

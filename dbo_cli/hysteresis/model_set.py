@@ -79,13 +79,11 @@ class Coupling:
 
     def apart(self, together: Floats) -> Floats:
         """Return what each actuator does alone where the sensors show ``together`` (..., channels)."""
-        found: Floats = self.reference + (together - self.reference) @ self._inverse.T
-        return found
+        return self.reference + (together - self.reference) @ self._inverse.T
 
     def together(self, apart: Floats) -> Floats:
         """Return what the sensors show of what each actuator does alone (..., channels)."""
-        found: Floats = self.reference + (apart - self.reference) @ self.gains.T
-        return found
+        return self.reference + (apart - self.reference) @ self.gains.T
 
     def of(self, channels: Sequence[str]) -> Coupling:
         """Return the same in another order of the channels; all have to be there (InputError)."""

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.hysteresis.cascade import DelayHistory
-from dbo_cli.hysteresis.dynamics import InverseMemory, SectionStates
+from dbo_cli.hysteresis.dynamics import DynamicsInverter, InverseMemory, SectionStates
 from dbo_cli.hysteresis.operators import CROSSING_TOLERANCE, BacklashState, DiscreteBacklashOperator, Floats
 from dbo_cli.records import dataclass
 
@@ -240,6 +240,12 @@ class ModelState:
     undoing: InverseMemory | None = None
     drive_lag: SectionStates | None = None
     model: str | None = None
+
+    def memory_for(self, inverter: DynamicsInverter) -> InverseMemory | None:
+        """Return what the inverse of the dynamics goes on from, on its clock, or None."""
+        if self.undoing is not None and self.undoing.time_step == inverter.time_step:
+            return self.undoing
+        return None if self.dynamics is None else inverter.memory_of(self.dynamics)
 
 
 class Simulated(NamedTuple):

@@ -256,22 +256,14 @@ class Counts(NamedTuple):
     clipped: int = 0
     first_clipped: int = 0
 
-    def __add__(self, other: object) -> Counts:
-        """Return the counts of two blocks, ``other`` being the later, with its indices already shifted."""
-        if not isinstance(other, Counts):
-            return NotImplemented
+    def then(self, later: Counts, samples: int) -> Counts:
+        """Return the counts of two blocks, the later of which begins ``samples`` behind the other's begin."""
+        known = self.outside or not later.outside, self.clipped or not later.clipped
         return Counts(
-            self.outside + other.outside,
-            self.first_outside if self.outside else other.first_outside,
-            self.clipped + other.clipped,
-            self.first_clipped if self.clipped else other.first_clipped,
-        )
-
-    def shifted(self, samples: int) -> Counts:
-        """Return the counts of a block that begins ``samples`` later; an index without a count stays 0."""
-        return self._replace(
-            first_outside=self.first_outside + samples if self.outside else 0,
-            first_clipped=self.first_clipped + samples if self.clipped else 0,
+            self.outside + later.outside,
+            self.first_outside if known[0] else later.first_outside + samples,
+            self.clipped + later.clipped,
+            self.first_clipped if known[1] else later.first_clipped + samples,
         )
 
 
@@ -315,28 +307,23 @@ class DiscreteBacklashOperator:
         self.x0, self.y0 = float(x0), float(y0)
         self.relaxation, self.memory_on = relaxation, memory_on
         self.n = self.dx.size
-        self.gears = self._gears()
+        widths, heights = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
+        self._width, self._height = math.fsum(widths.tolist()), math.fsum(heights.tolist())
+        scale_x = max(abs(self.x0), abs(self.x0 + self._width), self._width)
+        scale_y = max(abs(self.y0), abs(self.y0 + self._height), self._height)
+        if relaxation is not None:
+            drive = scale_x if memory_on == "input" else scale_y
+            remembered = math.fsum(relaxation.gain) * (drive + abs(relaxation.reference))
+            scale_x += remembered * (memory_on == "output")
+            scale_y += remembered * (memory_on == "input")
+        self.gears = gear_table(widths, heights, scale_x, scale_y)
         self.equal_run = equal_run(self.gears)
         self._size, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)  # in words
         self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
-        self._width, self._height = (math.fsum(self.gears[:, axis].tolist()) for axis in (0, 1))
 
     def __repr__(self) -> str:
         """Return a short description for debugging."""
         return f"{type(self).__name__}(n={self.n}, x_range={self.x_range}, y_range={self.y_range})"
-
-    def _gears(self) -> Floats:
-        """Return the kernel's rows (dx, dy, slope, keep), on the binary grid."""
-        dx, dy = on_binary_grid("dx", self.dx), on_binary_grid("dy", self.dy)
-        width, height = math.fsum(dx.tolist()), math.fsum(dy.tolist())
-        scale_x = max(abs(self.x0), abs(self.x0 + width), width)
-        scale_y = max(abs(self.y0), abs(self.y0 + height), height)
-        if self.relaxation is not None:
-            drive = scale_x if self.memory_on == "input" else scale_y
-            remembered = math.fsum(self.relaxation.gain) * (drive + abs(self.relaxation.reference))
-            scale_x += remembered * (self.memory_on == "output")
-            scale_y += remembered * (self.memory_on == "input")
-        return gear_table(dx, dy, scale_x, scale_y)
 
     def _at_rest(self, voltage: float) -> float:
         """Return what the relaxation terms add up to after a long rest at ``voltage``."""
@@ -467,7 +454,7 @@ class DiscreteBacklashOperator:
                 *self.constants(outside != "hold"), words, memory, before, x[begin:end], y[begin:end],
                 factors, limits is not None, bound.low, bound.high, bound.slack, steps,
             )  # fmt: skip
-            counts = counts + Counts(*found).shifted(begin) if begin else Counts(*found)
+            counts = counts.then(Counts(*found), begin)
             before = float(y[end - 1])
         if x.size == 0:
             return y, state, counts

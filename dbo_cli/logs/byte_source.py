@@ -1,24 +1,19 @@
-"""Bytes in: what a reader is given, and files, gzip and standard input as plain text, in constant memory."""
+"""Bytes in: files, gzip and standard input as plain text, in constant memory."""
 
 from __future__ import annotations
 
 import codecs
-import contextlib
 import io
 import os
 import stat
 import sys
 import zlib
-from collections.abc import Iterator, Sequence
-from dataclasses import field
+from collections.abc import Sequence
 from typing import IO, Any, cast
 
-from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.addresses import Address, Given, parse_address
-from dbo_cli.logs.libraries import GAVE_UP
+from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import ReadingOptions
-from dbo_cli.records import dataclass
+from dbo_cli.logs.request import CHANGED, Given, Request, parse_address
 
 _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
 _UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
@@ -27,17 +22,17 @@ _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 # First bytes of a file that is no table of text: what messages call it, and what reads it (module, function).
 BINARY = {
     b"\x89HDF\r\n\x1a\n": ("HDF5", "hdf5.reader.open_hdf5"),
-    b"MATLAB 5.0 MAT-file": ("a MATLAB file", "binary.arrays.open_matlab"),
-    b"\x93NUMPY": ("a NumPy array", "binary.arrays.open_npy"),
-    b"PAR1": ("Parquet", "binary.library_files.open_parquet"),
-    b"ARROW1": ("Feather", "binary.library_files.open_feather"),
-    b"FEA1": ("Feather", "binary.library_files.open_old_feather"),
-    b"TDSm": ("TDMS", "binary.library_files.open_tdms"),
-    b"CDF\x01": ("netCDF", "binary.arrays.open_netcdf"),
-    b"CDF\x02": ("netCDF", "binary.arrays.open_netcdf"),
-    b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.library_files.open_excel"),
+    b"MATLAB 5.0 MAT-file": ("a MATLAB file", "binary.open_matlab"),
+    b"\x93NUMPY": ("a NumPy array", "binary.open_npy"),
+    b"PAR1": ("Parquet", "binary.open_parquet"),
+    b"ARROW1": ("Feather", "binary.open_feather"),
+    b"FEA1": ("Feather", "binary.open_old_feather"),
+    b"TDSm": ("TDMS", "binary.open_tdms"),
+    b"CDF\x01": ("netCDF", "binary.open_netcdf"),
+    b"CDF\x02": ("netCDF", "binary.open_netcdf"),
+    b"\xd0\xcf\x11\xe0": ("an old Excel workbook", "binary.open_excel"),
     # Texts that are no tables.
-    **dict.fromkeys((b"    -1\n", b"    -1\r\n"), ("UFF", "binary.library_files.open_uff")),
+    **dict.fromkeys((b"    -1\n", b"    -1\r\n"), ("UFF", "binary.open_uff")),
     **dict.fromkeys((b"IGOR\n", b"IGOR\r"), ("an Igor text file", "text.whole_texts.open_igor")),
     **dict.fromkeys(
         (b'{"', b"{\n", b"{\r\n", b"[{", b"[[", b'["', b"[\n", b"[\r\n"),
@@ -58,108 +53,6 @@ _REMEDIES = _UNREAD | {
     start: f"{name}: give it as a file, not through a pipe or compressed"
     for start, (name, _) in BINARY.items()
 }
-
-
-_CHANGED = "the file changed while it was read: read it when its writer is done, or read a copy"
-
-
-class FileWatch:
-    """The size and time of files that are read in pieces: a change in between is an error.
-
-    Parameters
-    ----------
-    place
-        How messages call the log.
-    path
-        The file; ``add`` takes further ones that its samples come from.
-    """
-
-    def __init__(self, place: str, path: str) -> None:
-        self._place = place
-        self._seen: dict[str, tuple[int, int, int] | None] = {}
-        self.add(path)
-
-    def add(self, path: str) -> None:
-        """Watch another file."""
-        self._seen.setdefault(path, _state_of(path))
-
-    def changed(self) -> bool:
-        """Tell whether a file is no longer what it was."""
-        return any(_state_of(path) != before for path, before in self._seen.items())
-
-    def check(self) -> None:
-        """Refuse what was read so far where a file has changed (InputError)."""
-        if self.changed():
-            raise InputError(f"{self._place}: {_CHANGED}")
-
-
-def _state_of(path: str) -> tuple[int, int, int] | None:
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
-
-
-@dataclass(frozen=True)
-class Request:
-    """What a reader of a format is given.
-
-    Attributes
-    ----------
-    address, options
-        Where the log is, and how it is to be read.
-    named
-        The columns that the user named.
-    live
-        Hand on what has arrived instead of waiting for a full block.
-    digest
-        Hash the bytes of a stream as they are read: it cannot be read again.
-    content
-        The text itself, where another format has been turned into text (a workbook's sheet).
-    watch
-        Of the file, from now on.
-    """
-
-    address: Address
-    options: ReadingOptions
-    named: Sequence[str] = ()
-    live: bool = False
-    digest: bool = False
-    content: bytes | None = None
-    watch: FileWatch = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Watch the file from now on."""
-        object.__setattr__(self, "watch", FileWatch(self.place, self.address.path))
-
-    @property
-    def place(self) -> str:
-        """How messages call the log."""
-        return self.address.text
-
-    @contextlib.contextmanager
-    def reading(self, kind: str, errors: tuple[type[BaseException], ...] = (Exception,)) -> Iterator[None]:
-        """Turn whatever a library raises at damaged bytes into one line (InputError).
-
-        ``kind`` is what the file should be, as messages call it (``Parquet``).
-        """
-        try:
-            yield
-            self.watch.check()
-        except (DboError, KeyboardInterrupt, SystemExit):
-            raise
-        except errors as problem:
-            self.watch.check()
-            raise InputError(f"{self.place}: damaged {kind}: {brief(problem)}") from None
-
-
-def brief(problem: BaseException) -> str:
-    """Keep the reason in brackets of a library's message, or its first line."""
-    if type(problem).__name__ == "PanicException":  # describes the library's own lines
-        return GAVE_UP
-    text = str(problem).strip("'\"").splitlines()[0] if str(problem) else type(problem).__name__
-    return text[text.find("(") + 1 : text.rfind(")")] if "(" in text and text.endswith(")") else text
 
 
 class _Hashing(io.RawIOBase):
@@ -196,27 +89,24 @@ class ByteSource:
     def __init__(self, request: Request) -> None:
         address = request.address
         self.name = address.name
-        self._content = request.content
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
-        self._file: IO[bytes] | None = None
-        self._begun: os.stat_result | None = None  # how a regular file was when it was opened
-        self._largest = 0  # bytes that it has had since
-        self._live = request.live
+        self._live, self._at_start, self._classic_mac = request.live, True, False
         self._hash: Any = None
         if request.digest and address.is_stream:
             import hashlib
 
             self._hash = hashlib.sha256()
-        self._owned: list[IO[bytes]] = []
+        self._file = self._open(request)
+        self._owned = [] if address.is_stream else [self._file]
+        self._begun = self._now()  # how a regular file was when it was opened
+        self._largest = 0 if self._begun is None else self._begun.st_size  # bytes that it has had since
         try:
-            self._stream = self._open(address)
-            self._decode = self._decoder(request.options.encoding)
+            self._stream, start = self._unpacked()
+            self._decode = self._decoder(request.options.encoding, start)
         except BaseException:
             self.close()
             raise
-        self._classic_mac = False
-        self._at_start = True
 
     @property
     def sha256(self) -> str | None:
@@ -271,16 +161,16 @@ class ByteSource:
             return
         same = now.st_size == self._begun.st_size
         if now.st_size < self._largest or (ended and same and now.st_mtime_ns != self._begun.st_mtime_ns):
-            raise InputError(f"{self.name}: {_CHANGED}")
+            raise InputError(f"{self.name}: {CHANGED}")
         self._largest = now.st_size
 
     def _now(self) -> os.stat_result | None:
         """Look at the open file; None for a stream and for text in memory."""
         try:
-            found = os.fstat(self._file.fileno()) if self._file is not None else None
+            found = os.fstat(self._file.fileno())
         except (OSError, ValueError):
             return None
-        return found if found is not None and stat.S_ISREG(found.st_mode) else None
+        return found if stat.S_ISREG(found.st_mode) else None
 
     def _patiently(self, size: int) -> bytes:
         """Read a full block from a pipe in pieces: an interrupt is served between them."""
@@ -308,16 +198,25 @@ class ByteSource:
             stream.close()
         self._owned.clear()
 
-    def _open(self, address: Address) -> IO[bytes]:
-        if self._content is not None:
-            stream = cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(self._content))))
-        else:
-            stream = sys.stdin.buffer if address.is_stream else _open_file(address)
-        if not address.is_stream:
-            self._owned.append(stream)
-        self._file = stream
-        self._begun = self._now()
-        self._largest = 0 if self._begun is None else self._begun.st_size
+    def _open(self, request: Request) -> IO[bytes]:
+        address = request.address
+        if request.content is not None:
+            return cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(request.content))))
+        if address.is_stream:
+            return sys.stdin.buffer
+        try:
+            if os.path.isdir(address.path):
+                raise InputError(f"{address.path}: this is a folder, not a log")
+            return open(address.path, "rb", buffering=1 << 20)
+        except FileNotFoundError:
+            raise InputError(f"{address.path}: no such file") from None
+        except (OSError, ValueError) as problem:
+            reason = getattr(problem, "strerror", None) or problem
+            raise InputError(f"{address.path}: cannot be read: {reason}") from None
+
+    def _unpacked(self) -> tuple[IO[bytes], bytes]:
+        """Return the stream of the text itself, and how it starts; refuse what is plainly no text."""
+        stream = self._file
         if self._hash is not None:
             stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
         start = self._first_bytes(stream)
@@ -332,11 +231,9 @@ class ByteSource:
         for magic, remedy in _REMEDIES.items():
             if start.startswith(magic):
                 raise InputError(f"{self.name}: this is not a text log but {remedy}")
-        self._start = start
-        return stream
+        return stream, start
 
-    def _decoder(self, encoding: str | None) -> Any:
-        start = self._start
+    def _decoder(self, encoding: str | None, start: bytes) -> Any:
         if encoding is None:
             encoding = next((name for mark, name in _UTF16.items() if start.startswith(mark)), None)
         if encoding is None and b"\0" in start:
@@ -349,18 +246,6 @@ class ByteSource:
             return None
         decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
         return lambda data: decoder.decode(data).encode("utf-8")
-
-
-def _open_file(address: Address) -> IO[bytes]:
-    try:
-        if os.path.isdir(address.path):
-            raise InputError(f"{address.path}: this is a folder, not a log")
-        return open(address.path, "rb", buffering=1 << 20)
-    except FileNotFoundError:
-        raise InputError(f"{address.path}: no such file") from None
-    except (OSError, ValueError) as problem:
-        reason = getattr(problem, "strerror", None) or problem
-        raise InputError(f"{address.path}: cannot be read: {reason}") from None
 
 
 # --- where a model comes from ------------------------------------------------------------------------

@@ -12,14 +12,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.byte_source import Request, file_sha256
+from dbo_cli.logs.byte_source import file_sha256
+from dbo_cli.logs.clock import FoundTime, find_time_column
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, column_label, list_columns
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Request, Rows
 from dbo_cli.logs.sample_block import ColumnInfo, SampleBlock, Table, joined
 from dbo_cli.logs.signal_log import open_table
 from dbo_cli.logs.text.text_table import TextTable
-from dbo_cli.logs.time_column import FoundTime, find_time_column
 from dbo_cli.records import dataclass
 
 PLACE = re.compile(r"\{(?:channel)?\}")

@@ -11,7 +11,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from dbo_cli.errors import InputError, UsageError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dbo_cli.errors import InputError, OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned, counted, pattern
 from dbo_cli.logs.sample_block import ColumnInfo
 from dbo_cli.logs.units import is_known_unit, kind_of_unit, normalise_unit
@@ -586,3 +589,55 @@ def is_order(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether a column says what was wanted, where what was measured is looked for."""
     unit_fits = wish.kinds is None or column.unit is None or kind_of_unit(column.unit) in wish.kinds
     return "desired" in wish.contrary and unit_fits and bool(wish.contrary & set(_words(column.name)))
+
+
+# --- columns that are written ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OutColumn:
+    """A column to be written: name, unit, and what it measures (for HDF5 alone; the name by default).
+
+    NaN in a column that ``may_be_blank`` is written as an empty cell (HDF5: as NaN).
+    """
+
+    name: str
+    unit: str | None = None
+    quantity: str | None = None
+    may_be_blank: bool = False
+
+    @property
+    def header(self) -> str:
+        """The header cell, ``voltage_V``; a unit that no reader would know stands in brackets."""
+        name, unit = cleaned(self.name), cleaned(self.unit or "")
+        if not unit or split_header(name)[1] == unit:
+            return name
+        return f"{name}_{unit}" if is_known_unit(unit) else f"{name} ({unit})"
+
+
+def unique_headers(columns: Sequence[OutColumn]) -> list[str]:
+    """Return the headers of a table; the second column of a name is called ``name_2``."""
+    headers: list[str] = []
+    for column in columns:
+        header, number = column.header, 2
+        while header in headers:
+            header, number = f"{column.header}_{number}", number + 1
+        headers.append(header)
+    return headers
+
+
+def require_finite(columns: Sequence[OutColumn], headers: Sequence[str], arrays: Sequence[ArrayLike]) -> None:
+    """Refuse to write NaN or infinity: the model or the signal is beyond the range of the arithmetic.
+
+    Raises
+    ------
+    OutputError
+        An array holds one, and it is no NaN of a column that may be blank; its header is named.
+    """
+    for column, header, array in zip(columns, headers, arrays, strict=True):
+        good = np.isfinite(array)
+        if not (good.all() or (column.may_be_blank and (good | np.isnan(array)).all())):
+            raise OutputError(
+                f"column '{header}' would hold a number that is not finite: the model or the signal is "
+                "beyond the range of the arithmetic"
+            )

@@ -29,7 +29,7 @@ class ColumnInfo:
     ``name`` is the header as written (or the number where there is none), ``quantity`` the header without its
     unit, ``unit`` the normalised unit or None (units are never guessed), ``number`` counts from 1.
     ``written`` is ``numbers``, or how a column of time stamps is written: ``stamp``, ``clock``, ``minutes``,
-    ``date`` (logs.stated_clock); such columns are read as seconds. Rows without a value in a column that
+    ``date`` (logs.text.lines); such columns are read as seconds. Rows without a value in a column that
     ``may_be_blank`` are left out.
     """
 
@@ -88,6 +88,13 @@ class SampleBlock:
             None if self.time is None else self.time[start:stop],
             {role: values[start:stop] for role, values in self.values.items()},
         )
+
+    def chosen(self, kept: NDArray[np.bool_]) -> SampleBlock:
+        """Return the samples that are marked."""
+        lines = None if self.lines is None else np.asarray(self.lines)[kept]
+        time = None if self.time is None else self.time[kept]
+        values = {role: values[kept] for role, values in self.values.items()}
+        return SampleBlock(np.asarray(self.rows)[kept], lines, time, values)
 
     def within(self, rows: tuple[int, int | None]) -> SampleBlock:
         """Return the samples whose row numbers lie from the first to the last of ``rows``, both included."""

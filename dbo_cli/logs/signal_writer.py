@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import io
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from itertools import repeat
 from typing import IO, TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.logs.addresses import Address, Given, parse_output
-from dbo_cli.logs.out_column import OutColumn, header_cell, require_finite, unique_headers, write_rows
+from dbo_cli.logs.columns import OutColumn, require_finite, unique_headers
+from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import BLOCK_ROWS
+from dbo_cli.logs.request import BLOCK_ROWS, Address, Given, parse_output
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import KEPT, KeptSignal, check_output, is_replaceable, opened
 from dbo_cli.records import dataclass
@@ -23,8 +25,8 @@ from dbo_cli.version import program_version_string
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
-__all__ = ["OutColumn", "SignalWriter", "TextWriter", "signal_writer"]
-
+PLAIN_CELLS = 1 << 16  # with fewer cells importing polars costs more than it saves (benchmarks/text_speed.py)
+_FORMULA_SIGNS = ("=", "+", "-", "@")  # what begins a formula in Excel and LibreOffice
 _WORTH_A_THREAD = 1 << 14  # rows of a block; chosen
 
 
@@ -182,6 +184,76 @@ def signal_writer(
             writer.finish()
         finally:
             writer.close()
+
+
+# --- rows as text ---------------------------------------------------------------------------------------
+
+
+def header_cell(text: str, delimiter: str) -> str:
+    """Write a header as a cell of delimited text.
+
+    A header that a spreadsheet would take for a formula (``=cmd|...``, ``-V``) gets an apostrophe before it,
+    the spreadsheet's own sign for text.
+    """
+    if text.startswith(_FORMULA_SIGNS):
+        text = "'" + text
+    if delimiter in text or '"' in text or text[:1] in ("#", "%"):
+        return '"' + text.replace('"', '""') + '"'
+    return text
+
+
+def shortest(value: float) -> str:
+    """Write one number with the fewest digits that read back exactly, as polars spells it; NaN is empty."""
+    text = repr(value)
+    if "e" not in text:
+        return text if text != "nan" else ""
+    digits, exponent = text.split("e")
+    if exponent == "-05":  # polars writes exponents only below 1e-5
+        sign = "-" if digits[0] == "-" else ""
+        return f"{sign}0.0000{digits.lstrip('-').replace('.', '')}"
+    return f"{digits}e{'+' if exponent[0] == '+' else '-'}{exponent[1:].lstrip('0')}"
+
+
+def write_rows(
+    stream: IO[bytes],
+    arrays: Sequence[ArrayLike],
+    delimiter: str,
+    *,
+    blanks: bool = True,
+    own_file: bool = False,
+) -> None:
+    """Write columns as lines of delimited text; the bytes do not depend on which way is taken.
+
+    Parameters
+    ----------
+    stream, arrays, delimiter
+        What is written where.
+    blanks
+        Whether a NaN may be among the numbers, which is an empty cell.
+    own_file
+        The stream is a file that nobody else knows: polars writes into it by itself, and no byte is copied.
+        It would do so to standard output, too, but there a closed pipe and Ctrl-C are Python's to hear of.
+    """
+    if "polars" not in sys.modules and len(arrays) * np.size(arrays[0]) < PLAIN_CELLS:
+        stream.write(_plain_rows(arrays, delimiter))
+        return
+    names = map(str, range(len(arrays)))
+    columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
+    table = import_polars().DataFrame(dict(zip(names, columns, strict=False)), nan_to_null=blanks)
+    if own_file:
+        stream.flush()
+        table.write_csv(stream, include_header=False, separator=delimiter)
+    else:
+        buffer = io.BytesIO()
+        table.write_csv(buffer, include_header=False, separator=delimiter)
+        stream.write(buffer.getbuffer())
+
+
+def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
+    numbers = [np.asarray(array, dtype=np.float64).tolist() for array in arrays]
+    columns = [[shortest(value) for value in column] for column in numbers]
+    lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
+    return ("\n".join(lines) + "\n").encode() if lines else b""
 
 
 @contextlib.contextmanager

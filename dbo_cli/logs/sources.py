@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.clock import find_time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
-from dbo_cli.logs.reading_options import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
+from dbo_cli.logs.request import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, TimeCheck, joined, require_even
-from dbo_cli.logs.time_column import find_time_column
 from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks

@@ -38,7 +38,7 @@ TIME_WORDS = {
     "min": ("minutes",),
     "h": ("hours",),
 }
-"""Spellings of units of time that count in any header; ``stated_clock`` knows more of them."""
+"""Spellings of units of time that count in any header; ``SPELLINGS`` has more of them."""
 
 _SPELLED = {
     "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "micron": "um", "microns": "um",
@@ -255,3 +255,57 @@ def parse_scale(text: str) -> Scale:
         raise UsageError(f"{called}: the factor is too large or too small")
     units = normalise_unit(found["out"] or ""), normalise_unit(found["in"] or "")
     return Scale(found["role"].lower(), factor, *units)
+
+
+# --- units of time ---------------------------------------------------------------------------------------
+
+FACTORS = {
+    "s": ONE, "ms": UnitFactor(1, 10**3), "us": UnitFactor(1, 10**6), "ns": UnitFactor(1, 10**9),
+    "ps": UnitFactor(1, 10**12), "min": UnitFactor(60), "h": UnitFactor(3600), "d": UnitFactor(86400),
+}  # fmt: skip
+"""Every unit of time, in seconds."""
+HHMMSS = "hhmmss"
+"""How figures such as 120059.500 are called: hours, minutes and seconds in one number."""
+
+_MORE_WORDS = {
+    "s": ("s", "sek", "sekunde", "sekunden", "seconde", "secondes", "segundo", "segundos", "secondo",
+          "secondi", "с", "сек", "秒"),
+    "ms": ("ms", "milli", "millis", "millisekunde", "millisekunden", "millisecondes", "milisegundos",
+           "millisecondi", "мс", "毫秒", "ミリ秒"),
+    "us": ("us", "micros", "mikrosekunde", "mikrosekunden", "microsecondes", "mus", "mcs", "мкс", "微秒"),
+    "ns": ("ns", "nanos", "nanosekunden", "нс"),
+    "ps": ("ps", "psec", "psecs", "picosecond"),
+    "min": ("min", "mins", "minute", "minuten", "minutos", "minuti", "мин"),
+    "h": ("h", "hr", "hrs", "hour", "stunde", "stunden", "std", "heure", "heures", "horas", "ore"),
+    "d": ("d", "day", "days", "tag", "tage", "jour", "jours", "dias", "giorni"),
+}  # fmt: skip
+SPELLINGS = {unit: (*TIME_WORDS.get(unit, ()), *words) for unit, words in _MORE_WORDS.items()}
+"""Every known spelling of a unit of time; capitals do not matter (mS in a time column is no conductance)."""
+
+UNIT_OF = {spelling: unit for unit, spellings in SPELLINGS.items() for spelling in spellings}
+_COUNT = pattern(r"(?P<number>\d+(?:\.\d+)?)\s*(?P<unit>[^\d\s.].*)")
+
+
+def time_unit(text: str) -> str | None:
+    """Return how a unit of time is spelled here (``s``, ``ms``, …), or None where it is not known."""
+    plain = text.strip().strip("[](){}<>").strip().rstrip(".").replace("µ", "u").replace("μ", "u")
+    return UNIT_OF.get(plain.lower().replace("milli ", "milli").replace("micro ", "micro"))
+
+
+def parse_time_unit(text: str) -> tuple[str, UnitFactor]:
+    """Read what ``time_unit`` may be: a unit of time, or a number of them (``10us``).
+
+    Raises
+    ------
+    UsageError
+        It is none.
+    """
+    if text.strip().lower().startswith(HHMMSS):
+        return HHMMSS, ONE
+    found = _COUNT.fullmatch(text.strip())
+    unit = time_unit(found["unit"] if found else text)
+    count = parse_factor(found["number"]) if found else ONE
+    if unit is None or count is None or not count.numerator:
+        names = ", ".join(FACTORS).replace(", d", " or d")
+        raise UsageError(f"`time_unit` {shortened(text)}: give {names}, or a number of them such as 10us")
+    return text.strip() if found else unit, count.times(*FACTORS[unit])

@@ -27,13 +27,13 @@ from dataclasses import field
 from typing import IO, TYPE_CHECKING
 
 from dbo_cli.errors import DboError, OutputError, UsageError
-from dbo_cli.logs.addresses import Address, Given, parse_address
 from dbo_cli.logs.libraries import host
 from dbo_cli.logs.plain_text import pattern
+from dbo_cli.logs.request import Address, Given, parse_address
 from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.out_column import OutColumn
+    from dbo_cli.logs.columns import OutColumn
     from dbo_cli.logs.sample_block import FloatArray
 
 # --- which file an output is ------------------------------------------------------------------------
@@ -526,13 +526,12 @@ def all_or_none() -> Iterator[OutputSet]:
             _CURRENT.reset(token)
 
 
-def _current_or_new() -> AbstractContextManager[OutputSet]:
-    current = _CURRENT.get()
-    return _committed() if current is None else contextlib.nullcontext(current)
-
-
 @contextlib.contextmanager
-def _committed() -> Iterator[OutputSet]:
+def _current_or_new() -> Iterator[OutputSet]:
+    outputs = _CURRENT.get()
+    if outputs is not None:
+        yield outputs
+        return
     outputs = OutputSet()
     try:
         yield outputs

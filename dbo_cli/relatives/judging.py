@@ -130,14 +130,10 @@ def compare(
     fits: dict[str, tuple[str, Callable[[], ActuatorModel]]] = {
         one.name: (one.words, partial(fit, one, ready, judge.recordings, cycle)) for one in RELATIVES
     }
-    own = cache(partial(_own, recordings, skip_seconds))
+    options = IdentificationOptions(skip_seconds=skip_seconds, force=True)  # a mere line is compared, too
+    own = cache(lambda: identify(recordings, options).model)
     fits |= {"dbo": (OWN_WORDS, own), SAME_STAGES: (SAME_WORDS, lambda: _same_stages(own()))}
     return [judge.row(name, *fits[name]) for name in dict.fromkeys(names)]
-
-
-def _own(recordings: Sequence[Recording], skip_seconds: float) -> ActuatorModel:
-    """Return the model that ``identify`` makes; what it would refuse for being a line is compared, too."""
-    return identify(recordings, IdentificationOptions(skip_seconds=skip_seconds, force=True)).model
 
 
 def _same_stages(own: ActuatorModel) -> RelativeModel:

@@ -22,8 +22,15 @@ from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
 from dbo_cli.hysteresis.model_file import Node, read_relaxation
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
-from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscretePointOperator, Floats, Outside
-from dbo_cli.relatives.plays import KINDS, NOTHING, UNBOUND, Bounds, Kind, PlayOperator, PlayState
+from dbo_cli.hysteresis.operators import (
+    BacklashState,
+    Counts,
+    DiscretePointOperator,
+    Floats,
+    OutputLimits,
+    Outside,
+)
+from dbo_cli.relatives.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
 
 
 class RelativeModel(ActuatorModel):
@@ -178,8 +185,8 @@ class RelativeModel(ActuatorModel):
                 added, memory = operator.remembered(x, before.memory, steps)
                 y, after = y + added, dataclasses.replace(after, memory=memory)
         elif operator.relaxation is not None and steps is not None:
-            bounds, last = _bounds(limits, steps) or UNBOUND, np.nan if state.drive is None else state.drive
-            y, after, clipped = operator.solve_beside(x, before, steps, bounds, last)
+            bounds = _bounds(limits, steps) or OutputLimits()
+            y, after, clipped = operator.solve_beside(x, before, steps, bounds, state.drive)
         elif operator.kind == "plays" and limits is None:
             closed = operator.closed_inverse
             states = np.array(before.inverse_plays) if before.inverse_plays else closed.states_of(plays)
@@ -208,14 +215,14 @@ class RelativeModel(ActuatorModel):
         return np.minimum(share, 1.0)
 
 
-def _bounds(limits: DriveLimits | None, steps: Steps | None) -> Bounds | None:
+def _bounds(limits: DriveLimits | None, steps: Steps | None) -> OutputLimits | None:
     """Return what the drive may do in each sample."""
     if limits is None:
         return None
     step = None
     if limits.max_slew is not None and steps is not None:
         step = limits.max_slew * np.asarray(steps, dtype=np.float64)
-    return Bounds(limits.v_min, limits.v_max, NEGLIGIBLE * (limits.v_max - limits.v_min), step)
+    return OutputLimits(limits.v_min, limits.v_max, step, NEGLIGIBLE * (limits.v_max - limits.v_min))
 
 
 def _standing(plays: Floats) -> PlayState:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 import operator
+import sys
 from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
@@ -29,7 +30,8 @@ from numpy.typing import ArrayLike
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import OtherHysteresis
-from dbo_cli.hysteresis.operators import BacklashState, Floats, Relaxation
+from dbo_cli.hysteresis.model_file import relaxation_values
+from dbo_cli.hysteresis.operators import BacklashState, Floats, OutputLimits, Relaxation
 from dbo_cli.records import dataclass
 
 Memory = tuple[float, ...] | None  # of relaxation; None: at rest at the sample to come
@@ -197,20 +199,12 @@ def plays_solve(
     return clipped, first
 
 
-class PythonPlays:
-    """The functions above under the names that the extension gives its own."""
-
-    plays_run = staticmethod(plays_run)
-    plays_rows = staticmethod(plays_rows)
-    plays_solve = staticmethod(plays_solve)
-
-
 # ---- the operator
 
 
 def _kernel() -> Any:
-    """Return the compiled plays, or their readable twin where the Python kernel was chosen."""
-    return PythonPlays if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN
+    """Return the compiled plays, or their readable twin, this module, where the Python kernel was chosen."""
+    return sys.modules[__name__] if kernel.CHOSEN is kernel.PythonKernel else kernel.CHOSEN
 
 
 @dataclass(frozen=True)
@@ -236,18 +230,6 @@ class PlayState(BacklashState):
         inverse = None if self.inverse_plays is None else list(self.inverse_plays)
         memory: dict[str, object] = {} if self.memory is None else {"memory": list(self.memory)}
         return {"places": list(self.plays), "inverse_places": inverse, "wanted": self.wanted, **memory}
-
-
-class Bounds(NamedTuple):
-    """What the drive may do: its range, what counts as clipped, and its largest change between samples."""
-
-    low: float
-    high: float
-    slack: float
-    step: float | Floats | None = None
-
-
-UNBOUND = Bounds(-math.inf, math.inf, math.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,11 +338,8 @@ class PlayOperator(OtherHysteresis):
             values |= {"by_rate": self.by_rate.tolist(), "fastest": self.fastest}
         if self.one_sided:
             values |= {"cubic": self.cubic, "linear": self.linear}
-        if self.relaxation is not None:
-            beside = {key: list(getattr(self.relaxation, key)) for key in ("tau", "gain")}
-            on = {"on": "output" if self.inverted else "input", "reference": self.relaxation.reference}
-            values["relaxation"] = on | beside
-        return values
+        beside = relaxation_values(self.relaxation, "output" if self.inverted else "input")
+        return values | ({"relaxation": beside} if beside else {})
 
     @cached_property
     def table(self) -> Floats:
@@ -380,8 +359,7 @@ class PlayOperator(OtherHysteresis):
     def settled(self, x: float) -> Floats:
         """Return the plays after an oscillation that decays from the whole range to ``x``."""
         up, down = self.table[0, : self.n], self.table[1, : self.n]
-        plays: Floats = np.clip(x + 0.5 * (down - up), self.low + down, 1.0 - up)
-        return plays
+        return np.clip(x + 0.5 * (down - up), self.low + down, 1.0 - up)
 
     def after(self, x: float) -> Floats:
         """Return the plays after the drive came to ``x``, an end of its range, from the other one."""
@@ -410,7 +388,7 @@ class PlayOperator(OtherHysteresis):
         y: Floats,
         plays: Floats,
         share: Floats = NOTHING,
-        bounds: Bounds | None = None,
+        bounds: OutputLimits | None = None,
         last: float | None = None,
     ) -> tuple[Floats, Floats, tuple[int, int]]:
         """Return the scaled drive whose output is ``y``, the plays after it, and what was clipped.
@@ -418,7 +396,7 @@ class PlayOperator(OtherHysteresis):
         Exact for every kind; ``run`` of the result with the same ``share`` gives ``y`` back to rounding.
         """
         z, x = self._padded(plays), np.empty_like(y)
-        bound = bounds or Bounds(0.0, 0.0, 0.0)
+        bound = bounds or OutputLimits()
         step = NOTHING if bound.step is None else np.array(bound.step, dtype=np.float64).reshape(-1)
         clipped = _kernel().plays_solve(
             self.n, self.table, self.curve, z, y, x, share, bounds is not None, bound.low, bound.high,
@@ -437,9 +415,9 @@ class PlayOperator(OtherHysteresis):
         return total, memory
 
     def solve_beside(
-        self, y: Floats, begun: PlayState, steps: float | Floats, bounds: Bounds, last: float
+        self, y: Floats, begun: PlayState, steps: float | Floats, bounds: OutputLimits, last: float | None
     ) -> tuple[Floats, PlayState, tuple[int, int]]:
-        """Return what ``solve`` does where relaxation stands beside the plays; ``last`` NaN: no drive before.
+        """Return what ``solve`` does where relaxation stands beside the plays.
 
         One sample after the other: L_j = a_j L_j + (1 - a_j)(x - reference), so what is remembered is taken
         off, and what the drive x of this very sample adds, Σ gain_j (1 - a_j) x, is weight of play 0, which
@@ -453,14 +431,15 @@ class PlayOperator(OtherHysteresis):
         if begun.memory is None:
             rows[0] = [0.0] * len(held)  # at rest at the first sample
         most = None if bounds.step is None else np.broadcast_to(bounds.step, y.shape).copy()
-        limits, (clipped, first) = bounds[:3], (0, 0)
+        clipped = first = 0
         for k, (wanted, kept) in enumerate(zip(y.tolist(), rows, strict=True)):
             past = [a * one for a, one in zip(kept, held, strict=True)]
             share = sum(gain * (1.0 - a) for gain, a in zip(terms.gain, kept, strict=True))
             wanted += share * terms.reference - sum(map(operator.mul, terms.gain, past))
             found, _ = _kernel().plays_solve(
-                self.n, table, NOTHING, z, np.array([wanted]), x[k : k + 1], np.array([share]), True, *limits,
-                NOTHING if most is None else most[k : k + 1], last,
+                self.n, table, NOTHING, z, np.array([wanted]), x[k : k + 1], np.array([share]), True,
+                bounds.low, bounds.high, bounds.slack, NOTHING if most is None else most[k : k + 1],
+                np.nan if last is None else last,
             )  # fmt: skip
             first, clipped, last = first if clipped or not found else k, clipped + found, float(x[k])
             held = [one + (1.0 - a) * (last - terms.reference) for a, one in zip(kept, past, strict=True)]

@@ -269,14 +269,12 @@ class ModelTable:
         for row in self.rows:
             rows.append([*_cells(row, row.words, "{:.1e}"), row.refused or remark(row)])
         parts = [
-            "<h1>Models side by side</h1>",
             f"<p>{escape(self._heading())}.</p>",
             html_table(head, rows, chief=3 if self.validation else 1),
             filled("glossary_models.html"),
             drawn_figures(self.plots(), "models"),
-            f"<footer>{escape(program)}</footer>",
         ]
-        return page_of("Models side by side", parts)
+        return page_of("Models side by side", parts, program)
 
     def plots(self) -> list[Plot]:
         """Return the figures: error against cost where that was measured, and the loops."""

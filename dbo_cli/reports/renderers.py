@@ -23,12 +23,12 @@ UNBROKEN = 28  # letters of a name that stay together: nine columns beside it fi
 LEFT = "Left over: hysteresis (loop: error going down less going up) and delay (lag)"
 
 
-def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
+def to_json(report: Report) -> str:
     """Return the report as JSON text: ``dbo-report`` version 1, numbers that read back exactly.
 
     Keys, always all of them and in this order: ``format``, ``version``, ``unit`` (null: not known),
     ``compared`` (what was compared with what; the error is the second less the first), ``offset_removed``,
-    ``logs``, ``notes`` and, where given, ``provenance``. Each log: ``name``, ``samples``, ``rmse``,
+    ``logs`` and ``notes``. Each log: ``name``, ``samples``, ``rmse``,
     ``nrmse_percent`` (of desired_max - desired_min; null for a constant), ``max_abs``, ``max_abs_row``
     (data row from 1), ``max_abs_time_s``, ``mean``, ``p95_abs`` (95 % of all |errors| are no larger),
     ``loop_width`` (signed, see ``figures_of_merit.LoopWidth``), ``loop_width_percent``, ``lag_left_samples``,
@@ -40,7 +40,7 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
     ``frequency_hz`` (of the desired signal). New keys may come in later releases; none will change its
     meaning within version 1.
     """
-    content: dict[str, Any] = {
+    content = {
         "format": "dbo-report",
         "version": JSON_VERSION,
         "unit": report.unit,
@@ -51,8 +51,6 @@ def to_json(report: Report, provenance: Mapping[str, Any] | None = None) -> str:
         ],
         "notes": report.notes,
     }
-    if provenance is not None:
-        content["provenance"] = dict(provenance)
     return json_text(content)
 
 
@@ -260,8 +258,8 @@ def to_html(
     *,
     comparison_plots: Sequence[Plot] = (),
     model_plots: Sequence[Plot] = (),
+    program: str,
     title: str = "Tracking report",
-    program: str = "",
 ) -> str:
     """Return the whole page.
 
@@ -277,14 +275,14 @@ def to_html(
         and before the tables where there are no others: the tables of channels are long.
     model_plots : sequence of Plot
         The figures of the model, where one was compared (``models.plots_of_model``).
-    title, program : str
-        Heading of the page, and who made it (program and version), for the footer.
+    program, title : str
+        Who made the page (program and version), for the footer, and its heading.
     """
     report = replace(report, unit=shown_unit(report.unit) or None)
     found = " ".join(map(breakable, headline(report).split()))
     errors, left = log_tables(report)
     together = drawn_figures(comparison_plots, "all")
-    parts = [f"<h1>{escape(title)}</h1>", f'<p class="headline">{found}.</p>']
+    parts = [f'<p class="headline">{found}.</p>']
     parts += [
         f"<p>{escape(settings_line(report).replace(' - ', ' − ', 1))}.</p>",
         *([] if any(plots) else [together]),
@@ -309,14 +307,13 @@ def to_html(
         parts.append("</section>")
     if model_plots:
         parts.append(f"<section><h2>The model</h2>{drawn_figures(model_plots, 'model')}</section>")
-    if program:
-        parts.append(f"<footer>{escape(program)}</footer>")
-    return page_of(title, parts)
+    return page_of(title, parts, program)
 
 
-def page_of(title: str, parts: Sequence[str]) -> str:
-    """Return a whole page of parts that are HTML already."""
-    return filled("page.html", title=escape(title), style=filled("page.css"), body="\n".join(parts))
+def page_of(title: str, parts: Sequence[str], program: str) -> str:
+    """Return a whole page of parts that are HTML already, between its heading and the program's name."""
+    body = "\n".join([f"<h1>{escape(title)}</h1>", *parts, f"<footer>{escape(program)}</footer>"])
+    return filled("page.html", title=escape(title), style=filled("page.css"), body=body)
 
 
 def filled(name: str, **values: str) -> str:

@@ -1,7 +1,8 @@
 """What a report says about one or several logs, as values; ``renderers`` turns them into text.
 
-A stream of ``PairBlock`` is all it needs: logs larger than memory are fine, and so is a prediction that a
-model makes block by block (then ``labels`` is ``("model", "measured")``). To compare, for each log::
+A stream of ``SampleBlock`` with the roles of ``sample_pairs`` is all it needs: logs larger than memory are
+fine, and so is a prediction that a model makes block by block (then ``labels`` is ``("model", "measured")``).
+To compare, for each log::
 
     merit = evaluate(name, blocks, options, unit="um", sample_rate=None, figure_data=FigureData() or None)
     report = Report.of([merit, ...], options, unit="um")
@@ -20,12 +21,12 @@ import numpy as np
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import Rows
+from dbo_cli.logs.request import Rows
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
 from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import PairBlock
 
 if TYPE_CHECKING:
     import pandas
@@ -162,7 +163,7 @@ def common_unit(units: Sequence[tuple[str, str | None]]) -> str | None:
 
 def evaluate(
     name: str,
-    blocks: Iterable[PairBlock],
+    blocks: Iterable[SampleBlock],
     options: ReportOptions,
     *,
     sample_rate: float | None = None,
@@ -176,7 +177,7 @@ def evaluate(
     ----------
     name : str
         What the log is called in messages and in the report.
-    blocks : iterable of PairBlock
+    blocks : iterable of SampleBlock
         The rows in order. To compare the rows A to B of two recorded signals, read
         ``rows_to_read((A, B), lag)``, so that the last desired rows find their measured ones too. A model's
         prediction depends on all that came before: run the model from the first row and give ``score_rows``.
@@ -262,7 +263,7 @@ class _Evaluation:
     figure_data: FigureData | None
     score_rows: Rows | None
 
-    def run(self, blocks: Iterable[PairBlock]) -> LogReport:
+    def run(self, blocks: Iterable[SampleBlock]) -> LogReport:
         """Take all blocks and return the figures."""
         name, options, figure_data = self.name, self.options, self.figure_data
         blocks, lag, notes = self._paired(blocks)
@@ -271,23 +272,23 @@ class _Evaluation:
             blocks = dwells.of(blocks)
         if figure_data is not None:
             figure_data.begin(options.labels)
-        whole, current = _Running(self), _Running(self)
+        whole, current = self._metrics(), self._metrics()
         segments: list[Segment] = []
         for part in chain(self._segmented(sample_pairs.batched(blocks)), [None]):
             if part is None:
-                segments += current.closed(len(segments) + 1)
-                current = _Running(self)
+                segments += self._closed(current, len(segments) + 1)
+                current = self._metrics()
                 continue
-            whole.add(part)
-            if options.segment is not None:
-                current.add(part)
+            signals = part.values["desired"], part.values["measured"]
+            for metrics in (whole, current) if options.segment is not None else (whole,):
+                metrics.add(*signals, row=sample_pairs.row_numbers(part), time=part.time)
             if figure_data is not None:
                 figure_data.add(part)
         figures = whole.result()
         if figures is None:
-            raise InputError(_nothing(name, options.labels, whole.metrics.missing))
+            raise InputError(_nothing(name, options.labels, whole.missing))
         if figure_data is not None:
-            figure_data.finish(figures, whole.metrics.distribution)
+            figure_data.finish(whole.distribution)
         notes += [dwells.note()] if dwells is not None else []
         notes += _notes(name, options.labels, figures)
         rest = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
@@ -298,7 +299,7 @@ class _Evaluation:
             )
         return LogReport(name, figures, lag, segments=tuple(segments), notes=tuple(notes))
 
-    def _paired(self, blocks: Iterable[PairBlock]) -> tuple[Iterator[PairBlock], int, list[str]]:
+    def _paired(self, blocks: Iterable[SampleBlock]) -> tuple[Iterator[SampleBlock], int, list[str]]:
         """Return the pairs that count, their lag taken out, the lag and the notes on it."""
         lag, rows = self.options.lag, self.score_rows
         notes = []
@@ -310,48 +311,28 @@ class _Evaluation:
         pairs = sample_pairs.lagged(self.name, blocks, lag)
         return (pairs if rows is None else sample_pairs.scored(pairs, rows)), lag, notes
 
-    def _segmented(self, blocks: Iterator[PairBlock]) -> Iterator[PairBlock | None]:
+    def _segmented(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock | None]:
         segment = self.options.segment
         if segment is None:
             return blocks
         return cycles(blocks) if segment == "cycles" else spans(blocks, segment, self.sample_rate)
 
+    def _metrics(self) -> TrackingMetrics:
+        return TrackingMetrics(remove_offset=self.options.remove_offset, sample_rate=self.sample_rate)
 
-class _Running:
-    """The figures of a log or a segment while its pairs come."""
-
-    def __init__(self, evaluation: _Evaluation) -> None:
-        self.metrics = TrackingMetrics(remove_offset=evaluation.options.remove_offset)
-        self.rows: tuple[int, int] | None = None
-        self._name, self._rate = evaluation.name, evaluation.sample_rate
-
-    def add(self, part: PairBlock) -> None:
-        if len(part):
-            rows = part.row_numbers()
-            self.rows = (int(rows[0]) if self.rows is None else self.rows[0], int(rows[-1]))
-            self.metrics.add(part.desired, part.measured, row=rows, time=part.time)
-
-    def result(self) -> TrackingFigures | None:
-        figures = self.metrics.result()
-        if figures is None or figures.sample_period is not None or self._rate is None:
-            return figures
-        return replace(figures, sample_period=1.0 / self._rate)
-
-    def closed(self, number: int) -> list[Segment]:
+    def _closed(self, metrics: TrackingMetrics, number: int) -> list[Segment]:
         """Return the segment that ends here; none where it holds no number."""
-        figures = self.result()
-        if figures is None or self.rows is None:
+        figures = metrics.result()
+        if figures is None or metrics.rows is None:
             return []
         if number > MOST_SEGMENTS:
-            raise UsageError(
-                f"{self._name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)"
-            )
-        return [Segment(number, *self.rows, figures)]
+            raise UsageError(f"{self.name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)")
+        return [Segment(number, *metrics.rows, figures)]
 
 
 def cycles(
-    blocks: Iterable[PairBlock], part: float = 0.05, patience: int = PATIENCE
-) -> Iterator[PairBlock | None]:
+    blocks: Iterable[SampleBlock], part: float = 0.05, patience: int = PATIENCE
+) -> Iterator[SampleBlock | None]:
     """Yield the same samples, and None at the end of every cycle of the desired signal but the last.
 
     A cycle ends at a minimum. Turns smaller than ``part`` of the range seen so far are noise or rest and end
@@ -359,12 +340,12 @@ def cycles(
     most ``patience`` samples: a longer rest belongs to the cycle before it.
     """
     turns = _Turns(part)
-    held: list[PairBlock] = []
+    held: list[SampleBlock] = []
     start = end = 0  # stream positions of what is held
     for block in blocks:
         held.append(block)
         end += len(block)
-        for minimum in turns.minima(block.desired):
+        for minimum in turns.minima(block.values["desired"]):
             yield from sample_pairs.released(held, minimum - start)
             yield None
             start = max(start, minimum)
@@ -376,8 +357,8 @@ def cycles(
 
 
 def spans(
-    blocks: Iterable[PairBlock], seconds: float, sample_rate: float | None
-) -> Iterator[PairBlock | None]:
+    blocks: Iterable[SampleBlock], seconds: float, sample_rate: float | None
+) -> Iterator[SampleBlock | None]:
     """Yield the same samples, and None at the end of every span of ``seconds`` but the last.
 
     Without times, a span is ``seconds * sample_rate`` samples (UsageError where that is not known either).

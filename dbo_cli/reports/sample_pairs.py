@@ -1,4 +1,8 @@
-"""Pairs of desired and measured samples: joined from two files, checked, and lagged against each other."""
+"""Pairs of desired and measured samples: joined from two files, checked, and lagged against each other.
+
+A pair is a sample of a block with the roles ``desired`` (what the measurement is compared with: a wish, or a
+model's prediction), ``measured`` and perhaps ``voltage``, which only figures use.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,14 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import field, replace
 from itertools import chain
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import interpolated
-from dbo_cli.logs.reading_options import Rows
-from dbo_cli.logs.sample_block import Places, SampleBlock, join_places
+from dbo_cli.logs.request import Rows
+from dbo_cli.logs.sample_block import SampleBlock, joined
 from dbo_cli.records import dataclass
 from dbo_cli.reports.running_statistics import BATCH, Floats, comparable
 
@@ -23,59 +26,25 @@ _AT_THE_END = 1e-6  # of a step: a stamp so little beyond the trajectory's last 
 SAME = 1e-9  # of the seconds of a dwell: what rounded time stamps may lack
 
 
-@dataclass(frozen=True)
-class PairBlock:
-    """One block of a log, in the order of its rows.
+def row_numbers(block: SampleBlock) -> Floats:
+    """Return the data row of every sample."""
+    if isinstance(block.rows, range):  # numpy would walk through it one integer at a time
+        return np.arange(block.rows.start, block.rows.stop, block.rows.step, dtype=np.float64)
+    return block.rows.astype(np.float64)
 
-    Attributes
-    ----------
-    rows : range or int64 array
-        Data row of every desired sample, counted from 1.
-    desired, measured : float64 arrays of equal length
-        What the measurement is compared with (a wish, or a model's prediction), and the measurement.
-    time : float64 array or None
-        Seconds, of the desired samples.
-    drive : float64 array or None
-        Drive voltage beside the desired samples; only figures use it.
-    """
 
-    rows: Places
-    desired: Floats
-    measured: Floats
-    time: Floats | None = None
-    drive: Floats | None = None
+def _only(block: SampleBlock, kept: NDArray[np.bool_]) -> SampleBlock:
+    """Return the samples that are kept, as rows without lines."""
+    if kept.all():
+        return block
+    values = {role: column[kept] for role, column in block.values.items()}
+    rows = np.asarray(block.rows, dtype=np.int64)[kept]
+    return SampleBlock(rows, None, None if block.time is None else block.time[kept], values)
 
-    @classmethod
-    def of(cls, block: SampleBlock, desired: Floats | None = None) -> PairBlock:
-        """Return a block of a log with the roles ``measured`` and ``desired`` (and perhaps ``voltage``).
 
-        ``desired`` takes the place of the log's own: a model's prediction. Nothing is copied.
-        """
-        values = block.values
-        wanted = values["desired"] if desired is None else desired
-        return cls(block.rows, wanted, values["measured"], block.time, values.get("voltage"))
-
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return len(self.desired)
-
-    def row_numbers(self) -> Floats:
-        """Return the data row of every sample."""
-        if isinstance(self.rows, range):  # numpy would walk through it one integer at a time
-            return np.arange(self.rows.start, self.rows.stop, self.rows.step, dtype=np.float64)
-        return self.rows.astype(np.float64)
-
-    def part(self, start: int, stop: int) -> PairBlock:
-        """Return the samples ``start`` to ``stop`` (not included) as a block of their own."""
-        return self._taken(self.rows[start:stop], slice(start, stop))
-
-    def only(self, kept: NDArray[np.bool_]) -> PairBlock:
-        """Return the samples that are kept."""
-        return self if kept.all() else self._taken(np.asarray(self.rows, dtype=np.int64)[kept], kept)
-
-    def _taken(self, rows: Places, which: slice | NDArray[np.bool_]) -> PairBlock:
-        time, drive = (None if column is None else column[which] for column in (self.time, self.drive))
-        return PairBlock(rows, self.desired[which], self.measured[which], time, drive)
+def with_values(block: SampleBlock, **values: Floats) -> SampleBlock:
+    """Return a block with other values of some roles: what a model predicts as ``desired``."""
+    return replace(block, values={**block.values, **values})
 
 
 def rows_to_read(rows: Rows, lag: int) -> Rows:
@@ -84,18 +53,13 @@ def rows_to_read(rows: Rows, lag: int) -> Rows:
     return max(1, first + min(lag, 0)), None if last is None else last + max(lag, 0)
 
 
-def scored(blocks: Iterable[PairBlock], rows: Rows) -> Iterator[PairBlock]:
+def scored(blocks: Iterable[SampleBlock], rows: Rows) -> Iterator[SampleBlock]:
     """Yield the pairs whose desired sample stands in ``rows``; nothing behind the last of them is read."""
-    first, last = rows
     for block in blocks:
-        if not len(block):
-            continue
-        numbers = block.row_numbers()
-        start = int(np.searchsorted(numbers, first, side="left"))
-        stop = len(block) if last is None else int(np.searchsorted(numbers, last, side="right"))
-        if start < stop:
-            yield block.part(start, stop)
-        if last is not None and numbers[-1] >= last:
+        part = block.within(rows)
+        if len(part):
+            yield part
+        if len(block) and rows[1] is not None and block.rows[-1] >= rows[1]:
             return
 
 
@@ -113,12 +77,12 @@ class BeforeZero:
         Rows before time 0.
     """
 
-    def __init__(self, blocks: Iterable[PairBlock]) -> None:
-        self._blocks: Iterator[PairBlock] = iter(blocks)
+    def __init__(self, blocks: Iterable[SampleBlock]) -> None:
+        self._blocks: Iterator[SampleBlock] = iter(blocks)
         self.found = False
         self.count = 0
 
-    def before(self) -> Iterator[PairBlock]:
+    def before(self) -> Iterator[SampleBlock]:
         """Yield everything up to the first time that is not below 0; all of a log that begins otherwise."""
         for block in self._blocks:
             if not len(block):
@@ -136,7 +100,7 @@ class BeforeZero:
                 self.found, self._blocks = True, chain([block.part(stop, len(block))], self._blocks)
                 return
 
-    def after(self) -> Iterator[PairBlock]:
+    def after(self) -> Iterator[SampleBlock]:
         """Return the rest."""
         return self._blocks
 
@@ -182,7 +146,7 @@ class TrajectoryMatch:
         """Begin with the trajectory's first samples."""
         self._coming = (block for block in self.trajectory if len(block))
 
-    def pairs(self) -> Iterator[PairBlock]:
+    def pairs(self) -> Iterator[SampleBlock]:
         """Yield the recording's samples with their desired values.
 
         Raises
@@ -212,7 +176,7 @@ class TrajectoryMatch:
             notes.append(f"{self.trajectory_name}: goes on behind the last row of {self.name}")
         return notes
 
-    def _pairs_by_time(self) -> Iterator[PairBlock]:
+    def _pairs_by_time(self) -> Iterator[SampleBlock]:
         times, values = np.empty(0), np.empty(0)
         reached = -math.inf  # the recording's latest time; a sample before it has no place any more
         for block in self.recording:
@@ -235,7 +199,7 @@ class TrajectoryMatch:
             self.left_out += int(len(block) - np.count_nonzero(inside))
             if inside.any():
                 desired, _ = interpolated(times, values, block.time)
-                yield PairBlock.of(block, desired).only(inside)
+                yield _only(with_values(block, desired=desired), inside)
             # two stay: the one to interpolate from, and one more, whose step tells where the end is
             keep = max(int(np.searchsorted(times, reached, side="right")) - 2, 0)
             times, values = times[keep:], values[keep:]
@@ -249,7 +213,7 @@ class TrajectoryMatch:
             raise InputError(f"{place}: time goes backwards (cut the trajectory there, or `match` by rows)")
         return together, np.concatenate([values, block.values["desired"]])
 
-    def _pairs_by_row(self) -> Iterator[PairBlock]:
+    def _pairs_by_row(self) -> Iterator[SampleBlock]:
         wanted: SampleBlock | None = None
         for block in self.recording:
             done = 0
@@ -262,31 +226,26 @@ class TrajectoryMatch:
                 count = min(len(block) - done, len(wanted))
                 own, partner = block.part(done, done + count), wanted.part(0, count)
                 time = own.time if partner.time is None else partner.time
-                yield replace(PairBlock.of(own, partner.values["desired"]), time=time)
+                yield with_values(replace(own, time=time), desired=partner.values["desired"])
                 done, wanted = done + count, wanted.part(count, len(wanted))
         left = wanted is not None and len(wanted) > 0
         self.goes_on = left or next(self._coming, None) is not None
 
 
-def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlock]:
+def lagged(name: str, blocks: Iterable[SampleBlock], lag: int) -> Iterator[SampleBlock]:
     """Pair every desired sample with the one measured ``lag`` samples later (earlier where negative).
 
     ``|lag|`` samples are held back, no more. Raises InputError where nothing is left to compare.
     """
     late, early = max(lag, 0), max(-lag, 0)
-    held: PairBlock | None = None
+    held: SampleBlock | None = None
     paired = total = 0
     for block in blocks:
-        if len(block.desired) != len(block.measured):
-            raise InputError(
-                f"{name}: desired has {len(block.desired)} samples, measured {len(block.measured)}"
-                " (both must be recorded together, one for one)"
-            )
         total += len(block)
-        whole = block if held is None else _merged([held, block])
+        whole = block if held is None else joined([held, block])
         count = max(len(whole) - abs(lag), 0)
-        ready = whole.part(early, early + count)
-        ready = replace(ready, measured=whole.measured[late : late + count])
+        measured = whole.values["measured"][late : late + count]
+        ready = with_values(whole.part(early, early + count), measured=measured)
         held = whole.part(count, len(whole)) if lag else None
         if len(ready):
             paired += len(ready)
@@ -300,7 +259,7 @@ def lagged(name: str, blocks: Iterable[PairBlock], lag: int) -> Iterator[PairBlo
         )
 
 
-def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[PairBlock]]:
+def find_lag(name: str, blocks: Iterable[SampleBlock]) -> tuple[int, Iterator[SampleBlock]]:
     """Return the lag in samples at which measured follows desired best, and all blocks once more.
 
     The lag with the least offset-free RMSE over the first ``LAG_WINDOW`` samples, which are held in memory
@@ -308,7 +267,7 @@ def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[Pair
     of a sine), so that a periodic signal is not matched with its next period.
     """
     source = iter(blocks)
-    window: list[PairBlock] = []
+    window: list[SampleBlock] = []
     samples = 0
     for block in source:
         window.append(block)
@@ -317,8 +276,7 @@ def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[Pair
             break
     if not samples:
         return 0, iter(window)
-    desired = np.concatenate([block.desired for block in window])[:LAG_WINDOW]
-    measured = np.concatenate([block.measured for block in window])[:LAG_WINDOW]
+    desired, measured = (joined(window).values[role][:LAG_WINDOW] for role in ("desired", "measured"))
     finite = comparable(desired, measured)
     if not finite.any():
         raise InputError(f"{name}: no sample is a number, so no lag can be found")
@@ -330,24 +288,24 @@ def find_lag(name: str, blocks: Iterable[PairBlock]) -> tuple[int, Iterator[Pair
     return _best_lag(desired / scale, measured / scale), chain(window, source)
 
 
-def batched(blocks: Iterable[PairBlock], size: int = BATCH) -> Iterator[PairBlock]:
+def batched(blocks: Iterable[SampleBlock], size: int = BATCH) -> Iterator[SampleBlock]:
     """Yield the same samples in blocks of one fixed length, the last one shorter.
 
     Whatever works on these gives the same result for any block length of the reader.
     """
-    held: list[PairBlock] = []
+    held: list[SampleBlock] = []
     count = 0
     for block in blocks:
         held.append(block)
         count += len(block)
         while count >= size:
-            yield _merged(list(released(held, size)))
+            yield joined(list(released(held, size)))
             count -= size
     if count:
-        yield _merged(held)
+        yield joined(held)
 
 
-def released(held: list[PairBlock], count: int) -> Iterator[PairBlock]:
+def released(held: list[SampleBlock], count: int) -> Iterator[SampleBlock]:
     """Take the first ``count`` samples out of ``held``."""
     while count > 0 and held:
         block = held.pop(0)
@@ -356,19 +314,6 @@ def released(held: list[PairBlock], count: int) -> Iterator[PairBlock]:
             block = block.part(0, count)
         count -= len(block)
         yield block
-
-
-def _merged(blocks: list[PairBlock]) -> PairBlock:
-    """Return the blocks as one."""
-    if len(blocks) == 1:
-        return blocks[0]
-
-    def column(name: str) -> Any:
-        parts = [getattr(block, name) for block in blocks]
-        return None if any(part is None for part in parts) else np.concatenate(parts)
-
-    rows = join_places([block.rows for block in blocks])
-    return PairBlock(rows, *map(column, ("desired", "measured", "time", "drive")))
 
 
 def _best_lag(desired: Floats, measured: Floats) -> int:
@@ -419,7 +364,7 @@ class Dwells:
         self._name, self._seconds, self._rate = name, seconds, sample_rate
         self.kept = self.read = 0
 
-    def of(self, blocks: Iterable[PairBlock]) -> Iterator[PairBlock]:
+    def of(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the pairs that count; how they are cut into blocks changes none.
 
         Raises
@@ -429,21 +374,22 @@ class Dwells:
         """
         level, since = math.nan, math.nan
         for block in blocks:
+            desired = block.values["desired"]
             if not len(block):
                 continue
             if block.time is not None:
                 time = block.time
             elif self._rate is not None:
-                time = block.row_numbers() / self._rate
+                time = row_numbers(block) / self._rate
             else:
                 raise InputError(
                     f"{self._name}: no time is given, and `dwell` depends on it (`time` or `sample_rate` HZ)"
                 )
-            new = block.desired != np.concatenate([[level], block.desired[:-1]])  # a blank is never held
+            new = desired != np.concatenate([[level], desired[:-1]])  # a blank is never held
             begun = np.maximum.accumulate(np.where(new, np.arange(len(block)), -1))
             start = np.where(begun >= 0, time[begun], since)
-            held = block.only(~new & (time - start >= self._seconds * (1.0 - SAME)))
-            level, since = float(block.desired[-1]), float(start[-1])
+            held = _only(block, ~new & (time - start >= self._seconds * (1.0 - SAME)))
+            level, since = float(desired[-1]), float(start[-1])
             self.read += len(block)
             self.kept += len(held)
             yield held

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import running_statistics
-from dbo_cli.reports.figures_of_merit import TrackingFigures
 from dbo_cli.reports.running_statistics import BATCH, Batches, DoublingBins, Floats, comparable
-from dbo_cli.reports.sample_pairs import PairBlock
+from dbo_cli.reports.sample_pairs import row_numbers
 
 WHOLE = 8192  # samples of a log that is kept as it is: some eight for every pixel of a figure
 BUCKETS = 2048  # stretches: at least one for every pixel, as they double from half of it
@@ -236,7 +236,6 @@ class FigureData:
         self.start = 0.0
         self.has_time = False
         self.has_drive = False
-        self.figures: TrackingFigures | None = None
         self.distribution = running_statistics.ErrorDistribution()
         self.spectrum = Spectrum()
         self._batches = Batches()
@@ -246,24 +245,24 @@ class FigureData:
         if labels[0] == "model":
             self._pixels["drive", "desired"] = Pixels()
 
-    def add(self, block: PairBlock) -> None:
+    def add(self, block: SampleBlock) -> None:
         """Take one block of pairs."""
         self.has_time = self.has_time or block.time is not None
-        self.has_drive = self.has_drive or block.drive is not None
-        time = block.row_numbers() if block.time is None else block.time
-        drive = np.zeros(len(block)) if block.drive is None else block.drive
-        columns: tuple[Floats, ...] = (time, block.desired, block.measured, drive)
-        finite = comparable(block.desired, block.measured) & comparable(drive, drive)
+        self.has_drive = self.has_drive or "voltage" in block.values
+        time = row_numbers(block) if block.time is None else block.time
+        drive = block.values["voltage"] if "voltage" in block.values else np.zeros(len(block))
+        desired, measured = block.values["desired"], block.values["measured"]
+        columns: tuple[Floats, ...] = (time, desired, measured, drive)
+        finite = comparable(desired, measured) & comparable(drive, drive)
         if not finite.all():
             columns = tuple(column[finite] for column in columns)
         for batch in self._batches.add(*columns):
             self._take(*batch)
 
-    def finish(self, figures: TrackingFigures, distribution: running_statistics.ErrorDistribution) -> None:
-        """Take what is left, and the results that the figures refer to."""
+    def finish(self, distribution: running_statistics.ErrorDistribution) -> None:
+        """Take what is left, and the error's distribution."""
         for batch in self._batches.rest():
             self._take(*batch)
-        self.figures = figures
         self.distribution = distribution
 
     def against_time(self, name: str) -> Curve | Band:

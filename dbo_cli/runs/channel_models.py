@@ -6,22 +6,20 @@ import dataclasses
 import functools
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import DboError, FitError, UsageError
+from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
-from dbo_cli.logs.addresses import Address, Given, check_document
-from dbo_cli.logs.reading_options import ALL_ROWS
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs import jobs
 from dbo_cli.runs.channels import (
@@ -41,11 +39,10 @@ from dbo_cli.runs.identifying import (
     Recordings,
     identify_recordings,
 )
+from dbo_cli.runs.jobs import Value
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
-MOST_UNLIKE = (
-    8  # channels of which each is a log of one fit, where they are driven differently: it takes as long
-)
+MOST_UNLIKE = 8  # channels, each a log of one fit, where they are driven differently: it takes as long
 LEAST_GAIN = 0.1  # of the middle one: a channel with less is dead, and takes no part
 LEFT_OUT = 3  # channels, at most, that take no part in the mean and are asked about it
 FEWEST = 4  # channels: of fewer, none could be left out
@@ -61,8 +58,7 @@ def identify_channels(
     asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener
 ) -> jobs.Outcome:
     """Identify a model of each channel and write a set of them, or (``{channel}``) a file of each."""
-    channels = ChannelFits(asked, listener)
-    inputs = [*asked.logs, *asked.validation]
+    patterns, inputs = asked_patterns(asked), [*asked.logs, *asked.validation]
     if asked.coupling and CHANNEL in output.text:
         raise UsageError(f"`coupling` belongs to all channels: write one set, without {CHANNEL} in its name")
     if asked.coupling and work.keep_going:
@@ -73,17 +69,13 @@ def identify_channels(
     if CHANNEL not in output.text:
         check_outputs([output], inputs)
     outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
-    found = dict(channels.models(work, outcome))
-    with all_or_none():
-        if found:
-            models = {channel: one.model for channel, one in found.items()}
-            _write_models(output, models, inputs, channels.coupling)
+    found, coupling = fits_of_channels(asked, work, outcome, listener)
     if found:
-        first = next(iter(found.values()))
-        patterns = ", ".join(f"{option} '{one}'" for option, one in channels.patterns.items())
-        outcome.remarks.read += [
-            f"{line}; {len(found):,} channels: {patterns}" for line in first.remarks.read
-        ]
+        with all_or_none():
+            _write_models(output, {channel: one.model for channel, one in found.items()}, inputs, coupling)
+        shown = ", ".join(f"{option} '{one}'" for option, one in patterns.items())
+        read = next(iter(found.values())).remarks.read
+        outcome.remarks.read += [f"{line}; {len(found):,} channels: {shown}" for line in read]
     _say_found(found, "channel", outcome.remarks)
     return outcome
 
@@ -105,104 +97,77 @@ def identify_files(asked: IdentifyRun, output: Address, work: jobs.Work, listene
     return outcome
 
 
-@dataclass
-class ChannelFits:
-    """The models of channels, identified one by one, in whichever process.
+def asked_patterns(asked: IdentifyRun) -> dict[str, str]:
+    """Return the patterns of columns; UsageError for a single column, or a shape from two places."""
+    patterns = patterns_of(voltage=asked.voltage or "", displacement=asked.displacement or "")
+    if asked.shared_shape and asked.prior is not None:
+        raise UsageError("`shared_shape` and `prior` exclude each other: each is where the shape comes from")
+    return patterns
 
-    Attributes
-    ----------
-    asked, patterns
-        What is asked for, and the patterns of columns in it.
-    coupling
-        How the channels show in each other, once that is found.
-    apart
-        The recordings by channel, where all had to be read before.
 
-    Raises
-    ------
-    UsageError
-        A column is no pattern, or the shape is to come from two places.
-    """
+def fits_of_channels(
+    asked: IdentifyRun, work: jobs.Work, outcome: jobs.Outcome, listener: Listener = SILENT
+) -> tuple[dict[str, Identified], Coupling | None]:
+    """Identify a model of each channel, in the order of the log; return how they show in each other, too."""
+    patterns, reading, options = asked_patterns(asked), asked.reading, asked.options
+    whole, coupling = dataclasses.replace(reading, rows=ALL_ROWS), None
+    apart: Mapping[str, Recordings] = {}  # where all have to be read before
+    seen: dict[bytes, dict[str, None]] = {}
+    with (
+        opened_readers(asked.logs, reading, patterns, digest=True) as readers,
+        opened_readers(asked.validation, whole, patterns, digest=True) as checks,
+    ):
+        channels = list(readers[0].channels)
+        kept = _priors(asked.prior, channels)
 
-    asked: IdentifyRun
-    listener: Listener = SILENT
-    patterns: Mapping[str, str] = dataclasses.field(init=False)
-    coupling: Coupling | None = None
-    apart: Mapping[str, Recordings] = dataclasses.field(default_factory=dict)
-    _seen: dict[bytes, dict[str, None]] = dataclasses.field(default_factory=dict)
+        def recordings(channel: str) -> Callable[[], Recordings]:
+            """Return what reads one channel; two of the same displacements are kept in mind."""
+            fit, judged = apart.get(channel) or (
+                [one.log(channel) for one in readers], [one.log(channel) for one in checks]
+            )  # fmt: skip
+            number = readers[0].channels[channel]["displacement"].number
+            if isinstance(fit[0], Address) and fit[0].table is not None:
+                values = fit[0].table.block.values[str(number)]
+                seen.setdefault(hashlib.sha256(values.tobytes()).digest(), {})[channel] = None
+            own: dict[str, Any] = columns_of(patterns, channel)
+            own |= {"logs": fit, "validation": judged, "prior": None}
+            return functools.partial(dataclasses.replace(asked, **own).read, prior=kept(channel))
 
-    def __post_init__(self) -> None:
-        """Take the patterns out."""
-        asked = self.asked
-        self.patterns = patterns_of(voltage=asked.voltage or "", displacement=asked.displacement or "")
-        if asked.shared_shape and asked.prior is not None:
-            raise UsageError(
-                "`shared_shape` and `prior` exclude each other: each is where the shape comes from"
+        if asked.coupling:
+            listener.working("how the channels show in each other")
+            readings = ((channel, recordings(channel)) for channel in channels)
+            coupling, apart = recordings_apart(_all_of(readings, "channel", len(channels)))
+            listener.finished()
+            outcome.remarks.notes.append(coupling.summary())
+        if asked.shared_shape:
+            listener.working("the shape that the channels share")
+            arguments = asked.arguments(patterns, checked=False)
+            words = (channels, lambda one: recordings(one)()[0], options, arguments)
+            shape, note = shared_shape(*words, work.processes)
+            listener.finished()
+            outcome.remarks.notes.append(note)
+            kept, options = (lambda channel: shape), options_of_channel(options)
+
+        def call(channel: str) -> Callable[[], Identified]:
+            arguments = asked.arguments(columns_of(patterns, channel), kept(channel))
+            return functools.partial(_identified, recordings(channel), options, arguments, kept(channel))
+
+        calls = ((channel, call(channel)) for channel in channels)
+        good = outcome.good(calls, work, "channel", len(channels), listener)
+        found = {one.name: one.value for one in good}
+    for twins in seen.values():
+        if len(twins) > 1:
+            outcome.remarks.warn(
+                f"channels {jobs.named(list(twins))} hold the same displacements, sample by sample: is "
+                "one channel's log another's?"
             )
+    return found, coupling
 
-    def models(self, work: jobs.Work, outcome: jobs.Outcome) -> Iterator[tuple[str, Identified]]:
-        """Identify a model of each channel, in the order of the log."""
-        asked, patterns, reading = self.asked, self.patterns, self.asked.reading
-        whole = dataclasses.replace(reading, rows=ALL_ROWS)
-        with (
-            opened_readers(asked.logs, reading, patterns, digest=True) as readers,
-            opened_readers(asked.validation, whole, patterns, digest=True) as checks,
-        ):
-            channels, options = list(readers[0].channels), asked.options
-            kept = _priors(asked.prior, channels)
 
-            def recordings(channel: str) -> Callable[[], Recordings]:
-                return self._recordings(channel, readers, checks, kept(channel))
-
-            if asked.coupling:
-                self.listener.working("how the channels show in each other")
-                self.coupling, self.apart = recordings_apart(_recorded(recordings, channels))
-                self.listener.finished()
-                outcome.remarks.notes.append(self.coupling.summary())
-            if asked.shared_shape:
-                self.listener.working("the shape that the channels share")
-                arguments = asked.arguments(patterns, checked=False)
-                words = (channels, lambda one: recordings(one)()[0], options, arguments)
-                shape, note = shared_shape(*words, work.processes)
-                self.listener.finished()
-                outcome.remarks.notes.append(note)
-                kept, options = (lambda channel: shape), options_of_channel(options)
-
-            def calls() -> Iterator[tuple[str, Callable[[], Identified]]]:
-                for channel in channels:
-                    prior = kept(channel)
-                    arguments = asked.arguments(columns_of(patterns, channel), prior)
-                    yield (
-                        channel,
-                        functools.partial(_identified, recordings(channel), options, arguments, prior),
-                    )
-
-            for one in outcome.good(calls(), work, "channel", len(channels), self.listener):
-                yield one.name, one.value
-        for twins in self._seen.values():
-            if len(twins) > 1:
-                outcome.remarks.warn(
-                    f"channels {jobs.named(list(twins))} hold the same displacements, sample by sample: is "
-                    "one channel's log another's?"
-                )
-
-    def _recordings(
-        self, channel: str, readers: Sequence[Any], checks: Sequence[Any], prior: Any
-    ) -> Callable[[], Recordings]:
-        """Return what reads one channel; two of the same displacements are kept in mind."""
-        fit, judged = self.apart.get(channel) or (
-            [one.log(channel) for one in readers], [one.log(channel) for one in checks]
-        )  # fmt: skip
-        number = readers[0].channels[channel]["displacement"].number
-        if isinstance(fit[0], Address) and fit[0].table is not None:
-            digest = hashlib.sha256(fit[0].table.block.values[str(number)].tobytes()).digest()
-            self._seen.setdefault(digest, {})[channel] = None
-        columns = columns_of(self.patterns, channel)
-        own = dataclasses.replace(
-            self.asked, logs=fit, validation=judged, voltage=columns["voltage"],
-            displacement=columns["displacement"], prior=None,
-        )  # fmt: skip
-        return functools.partial(own.read, prior=prior)
+def _all_of(calls: jobs.Jobs[Value], noun: str, count: int, processes: int = 1) -> dict[str, Value]:
+    """Return what came of jobs that are all needed; the first failure ends it, and is named."""
+    good = jobs.Outcome().good(calls, jobs.Work(processes, all_needed=True), noun, count)
+    return {one.name: one.value for one in good}
 
 
 def _priors(prior: Any, channels: Sequence[str]) -> Callable[[str], str | ActuatorModel | None]:
@@ -212,19 +177,6 @@ def _priors(prior: Any, channels: Sequence[str]) -> Callable[[str], str | Actuat
     if isinstance(prior, Mapping):
         return lambda channel: prior[channel].actuator
     return models_by_channel(os.fspath(prior), channels)
-
-
-def _recorded(
-    recordings: Callable[[str], Callable[[], Recordings]], channels: Sequence[str]
-) -> dict[str, Recordings]:
-    """Read all channels; one that cannot be read ends it, and is named."""
-    found = {}
-    for channel in channels:
-        try:
-            found[channel] = recordings(channel)()
-        except DboError as problem:
-            raise type(problem)(f"channel {channel}: {problem}") from None
-    return found
 
 
 def recordings_apart(
@@ -362,7 +314,7 @@ def shared_shape(
     own_options = options_of_channel(options)
     calls = {"the mean": functools.partial(identify_recordings, mean, options, (), arguments)}
     calls |= {channel: functools.partial(identify_recordings, logs[channel], options) for channel in asked}
-    fits = _fits(calls, processes)
+    fits = _all_of(calls.items(), "shared shape,", len(calls), processes)
     shape = fits.pop("the mean").model
     ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in asked}
     middle = float(np.median(list(ratios.values())))
@@ -378,16 +330,6 @@ def shared_shape(
         f"one shape, {what} of {len(others)} channels: on {jobs.named(asked)}, left out of it, it leaves "
         f"{middle:.3g} times what their own models leave on cycles left out",
     )
-
-
-def _fits(calls: Mapping[str, Callable[[], Identified]], processes: int) -> dict[str, Identified]:
-    """Return what each job identified; the first failure ends it, and names its job."""
-    fits: dict[str, Identified] = {}
-    for done in jobs.run_jobs(calls.items(), processes):
-        if isinstance(done, jobs.Failed):
-            raise type(done.problem)(f"shared shape, {done.name}: {done.problem}")
-        fits[done.name] = done.value
-    return fits
 
 
 def _spread(channels: Sequence[str], count: int) -> list[str]:

@@ -10,9 +10,8 @@ import numpy as np
 from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance
 from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, check_document, selected_files
 from dbo_cli.logs.sample_block import SampleBlock, even_step, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of

@@ -23,21 +23,23 @@ from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_b
 from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
-from dbo_cli.logs.addresses import (
+from dbo_cli.logs.columns import ColumnWish, OutColumn, split_header, wish
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.request import (
+    ALL_ROWS,
     Address,
     Given,
+    ReadingOptions,
+    Rows,
     check_document,
     check_format,
     other_file,
     parse_output,
     selected_files,
 )
-from dbo_cli.logs.columns import ColumnWish, split_header, wish
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from dbo_cli.logs.signal_writer import OutColumn, signal_writer
+from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass

@@ -17,16 +17,17 @@ from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model
-from dbo_cli.logs.addresses import (
+from dbo_cli.logs.columns import is_order
+from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.request import (
+    ALL_ROWS,
     Address,
+    ReadingOptions,
     check_document,
     check_format,
     selected_files,
     without_folder,
 )
-from dbo_cli.logs.columns import is_order
-from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
@@ -125,31 +126,9 @@ def identify_recordings(
     return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)
 
 
-def arguments_of(logs: Sequence[str], validation: Sequence[str], chosen: Mapping[str, object]) -> list[str]:
-    """Return how an identification was called, as the shell would spell it, without folders.
-
-    Parameters
-    ----------
-    logs, validation
-        The logs' addresses or names.
-    chosen
-        Parameters that are not at their default; True for a switch.
-    """
-    words = ["identify", *map(os.path.basename, logs)]
-    for name in validation:
-        words += ["--validate", os.path.basename(name)]
-    for name, value in chosen.items():
-        several = isinstance(value, tuple) and all(isinstance(one, str) for one in value)
-        for one in value if isinstance(value, tuple) and several and value else [value]:
-            words.append("--" + name.replace("_", "-"))
-            if one is not True:
-                words.append(_word(one))
-    return [cleaned(without_folder(word)) for word in words]
-
-
-def chosen_of(options: IdentificationOptions) -> dict[str, object]:
+def chosen_of(options: IdentificationOptions) -> dict[str, Any]:
     """Return the parameters that are not at their default, under the command line's names."""
-    changed: dict[str, object] = {}
+    changed: dict[str, Any] = {}
     for one in dataclasses.fields(options):
         value = getattr(options, one.name)
         if value == one.default:
@@ -212,12 +191,18 @@ class IdentifyRun:
                 )
 
     def arguments(self, columns: Mapping[str, str], prior: object = None, checked: bool = True) -> list[str]:
-        """Return how the identification of ``columns`` was called."""
+        """Return how the identification of ``columns`` was called, as a shell spells it, without folders."""
         chosen = chosen_of(self.options) | self.reading.chosen()
         chosen |= {name: True for name in ("shared_shape", "coupling") if getattr(self, name)}
         chosen |= dict(columns) | ({"prior": os.path.basename(prior)} if isinstance(prior, str) else {})
-        given, more = (list(map(_name_of, some)) for some in (self.logs, self.validation if checked else ()))
-        return arguments_of(given, more, chosen)
+        words = ["identify", *(os.path.basename(_name_of(log)) for log in self.logs)]
+        for log in self.validation if checked else ():
+            words += ["--validate", os.path.basename(_name_of(log))]
+        for name, value in chosen.items():
+            several = isinstance(value, tuple) and value and all(isinstance(one, str) for one in value)
+            for one in value if several else [value]:
+                words += ["--" + name.replace("_", "-"), *([] if one is True else [_word(one)])]
+        return [cleaned(without_folder(word)) for word in words]
 
     def read(self, listener: Listener = SILENT, prior: str | ActuatorModel | None = None) -> Recordings:
         """Read what is fitted and what is judged on, in the units of a prior, else of the first log."""

@@ -17,18 +17,26 @@ from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
-from dbo_cli.logs.addresses import Address, Given, check_document, selected_files
 from dbo_cli.logs.columns import ColumnWish, wish
-from dbo_cli.logs.reading_options import ALL_ROWS, ReadingOptions, Rows
+from dbo_cli.logs.request import (
+    ALL_ROWS,
+    Address,
+    Given,
+    ReadingOptions,
+    Rows,
+    check_document,
+    selected_files,
+)
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
+from dbo_cli.reports import renderers
 from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
-from dbo_cli.reports.sample_pairs import PairBlock, TrajectoryMatch, rows_to_read
+from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
 from dbo_cli.runs.channels import columns_of, models_by_channel, opened_readers, patterns_of, sum_up_remarks
 from dbo_cli.runs.files import bring_to, opened, short_names
 from dbo_cli.runs.jobs import Outcome, Work, spread_line
@@ -150,52 +158,60 @@ class TrackingRun:
 
     def add(
         self,
-        source: Source,
+        log: Any,
+        reading: ReadingOptions,
+        asked: TrackingOptions,
         name: str | None = None,
         listener: Listener = SILENT,
-        *,
-        score_rows: Rows | None = None,
-        count_sweep: bool = False,
-        trajectory: Source | None = None,
-        match: Match = "auto",
+        time: Any = None,
     ) -> None:
-        """Compare one source, block by block.
+        """Compare one log, block by block.
 
         Parameters
         ----------
-        source
-            Role ``measured``; ``desired`` too, or ``voltage`` for a model to predict from.
+        log, reading, asked
+            An address, table or arrays, how it is read, and what is asked of it.
         name
             What the report calls it.
         listener
             Called after every block.
-        score_rows
-            The rows that count, of all that the source gives (see ``reports.report.evaluate``).
-        count_sweep
-            Let rows before time 0 take part though others follow.
-        trajectory
-            Where the desired signal lies, if elsewhere: role ``desired``.
-        match
-            How the two belong together: by ``time``, by ``rows``, or by time where both have one (``auto``).
+        time
+            The column or the seconds of a table from Python.
         """
-        self._bring_to_one_unit(source, trajectory or source)
-        figure_data = self._new_figure_data(source) if self.traced else None
-        run = None if self.model is None else ModelRun(self.model, source)
-        joined = None if trajectory is None else self._joined(source, trajectory, match, listener)
-        log = evaluate(
-            name or source.name,
-            self._pairs(source, run, listener) if joined is None else joined.pairs(),
-            self.options,
-            sample_rate=source.stated_rate,
-            figure_data=figure_data,
-            score_rows=score_rows,
-            count_sweep=count_sweep,
-        )
-        if joined is not None:
-            log = dataclasses.replace(log, notes=(*joined.notes(), *log.notes))
-        self._merits.append(log)
-        listener.finished()
-        self.remarks.add(remarks_of(source) if run is None else run.remarks())
+        trajectory = asked.trajectory
+        from_first = self.model is not None or trajectory is not None
+        own, score_rows = rows_to_score(reading, asked.lag, from_first=from_first)
+        with contextlib.ExitStack() as stack:
+            want = asked.wishes(self.model is not None)
+            source = stack.enter_context(contextlib.closing(opened(log, want, own, listener, time=time)))
+            if trajectory is None:
+                wished = None
+            else:
+                wished = stack.enter_context(open_trajectory(trajectory, asked.desired, reading))
+                listener.opened(wished.describe())
+            self._bring_to_one_unit(source, wished or source)
+            data = self._new_figure_data(source) if self.traced else None
+            run = None if self.model is None else ModelRun(self.model, source)
+            blocks = _counted(source, listener)
+            matched = None if wished is None else _matched(source, blocks, wished, asked.match)
+            if matched is not None:
+                blocks = matched.pairs()
+            elif run is not None:
+                blocks = _predicted(run, blocks)
+            merits = evaluate(
+                name or source.name,
+                blocks,
+                self.options,
+                sample_rate=source.stated_rate,
+                figure_data=data,
+                score_rows=score_rows,
+                count_sweep=asked.count_sweep or reading.rows != ALL_ROWS,
+            )
+            if matched is not None:
+                merits = dataclasses.replace(merits, notes=(*matched.notes(), *merits.notes))
+            self._merits.append(merits)
+            listener.finished()
+            self.remarks.add(remarks_of(source) if run is None else run.remarks())
 
     def result(self) -> TrackingReport:
         """Return the report on all sources."""
@@ -226,24 +242,24 @@ class TrackingRun:
         self._figure_data.append(FigureData(None if drive is None else drive.unit))
         return self._figure_data[-1]
 
-    def _joined(
-        self, source: Source, trajectory: Source, match: Match, listener: Listener
-    ) -> TrajectoryMatch:
-        """Return the pairs of a recording and a trajectory (UsageError where a model predicts)."""
-        by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
-        if by_time:
-            for one in (source, trajectory):
-                one.require_time("`match` by time depends on it")
-        return TrajectoryMatch(
-            source.name, trajectory.name, counted(source, listener), trajectory.blocks(), by_time=by_time
-        )
 
-    def _pairs(self, source: Source, run: ModelRun | None, listener: Listener) -> Iterator[PairBlock]:
-        for block in counted(source, listener):
-            yield PairBlock.of(block, None if run is None else run.feed(block, block.values["voltage"]).y)
+def _matched(
+    source: Source, blocks: Iterator[SampleBlock], trajectory: Source, match: Match
+) -> TrajectoryMatch:
+    """Join a recording and a trajectory: by ``time``, by ``rows``, or by time where both have one."""
+    by_time = match == "time" or (match == "auto" and source.has_time and trajectory.has_time)
+    if by_time:
+        for one in (source, trajectory):
+            one.require_time("`match` by time depends on it")
+    return TrajectoryMatch(source.name, trajectory.name, blocks, trajectory.blocks(), by_time=by_time)
 
 
-def counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
+def _predicted(run: ModelRun, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+    for block in blocks:
+        yield with_values(block, desired=run.feed(block, block.values["voltage"]).y)
+
+
+def _counted(source: Source, listener: Listener) -> Iterator[SampleBlock]:
     """Return the blocks of a source, each counted once it is done with."""
     for block in source.blocks():
         yield block
@@ -276,29 +292,22 @@ class TrackingReport:
 
     def to_text(self) -> str:
         """Return the report as a text for a terminal."""
-        from dbo_cli.reports.renderers import to_text
-
-        return to_text(self.report)
+        return renderers.to_text(self.report)
 
     def to_json(self) -> str:
         """Return the report as JSON (``dbo-report``)."""
-        from dbo_cli.reports.renderers import to_json
-
-        return to_json(self.report)
+        return renderers.to_json(self.report)
 
     def to_csv(self) -> str:
         """Return the report as CSV, a line a log."""
-        from dbo_cli.reports.renderers import to_csv
-
-        return to_csv(self.report)
+        return renderers.to_csv(self.report)
 
     def to_html(self) -> str:
         """Return the report as one self-contained page with its figures."""
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
-        from dbo_cli.reports.renderers import to_html
 
-        return to_html(
+        return renderers.to_html(
             self.report,
             [plots_of_log(self.report, log, figure_data) for log, figure_data in self._drawn()],
             comparison_plots=plots_of_comparison(self.report, self.figure_data),
@@ -412,7 +421,7 @@ def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     tracking = TrackingRun(scoring, model, str(options.model), traced)
     names = short_names(asked.logs)
     for address in asked.logs:
-        add_log(tracking, address, asked.reading, options, names.get(address), listener)
+        tracking.add(address, asked.reading, options, names.get(address), listener)
     result = tracking.result()
     if figures is not None:
         result.figures(figures)
@@ -440,36 +449,6 @@ def prepare_folder(folder: str) -> None:
     with contextlib.suppress(OutputError):  # check_folder has the better message
         make_folder(folder)
     check_folder(folder)
-
-
-def add_log(
-    tracking: TrackingRun,
-    log: Any,
-    reading: ReadingOptions,
-    options: TrackingOptions,
-    name: str | None = None,
-    listener: Listener = SILENT,
-    time: Any = None,
-) -> None:
-    """Compare one log; ``time`` is the column or the seconds of a table from Python."""
-    with_model, trajectory = tracking.model is not None, options.trajectory
-    from_first = with_model or trajectory is not None
-    own, score_rows = rows_to_score(reading, options.lag, from_first=from_first)
-    with contextlib.ExitStack() as stack:
-        source, wished = opened(log, options.wishes(with_model), own, listener, time=time), None
-        stack.callback(source.close)
-        if trajectory is not None:
-            wished = stack.enter_context(open_trajectory(trajectory, options.desired, reading))
-            listener.opened(wished.describe())
-        tracking.add(
-            source,
-            name,
-            listener,
-            score_rows=score_rows,
-            count_sweep=options.count_sweep or reading.rows != ALL_ROWS,
-            trajectory=wished,
-            match=options.match,
-        )
 
 
 def rows_to_score(
@@ -588,10 +567,8 @@ def _write(asked: ReportRun, report: Report, form: str, inputs: Sequence[Given])
     if asked.figures is not None:
         save(plots, Path(asked.figures), "channels")
     if form == "html":
-        from dbo_cli.reports.renderers import to_html
-
-        none = [()] * len(report.logs)
-        page = to_html(report, none, comparison_plots=plots, program=program_version_string()).encode()
+        none, program = [()] * len(report.logs), program_version_string()
+        page = renderers.to_html(report, none, comparison_plots=plots, program=program).encode()
     else:
         page = TrackingReport(report, (), None, Remarks()).rendered(form)
     asked.write(page, inputs)
@@ -603,6 +580,6 @@ def _reported(
     """Compare one channel, in whichever process."""
     model = None if options.model is None else read_model(options.model)
     tracking = TrackingRun(options.scoring(model is not None), model, str(options.model))
-    add_log(tracking, log, reading, options, name)
+    tracking.add(log, reading, options, name)
     result = tracking.result()
     return result.report, result.remarks

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, PointStage
+from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
 from dbo_cli.hysteresis.model_file import section_values
-from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
+from dbo_cli.hysteresis.model_set import ModelSet, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
-from dbo_cli.logs.addresses import Address, check_document
+from dbo_cli.logs.request import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
 
 WIDTH = 96  # characters of a line on the screen
@@ -23,50 +25,45 @@ APART = ("notes", "warnings", "logs", "validation", "alternatives", "swings")  #
 def show_model(
     model_file: str, output: Address, form: str | None, figures: str | None, settle: str | None = None
 ) -> list[str]:
-    """Write what is in a model; returns notes (where figures went)."""
+    """Write what is in a model or a set of them; returns notes (where figures went)."""
+    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
     if is_set(model_file):
         if settle is not None:
             raise UsageError(f"`settle` is of one model, and {model_file} is a set ({model_file}::CHANNEL)")
-        return _show_set(model_file, output, form, figures)
-    model = read_model(model_file)
-    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
-    check_document(output, "what is shown", chosen)
-    if figures is not None:
-        from dbo_cli.reports.drawing import check_folder
+        if figures is not None:
+            raise UsageError(
+                f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
+            )
+        check_document(output, "what is shown", chosen)
+        text = _set_text(read_set(model_file), chosen)
+    else:
+        model = read_model(model_file)
+        check_document(output, "what is shown", chosen)
+        if figures is not None:
+            from dbo_cli.reports.drawing import check_folder, save
 
-        folder = check_folder(figures)
-    content = contents(model) | _settling(model, settle)
-    text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
+            folder = check_folder(figures)
+        content = contents(model) | _settling(model, settle)
+        text = json.dumps(content, indent=2, ensure_ascii=False) if chosen == "json" else as_text(content)
     write_whole(output, (text + "\n").encode(), protect=[model_file])
     if figures is None:
         return []
-    from dbo_cli.reports.drawing import save
     from dbo_cli.reports.models import plots_of_model
 
     save(plots_of_model(model), folder, "model")
     return [f"figures are in {figures}"]
 
 
-def _show_set(model_file: str, output: Address, form: str | None, figures: str | None) -> list[str]:
-    """Write what is in a set of models: a line a channel, or the same as JSON."""
-    if figures is not None:
-        raise UsageError(
-            f"`figures` draws one model, and {model_file} is a set: name one ({model_file}::CHANNEL)"
-        )
-    chosen = form or ("json" if output.text.lower().endswith(".json") else "text")
-    check_document(output, "what is shown", chosen)
-    there = read_set(model_file)
-    models = {channel: contents(model) for channel, model in there.items()}
-    if chosen == "json":
+def _set_text(there: ModelSet, form: str) -> str:
+    """Return what is in a set of models: a line a channel, or the same as JSON."""
+    models, coupling = {channel: contents(model) for channel, model in there.items()}, there.coupling
+    if form == "json":
         whole = {"format": "dbo-show-set", "version": 1, "models": models}
-        if there.coupling is not None:
-            whole["coupling"] = {"condition": there.coupling.condition, **there.coupling.values()}
-        text = json.dumps(whole, indent=2, ensure_ascii=False)
-    else:
-        lines = _set_lines(models)
-        text = "\n".join(lines if there.coupling is None else [*lines, "", there.coupling.summary()])
-    write_whole(output, (text + "\n").encode(), protect=[model_file])
-    return []
+        if coupling is not None:
+            whole["coupling"] = {"condition": coupling.condition, **coupling.values()}
+        return json.dumps(whole, indent=2, ensure_ascii=False)
+    lines = _set_lines(models)
+    return "\n".join(lines if coupling is None else [*lines, "", coupling.summary()])
 
 
 def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -96,7 +93,8 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
     """Return what is in a model as plain values; lengths and voltages in the model's units, times in s."""
     fit, provenance = model.fit, model.provenance
     backlash = next((stage for stage in model.stages if isinstance(stage, BacklashStage)), None)
-    delay = next((abs(s.seconds) for s in model.stages if isinstance(s, DelayStage)), 0.0)
+    before = model.head if model.direction == "forward" else model.tail  # between the drive and the gears
+    drive_lag = model.drive_lag.sections if model.drive_lag else ()
     loop = next(stage for stage in model.stages if isinstance(stage, BacklashStage | OtherHysteresis))
     return {
         "format": "dbo-show",
@@ -107,11 +105,11 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "gears": backlash.n if backlash else None,
         "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
-        "segments_at_the_drive": _at_the_drive(model),
+        "segments_at_the_drive": sum(s.m for s in before if isinstance(s, PointStage)) if backlash else 0,
         "relaxation_seconds": list(loop.relaxation.tau) if loop.relaxation else [],
-        "delay_seconds": delay,
+        "delay_seconds": model.delay_seconds,
         "dynamics": [section_values(one) for one in (model.dynamics.sections if model.dynamics else ())],
-        "drive_lag_seconds": _drive_lag(model),
+        "drive_lag_seconds": next((one.seconds for one in drive_lag if isinstance(one, Lag)), None),
         "fit": {key: fit[key] for key in fit if key not in APART},
         "logs": fit.get("logs", []),
         "validation": fit.get("validation", []),
@@ -163,12 +161,8 @@ def as_text(content: Mapping[str, Any]) -> str:
     if content["arguments"]:
         lines.append("dbo " + " ".join(map(str, content["arguments"])))
     lines += [f"{kind[:-1]}: {text}" for kind in ("notes", "warnings") for text in content[kind]]
-    return "\n".join(_wrapped(line) for line in lines)
-
-
-def _drive_lag(model: ActuatorModel) -> float | None:
-    sections = model.drive_lag.sections if model.drive_lag else ()
-    return next((one.seconds for one in sections if isinstance(one, Lag)), None)
+    wrapped = partial(textwrap.fill, width=WIDTH, subsequent_indent="  ", break_long_words=False)
+    return "\n".join(map(wrapped, lines))
 
 
 def _moving(content: Mapping[str, Any]) -> list[str]:
@@ -247,15 +241,6 @@ def _asymmetry(content: Mapping[str, Any]) -> str:
     return f", {every} segments of asymmetry" if every else ""
 
 
-def _at_the_drive(model: ActuatorModel) -> int:
-    """Return how many segments stand between the drive and the gears."""
-    gears = next((k for k, s in enumerate(model.stages) if isinstance(s, BacklashStage)), None)
-    if gears is None:
-        return 0
-    side = model.stages[:gears] if model.direction == "forward" else model.stages[gears:]
-    return sum(stage.m for stage in side if isinstance(stage, PointStage))
-
-
 def _lag(content: Mapping[str, Any]) -> str:
     taus = ", ".join(f"{tau:.3g}" for tau in content["relaxation_seconds"])
     text = f"; lag and creep with time constants of {taus} s" if taus else "; no lag, no creep"
@@ -263,21 +248,10 @@ def _lag(content: Mapping[str, Any]) -> str:
     return text + (f"; a delay of {1e3 * delay:.3g} ms" if delay else "")
 
 
-def _quantity(quantity: Quantity) -> dict[str, Any]:
-    return {
-        "quantity": quantity.quantity,
-        "unit": quantity.unit,
-        "min": quantity.minimum,
-        "max": quantity.maximum,
-    }
+def _quantity(one: Quantity) -> dict[str, Any]:
+    return {"quantity": one.quantity, "unit": one.unit, "min": one.minimum, "max": one.maximum}
 
 
 def _range(quantity: Mapping[str, Any]) -> str:
     unit = f" {quantity['unit']}" if quantity["unit"] else ""
     return f"{quantity['quantity']} {quantity['min']:.6g} to {quantity['max']:.6g}{unit}"
-
-
-def _wrapped(line: str) -> str:
-    import textwrap
-
-    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False)

@@ -12,9 +12,8 @@ from dbo_cli.drives.gate import DriveGate, Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.model_state import DriveLimits
-from dbo_cli.logs.addresses import Address, check_document
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import Address, ReadingOptions, check_document
 from dbo_cli.logs.sample_block import joined, require_even
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.sources import remarks_of

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.request import ReadingOptions
 
 V = (0.0, 1.5, -2.5, 4.0)
 D = (10.25, 11.0, 9.125, 8.0)

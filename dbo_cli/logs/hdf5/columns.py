@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.column_table import (
     NETCDF_FILL,
     ColumnSource,
@@ -29,7 +30,6 @@ from dbo_cli.logs.column_table import (
     without_scalars,
 )
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.stated_clock import Statement, is_clock_name, read_statements
 
 # Names in use: NeXus, CF conventions and netCDF, LabVIEW, h5py recorders; MATLAB's own classes of numbers.
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string")

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.addresses import Address
-from dbo_cli.logs.byte_source import Request, brief
+from dbo_cli.logs.clock import Statement, is_clock_name
 from dbo_cli.logs.column_table import (
     MATLAB_OBJECTS,
     ColumnSource,
@@ -40,8 +39,7 @@ from dbo_cli.logs.hdf5.columns import (
     stored_text,
 )
 from dbo_cli.logs.plain_text import clean_text
-from dbo_cli.logs.reading_options import BLOCK_ROWS
-from dbo_cli.logs.stated_clock import Statement, is_clock_name
+from dbo_cli.logs.request import BLOCK_ROWS, Address, Request, brief
 
 # What h5py raises at damaged bytes.
 _DAMAGED = (OSError, RuntimeError, KeyError, TypeError, ValueError, IndexError)

@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import FileWatch
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.request import FileWatch
 
 _MOST_HOPS = 16  # links to follow one after the other; HDF5's own limit for soft links is 16, too
 _MOST_CHUNK_BYTES = 1 << 30  # a chunk is unpacked as a whole

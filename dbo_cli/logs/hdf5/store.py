@@ -28,10 +28,9 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs import whole_output
-from dbo_cli.logs.addresses import Address, Given
-from dbo_cli.logs.byte_source import FileWatch
-from dbo_cli.logs.out_column import OutColumn, require_finite, unique_headers
+from dbo_cli.logs.columns import OutColumn, require_finite, unique_headers
 from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.request import Address, FileWatch, Given
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, TimeCheck
 from dbo_cli.records import dataclass
 

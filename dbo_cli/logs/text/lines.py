@@ -5,15 +5,17 @@ The fast parsers accept a subset of this grammar; whatever they refuse is decide
 
 from __future__ import annotations
 
+import datetime
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.plain_text import pattern, shortened
-from dbo_cli.logs.reading_options import BLANKS
+from dbo_cli.logs.request import BLANKS
 from dbo_cli.logs.sample_block import FloatArray, is_overflow
 from dbo_cli.records import dataclass
 
@@ -100,6 +102,132 @@ def complain(cell: str, decimal: str, written: str = "numbers") -> str:
     return f"is not a number: {shown}"
 
 
+# --- dates and clock times in cells, read as seconds -----------------------------------------------------
+#
+# Dates count from 1970-01-01 (no zone given: as if UTC), clock times from midnight. The arithmetic is on
+# whole numbers, so that a stamp becomes the float64 nearest to it.
+
+DAY = 86400  # s
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+
+_MONTH_FIRST = pattern(r"(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4}|\d\d)")
+_DATES = (
+    pattern(r"(?P<year>\d{4})([-/.])(?P<month>\d{1,2})\2(?P<day>\d{1,2})"),
+    pattern(r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)"),
+    pattern(r"(?P<day>\d{1,2})([-.])(?P<month>\d{1,2})\2(?P<year>\d{4}|\d\d)"),
+    _MONTH_FIRST,
+    pattern(r"(?P<day>\d{1,2})[- ](?P<month>[A-Za-z]{3})[- ](?P<year>\d{4})"),
+)
+_CLOCK = pattern(
+    r"(?:(?P<days>\d{1,5}) days?,? )?(?P<hours>\d{1,3}):(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]?\d)"
+    r"(?:[.,](?P<fraction>\d{1,20})|:(?P<millis>\d{3}))?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+)
+_MINUTES = pattern(r"(?P<minutes>\d{1,3}):(?P<seconds>[0-5]\d)[.,](?P<fraction>\d{1,20})")
+_STAMP = pattern(
+    r"(?P<date>\d{4}([-/.])\d{1,2}\2\d{1,2}|\d{8}|\d{1,2}[-./]\d{1,2}[-./]\d{2,4}"
+    r"|\d{1,2}[- ][A-Za-z]{3}[- ]\d{4})(?:T|[ _]+|, ?)"
+    r"(?P<clock>\d{1,2}:\d\d:\d\d(?:[.,]\d{1,20})?(?: ?[AaPp]\.?[Mm]\.?)?|\d{6}(?:\.\d{1,20})?)"
+    r" ?(?P<zone>Z|UTC|[+-]\d\d:?\d\d)?"
+)
+
+
+@lru_cache(maxsize=64)
+def date_days(text: str) -> int | None:
+    """Return the days from 1970-01-01 to a written date, or None.
+
+    ``2024-03-31``, ``2024/3/31``, ``31.03.2024``, ``31-03-2024``, ``31-Mar-2024``; with slashes and the year
+    last the month stands first (as in the United States) unless it cannot.
+    """
+    found = next((found for pattern in _DATES if (found := pattern.fullmatch(text))), None)
+    if found is None:
+        return None
+    year, day, name = int(found["year"]), int(found["day"]), found["month"].lower()
+    month = _MONTHS.index(name) + 1 if name in _MONTHS else int(name) if name.isdecimal() else 0
+    if found.re.pattern == _MONTH_FIRST.pattern and month > 12:
+        month, day = day, month
+    try:
+        date = datetime.date(year + 2000 if year < 100 else year, month, day)
+    except ValueError:
+        return None
+    return date.toordinal() - datetime.date(1970, 1, 1).toordinal()
+
+
+def _exact(whole: int, fraction: str | None) -> float:
+    """Return a whole number of seconds and the digits after it as the nearest float64."""
+    if not fraction:
+        return float(whole)
+    size: int = 10 ** len(fraction)
+    return (whole * size + int(fraction)) / size
+
+
+def _clock_parts(text: str) -> tuple[int, str | None] | None:
+    found = _CLOCK.fullmatch(text)
+    if found is None:
+        return None
+    hours = int(found["hours"])
+    if found["half"]:
+        if not 1 <= hours <= 12:
+            return None
+        hours = hours % 12 + (12 if found["half"] in "pP" else 0)
+    whole = int(found["days"] or 0) * DAY + hours * 3600
+    return whole + int(found["minutes"]) * 60 + int(found["seconds"]), found["fraction"] or found["millis"]
+
+
+def date_seconds(text: str) -> float | None:
+    """Read a date as seconds since 1970, or give None."""
+    days = date_days(text)
+    return None if days is None else float(days * DAY)
+
+
+def clock_seconds(text: str) -> float | None:
+    """Read ``hh:mm:ss.sss`` (also with days in front, or am and pm behind) as seconds, or give None."""
+    parts = _clock_parts(text)
+    return None if parts is None else _exact(*parts)
+
+
+def minute_seconds(text: str) -> float | None:
+    """Read ``mm:ss.s``, a spreadsheet's habit, as seconds of the hour, or give None."""
+    found = _MINUTES.fullmatch(text)
+    if found is None:
+        return None
+    return _exact(int(found["minutes"]) * 60 + int(found["seconds"]), found["fraction"])
+
+
+def stamp_seconds(text: str) -> float | None:
+    """Read a date and a clock time in one cell (ISO 8601 and its relatives) as seconds since 1970."""
+    found = _STAMP.fullmatch(text)
+    if found is None:
+        return None
+    days, clock, zone = date_days(found["date"]), found["clock"], found["zone"]
+    if ":" not in clock:
+        clock = f"{clock[:2]}:{clock[2:4]}:{clock[4:]}"
+    parts = _clock_parts(clock)
+    if days is None or parts is None:
+        return None
+    whole = days * DAY + parts[0]
+    if zone and zone[0] in "+-":
+        ahead = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
+        whole += -ahead if zone[0] == "+" else ahead
+    return _exact(whole, parts[1])
+
+
+READERS: dict[str, Callable[[str], float | None]] = {
+    "stamp": stamp_seconds,
+    "clock": clock_seconds,
+    "minutes": minute_seconds,
+    "date": date_seconds,
+}
+"""How a column of time stamps may be written, and what reads its cells."""
+
+
+def writing_of(cells: Sequence[str]) -> str | None:
+    """Return how most cells of a column write time stamps, or None where they are none."""
+    for writing, read in READERS.items():
+        if 2 * sum(read(cell) is not None for cell in cells) > len(cells):
+            return writing
+    return None
+
+
 # --- is the last number of a log whole? -----------------------------------------------------------------
 
 _USUAL_STEPS = 3.0  # a change this many times the largest one above is not the next sample
@@ -177,8 +305,6 @@ def find_header_block(lines: Sequence[str], first: int, delimiter: str) -> Heade
 
 def _start(lines: Sequence[str], delimiter: str) -> tuple[float, float] | None:
     """Return when a segment began: the date and the time that its header states, each in seconds."""
-    from dbo_cli.logs.stated_clock import clock_seconds, date_seconds
-
     rows = [split_cells(line, delimiter) for line in lines]
     stated = {cells[0]: cells[1] for cells in rows if len(cells) > 1}
     date = date_seconds(stated.get("Date", ""))
@@ -295,8 +421,11 @@ class LineBlocks:
             read = len(self._pending)
             if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
                 break
-            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
-            self._leave_out_empty_lines()
+            self._append(self._read(HEAD_BYTES - read % HEAD_BYTES))
+            if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
+                above = len(self._pending) - len(self._pending.lstrip())  # a billion, in compressed data
+                self.empty_lines += self._pending.count(b"\n", 0, above)
+                self._pending = self._pending[self._pending.rfind(b"\n", 0, above) + 1 :]
             if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
                 break
         return self._pending
@@ -307,23 +436,20 @@ class LineBlocks:
         if self.ended or wanted > LONGEST_LINE:
             return None
         while len(self._pending) < wanted and not self.ended:
-            self._fill(wanted - len(self._pending))
+            self._append(self._read(wanted - len(self._pending)))
         return self._pending
-
-    def _leave_out_empty_lines(self) -> None:
-        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
-        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
-            text = self._pending.lstrip()
-            above = self._pending[: len(self._pending) - len(text)]
-            end = above.rfind(b"\n") + 1
-            self.empty_lines += above.count(b"\n")
-            self._pending = self._pending[end:]
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        for start, end in self._cuts():  # of what was read ahead
-            yield self._noted(self._pending[start:end])
-        self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
+        text, start, last = self._pending, 0, self._pending.rfind(b"\n") + 1
+        self._pending = text[last:]
+        # What was read ahead is cut where it is much; the usual case is what one reading brought.
+        most = self.block_bytes if last > 2 * self.block_bytes else last
+        while start < last:
+            limit = min(last, start + most)
+            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
+            yield self._noted(text[start:end])
+            start = end
         while not self.ended:
             data = self._read(self.block_bytes)
             end = data.rfind(b"\n") + 1
@@ -334,29 +460,12 @@ class LineBlocks:
             else:
                 self._append(data)
         if self._pending:
-            last, self._pending = self._pending, b""
-            yield last
+            text, self._pending = self._pending, b""
+            yield text
 
     def _noted(self, block: bytes) -> bytes:
         self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
         return block
-
-    def _cuts(self) -> list[tuple[int, int]]:
-        """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
-        text, start = self._pending, 0
-        last = text.rfind(b"\n") + 1
-        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
-            return [(0, last)] if last else []
-        cuts = []
-        while start < last:
-            limit = min(last, start + self.block_bytes)
-            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
-            cuts.append((start, end))
-            start = end
-        return cuts
-
-    def _fill(self, size: int) -> None:
-        self._append(self._read(size))
 
     def _read(self, size: int) -> bytes:
         data = self.source.read(size)

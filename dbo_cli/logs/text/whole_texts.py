@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.byte_source import ByteSource, Request
+from dbo_cli.logs.byte_source import ByteSource
+from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.column_table import (
     ColumnSource,
     ColumnTable,
@@ -27,10 +28,10 @@ from dbo_cli.logs.column_table import (
 )
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.plain_text import counted, decoded
-from dbo_cli.logs.reading_options import FILL_GAPS
-from dbo_cli.logs.stated_clock import FACTORS, Statement, time_unit
+from dbo_cli.logs.request import FILL_GAPS, Request
 from dbo_cli.logs.text.dialect import Dialect, is_comment
 from dbo_cli.logs.text.lines import split_cells, to_number
+from dbo_cli.logs.units import FACTORS, time_unit
 
 # --- JSON: a record a line, an array of records, or an object of arrays -----------------------------------
 

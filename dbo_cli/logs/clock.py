@@ -1,26 +1,302 @@
-"""The time column of a log as seconds, and what is doubtful about it.
+"""The clock of a log: the time column as seconds, the sample rate that a file states, and what is doubtful.
 
 Figures whose unit is not stated are read as seconds, unless they can only be a calendar's (milliseconds since
-1970, a spreadsheet's days).  What is read without being stated is warned of, with the remedy.
+1970, a spreadsheet's days). What is read without being stated is warned of, with the remedy.
+
+A rate is used only where its meaning is plain. An attribute called ``sample_rate`` of ``10 kHz`` is 10,000
+samples a second; one without a unit is taken in the unit that its name implies (hertz for a rate, seconds
+for a step), with a note; a unit that is none of a rate or a step, or two statements that disagree, are
+refused as soon as the rate is needed.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES, any_of, find_column, guess_columns
-from dbo_cli.logs.reading_options import ReadingOptions
+from dbo_cli.logs.columns import (
+    MORE_TIME_NAMES,
+    TIME_NAMES,
+    any_of,
+    contradicted_unit,
+    find_column,
+    guess_columns,
+    is_torn,
+    split_header,
+)
+from dbo_cli.logs.plain_text import clean_text, pattern, shortened
+from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import TIME, ColumnInfo, FloatArray, SampleBlock, TimeCheck
-from dbo_cli.logs.stated_clock import FACTORS, HHMMSS, StatedTime, is_other_kind, stated_time, time_unit
-from dbo_cli.logs.units import ONE, UnitFactor
+from dbo_cli.logs.units import (
+    FACTORS,
+    HHMMSS,
+    ONE,
+    UNIT_OF,
+    UnitFactor,
+    kind_of_unit,
+    parse_time_unit,
+    time_unit,
+)
 from dbo_cli.records import dataclass
+
+# --- what a file states -----------------------------------------------------------------------------------
+
+_WORDS = frozenset(word for word in UNIT_OF if len(word) > 1) - {"min", "mins", "std", "ore", "milli"}
+"""Spellings that count as the unit wherever they stand in a time column's name (min may be a minimum)."""
+
+_COUNTED = frozenset(
+    ("tick", "ticks", "sample", "samples", "frame", "frames", "count", "counts", "cycle", "cycles", "index",
+     "idx", "step", "steps", "point", "points", "pulses", "clocks", "jiffies", "row", "rows", "number", "no")
+)  # fmt: skip
+"""Words that, behind the name of a time column, show that it counts something other than time."""
+
+_NO_UNIT = frozenset(
+    ("relative", "rel", "absolute", "abs", "raw", "local", "utc", "gmt", "cet", "elapsed", "iso", "iso8601",
+     "start", "since start", "float", "double", "-")
+)  # fmt: skip
+"""What is written in the brackets of a time column where other columns have their unit."""
+
+_OTHER_HALVES = frozenset(("date", "time", "datum", "zeit", "uhrzeit", "fecha", "hora", "clock", "day"))
+# ``Time / ms``, ``ms since 2026-01-02``, ``10us``.
+_STATED = pattern(r"(?P<left>.+?)(?:\s*/\s*|\s+in\s+)(?P<right>\S+)", re.IGNORECASE)
+_SINCE = pattern(r"(?P<unit>\S+)\s+since\s+(?P<origin>\d.*)", re.IGNORECASE)
+
+# Names of rates and steps without blanks and signs, from the formats and manuals in docs/instruments.md.
+_RATES = {"samplerate", "samplingrate", "samplingfrequency", "samplefrequency", "samplingfreq", "samplefreq",
+          "acquisitionrate", "acquisitionfrequency", "fs", "srate", "sfreq", "scanrate", "abtastrate",
+          "abtastfrequenz", "messfrequenz", "messrate", "framerate", "framespersecond", "samplespersecond",
+          "acqrate", "bildrate"}  # fmt: skip
+_STEPS = {"wfincrement", "sampleperiod", "samplingperiod", "sampleinterval", "samplinginterval", "sampletime",
+          "timestep", "timeincrement", "dt", "deltat", "ts", "tinterval", "xincrement", "xinc", "tinc",
+          "abtastintervall", "abtastzeit", "abtastperiode", "timeinterval", "timeresolution"}  # fmt: skip
+_BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}  # of what? only the unit shows it
+_PER_SECOND = ("Hz", "hz", "HZ", "Hertz", "hertz", "S/s", "Sa/s", "sps", "SPS", "Sps", "samples/s",
+               "Samples/s", "sample/s", "samples/sec", "samples/second", "samplespersecond", "scans/s",
+               "1/s", "s^-1", "s-1", "/s", "fps", "FPS", "frames/s")  # fmt: skip
+_LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+# Hertz for each unit: the SI's prefixes, of the small ones only that of mHz, which nothing else is called.
+_HERTZ = {prefix + unit: factor for prefix, factor in _LARGE.items() for unit in _PER_SECOND} | {"mHz": 1e-3}
+_AMOUNT = pattern(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(1/s|s\^?-1|[^\d]*?)\s*")
+_LONGEST = 80  # characters of a name or of an amount with its unit; the patterns' time grows with the square
+_SAME = 1e-6  # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
+
+
+class StatedTime(NamedTuple):
+    """What a time column's header states of its figures; ``unit`` is None where it states nothing."""
+
+    unit: str | None
+    factor: UnitFactor = ONE
+    origin: str | None = None
+
+
+def stated_time(place: str, column: ColumnInfo, given: str | None = None) -> StatedTime:
+    """Find the unit of a time column of numbers.
+
+    Parameters
+    ----------
+    place
+        The log's name, for messages.
+    column
+        The time column.
+    given
+        ``time_unit`` as the user gave it; goes before the header.
+
+    Raises
+    ------
+    InputError
+        The header states a unit that is no known unit of time.
+    """
+    if given is not None:
+        return StatedTime(*parse_time_unit(given))
+    words = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.quantity).lower())
+    behind = _behind(column.quantity)
+    units = _named_units(words) | {unit for word in behind if (unit := time_unit(word))}
+    unknown = ""
+    if HHMMSS in column.name.lower():
+        return StatedTime(HHMMSS)
+    if column.unit is not None and column.unit.lower() not in _NO_UNIT:
+        since = _SINCE.fullmatch(column.unit)
+        unit = time_unit(since["unit"] if since else column.unit)
+        if unit is not None:
+            own = contradicted_unit(column)
+            units = (units | ({UNIT_OF[own]} if own in UNIT_OF else set())) - {unit}
+            if units and not since:
+                raise InputError(
+                    f"{place}: the time column '{column.name}' is in {units.pop()} by its name and in {unit} "
+                    "by its unit (`time_unit` says which is right)"
+                )
+            return StatedTime(unit, FACTORS[unit], since["origin"].strip() if since else None)
+        unknown = column.unit
+    elif column.unit is None and is_torn(column.quantity):
+        unknown = column.quantity
+    elif len(units) == 1:
+        unit = units.pop()
+        return StatedTime(unit, FACTORS[unit])
+    else:
+        unknown = next(iter([word for word in words[1:] if word in _COUNTED] or sorted(units) or behind), "")
+    if unknown:
+        raise InputError(
+            f"{place}: the time column '{column.name}' counts '{unknown}', which is no known unit of time "
+            f"(`time_unit` {', '.join(FACTORS)} or a number of them such as 10us, or `sample_rate` HZ)"
+        )
+    return StatedTime(None)
+
+
+def _named_units(words: list[str]) -> set[str]:
+    """Find the units among the words of a name, ``nano seconds`` in two words, too."""
+    units = set()
+    for before, word in zip(["", *words], words, strict=False):
+        if word in _WORDS:
+            units.add(UNIT_OF.get(before + word, UNIT_OF[word]))
+    return units
+
+
+def _behind(quantity: str) -> list[str]:
+    """Find what a name states behind ``in`` or a slash, where units stand (Date/Time states none)."""
+    found = _STATED.fullmatch(quantity.strip())
+    if found is None or found["right"].lower() in _NO_UNIT | _OTHER_HALVES:
+        return []
+    return [found["right"]]
+
+
+def is_other_kind(unit: str | None) -> bool:
+    """Return whether a unit measures something that is plainly no time (a temperature called T)."""
+    kind = kind_of_unit(unit)
+    return kind not in (None, "time", "count", "number of samples") and time_unit(unit or "") is None
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What one place of a file states of the clock: samples a second, or why it cannot be used.
+
+    ``assumed`` is the unit that was taken where none was given.
+    """
+
+    text: str
+    rate: float | None
+    problem: str = ""
+    assumed: str = ""
+
+
+def is_clock_name(name: str) -> bool:
+    """Return whether an attribute, variable or header line of this name states a rate or a step."""
+    return bool(_kind_of(name)[0])
+
+
+def _kind_of(name: str) -> tuple[str, str, str | None]:
+    """Give ``rate``, ``step`` or nothing for a name, its plain spelling, and the unit that it carries."""
+    if len(name) > _LONGEST:
+        return "", "", None
+    quantity, unit = split_header(name)
+    key = re.sub(r"[\s_\-.]+", "", quantity).lower()
+    if key.endswith("hz") and key.removesuffix("hz") in _RATES:
+        key, unit = key.removesuffix("hz"), unit or "Hz"
+    return ("rate" if key in _RATES else "step" if key in _STEPS else _BARE.get(key, "")), key, unit
+
+
+def read_statements(name: str, value: object, unit: object = None, *, sure: bool = False) -> list[Statement]:
+    """Read an attribute, variable or header line as a statement of rate or step; none where it is none.
+
+    Parameters
+    ----------
+    name
+        How the file calls it (``sample_rate``, ``fs``, ``SampleTime[ms]``, ``dt_us``).
+    value
+        A number, one in an array, or text such as ``10 kHz``.
+    unit
+        A unit that the file gives beside it.
+    sure
+        The format itself defines the unit (seconds or hertz), so that nothing is assumed without one.
+    """
+    kind, key, own = _kind_of(name)
+    if not kind:
+        return []
+    count, amount, written, shown = _taken_apart(value)
+    stated = clean_text(unit).strip() if unit is not None else ""
+    stated = stated or written or own or ""
+    if key in _BARE and (not stated or _factor(kind, stated) is None):
+        return []
+    text = f"'{name}' {shown}" + (f" {stated}" if stated and stated not in shown else "")
+    if amount is None:
+        # Text and lists under the name of a step are time stamps (``ts``) more often than steps.
+        return [Statement(text, None, f"{text} is no single number")] if kind == "rate" and count > 1 else []
+    if not amount > 0.0 or not math.isfinite(amount):
+        return []  # what an instrument writes when it does not know
+    factor = _factor(kind, stated)
+    if factor is None:
+        proper = "a rate (Hz, kHz, S/s)" if kind == "rate" else "a time step (s, ms, us)"
+        return [Statement(text, None, f"{text} is not in a unit of {proper}")]
+    rate = amount * factor if kind == "rate" else factor / amount
+    return [Statement(text, rate, assumed="" if stated or sure else "Hz" if kind == "rate" else "s")]
+
+
+def agreed_rate(place: str, statements: Iterable[Statement], notes: list[str]) -> float | None:
+    """Return the one sample rate (Hz) that all statements give; None without any.
+
+    Raises
+    ------
+    InputError
+        A statement cannot be read, or two disagree; ``sample_rate`` is the remedy.
+    """
+    found = list(dict.fromkeys(statements))
+    for one in sorted(found, key=lambda one: one.rate is not None):  # what cannot be read goes first
+        if one.rate is None:
+            raise InputError(f"{place}: {one.problem} (`sample_rate` HZ gives the rate instead)")
+        rate = found[0].rate or 0.0
+        if abs(one.rate - rate) > _SAME * rate:
+            raise InputError(
+                f"{place}: two sample rates are stated, {found[0].text} and {one.text}: which one holds? "
+                "(`sample_rate` HZ decides)"
+            )
+    if not found:
+        return None
+    chosen = next((one for one in found if not one.assumed), found[0])
+    if chosen.assumed:
+        notes.append(f"{place}: {chosen.text} has no unit: {chosen.assumed} is assumed")
+    return chosen.rate
+
+
+def _taken_apart(value: object) -> tuple[int, float | None, str, str]:
+    """Count a value, and return its one number (or None), the unit behind it, and how it is shown."""
+    if isinstance(value, str | bytes):
+        text = clean_text(value).strip()
+        found = _AMOUNT.fullmatch(text) if len(text) <= _LONGEST else None
+        return 1, float(found[1]) if found else None, found[2] if found else "", shortened(text)
+    try:
+        array = np.asarray(value).ravel()
+    except ValueError:  # a list of lists of unlike lengths
+        return 2, None, "", "(several values)"
+    if array.size == 1 and isinstance(array[0], str | bytes):
+        return _taken_apart(array[0])
+    numbers = array.size > 0 and array.dtype.kind in "fiub"
+    amount = float(array[0]) if numbers and not np.any(array != array[0]) else None
+    if array.size != 1:
+        return array.size, amount, "", f"({array.size} values)"
+    return 1, amount, "", f"{array[0]:g}" if numbers else shortened(clean_text(array[0]))
+
+
+def _factor(kind: str, unit: str) -> float | None:
+    """Give samples a second per unit of a rate, or units a second of a step; None for an unknown unit."""
+    plain = unit.strip().strip("[]()").strip()
+    if not plain:
+        return 1.0
+    if kind == "rate":
+        return _HERTZ.get(plain.replace(" ", ""))
+    plain = plain.replace(" ", "").replace("µ", "u").replace("μ", "u")
+    for suffix in ("/sample", "/S", "/Sa", "persample"):
+        plain = plain.removesuffix(suffix)
+    size = FACTORS.get(time_unit(plain) or "")  # dividing keeps 0.1 ms at exactly 10,000 samples a second
+    return None if size is None else size.denominator / size.numerator
+
+
+# --- the time column -------------------------------------------------------------------------------------
 
 DATE = "the date"  # the place among the roles of the column of dates beside clock times
 
@@ -287,7 +563,7 @@ class TimeColumn:
 
 
 def time_column(
-    place: str, column: ColumnInfo, columns: list[ColumnInfo], given: str | None = None
+    place: str, column: ColumnInfo, columns: Sequence[ColumnInfo], given: str | None = None
 ) -> TimeColumn:
     """Prepare a time column, and find the dates beside clock times.
 
