@@ -11,7 +11,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -59,14 +58,8 @@ where the run-in reaches about as far as the loop, so that the two push each oth
 reaches less far or further."""
 
 
-class Led(NamedTuple):
-    """What is played before a loop, what the run-in follows and is, the loop, and the state before it."""
-
-    before: Before
-    desired: FloatArray
-    run_in: FloatArray
-    settled: Settled
-    begun: ModelState | None
+Led = tuple[Before, FloatArray, FloatArray, Settled, ModelState | None]
+"""What is played before a loop, what the run-in follows and is, the loop, and the state before it."""
 
 
 @dataclass
@@ -114,8 +107,7 @@ class LoopCompensation(Compensation):
         self.period = undone_loop(self.model, asked, step)
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
-        led = self._led_to_loop(asked)
-        before, run_in, settled, begun = led.before, led.run_in, led.settled, led.begun
+        before, followed, run_in, settled, begun = self._led_to_loop(asked)
         played = before.voltage.size
         count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
@@ -124,7 +116,7 @@ class LoopCompensation(Compensation):
         if played:
             yield self._response(times[:played], before.expected, before.voltage, step)
         if run_in.size:
-            yield self._response(times[played:], led.desired, run_in, step)
+            yield self._response(times[played:], followed, run_in, step)
             self.remarks_before.notes.append(
                 f"{self.source.name}: before the first period stand {count:,} rows, {step * count:.3g} s, "
                 f"{passes} pass{'es' if passes > 1 else ''} of run-in among them"
@@ -167,25 +159,27 @@ class LoopCompensation(Compensation):
         elif not settled.converged:
             why = "the drive still changes from pass to pass within its limits"
         else:
-            self.remarks_before.notes.append(self._settling(settled, begun))
+            self._note_settling(settled, begun)
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
         if self.options.on_limit == "error":
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
-    def _settling(self, settled: Settled, begun: ModelState) -> str:
+    def _note_settling(self, settled: Settled, begun: ModelState) -> None:
         """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
-        drive, unit, name = settled.done.y, self.input.suffix, self.source.name
+        drive, unit = settled.done.y, self.input.suffix
         within, what = self._stated()
-        what += f", {within:.3g}{unit}"
         first, passes = settling(self.model, drive, self.step, begun, settled.before, within)
-        if not passes:
-            return f"{name}: by the model the loop is settled from its first pass on: within {what}"
-        count = f"{passes:,} pass{'es' if passes > 1 else ''}"
-        return (
-            f"{name}: by the model the loop settles in {count}, {passes * (self.step * drive.size):.3g} s: "
-            f"the mean of the first is {first:.3g}{unit} off, then within {what}"
+        how = "is settled from its first pass on: within"
+        if passes:
+            how = (
+                f"settles in {passes:,} pass{'es' if passes > 1 else ''}, "
+                f"{passes * (self.step * drive.size):.3g} s: the mean of the first is {first:.3g}{unit} off, "
+                "then within"
+            )
+        self.remarks_before.notes.append(
+            f"{self.source.name}: by the model the loop {how} {what}, {within:.3g}{unit}"
         )
 
     # --- what stands before the period ---
@@ -199,10 +193,10 @@ class LoopCompensation(Compensation):
         settled = self._settled(before.state or self._begun(float(self.period[0])))
         if passes:
             desired = np.concatenate([before.desired, self._approached(asked, float(asked[0]))])
-            return Led(before, desired, *self._run_in(desired, asked, before.state, settled))
+            return before, desired, *self._run_in(desired, asked, before.state, settled)
         if before.state is None:
             before, settled = self._of_its_own_start(settled)
-        return Led(before, NOTHING, NOTHING, settled, before.state)
+        return before, NOTHING, NOTHING, settled, before.state
 
     def _run_in_from_rest(self, asked: FloatArray) -> Led:
         """Return the loop, and before it the rest and the run-in.
@@ -230,7 +224,7 @@ class LoopCompensation(Compensation):
             f"{self.source.name}: for the creep the drive rests {self.step * rows:.3g} s at "
             f"{before.voltage[-1]:.6g}{self.output.suffix} before the run-in"
         )
-        return Led(before, desired, run_in, settled, begun)
+        return before, desired, run_in, settled, begun
 
     def _approached(self, asked: FloatArray, first: float) -> FloatArray:
         """Return the passes of a run-in, which fade in from a rest."""
