@@ -35,7 +35,7 @@ from dbo_cli.errors import DboError
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.recordings import Integers, first_wiped_row
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 PLAYS = 25
 DEAD_ZONES = 4  # to either side

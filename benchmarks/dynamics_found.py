@@ -22,7 +22,7 @@ import numpy as np
 from dbo_cli.hysteresis.dynamics import Lag, Resonance
 from dbo_cli.hysteresis.excitation import Excitation
 from dbo_cli.hysteresis.identification import IdentificationOptions, identify
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 import test_runs_repeated as repeated

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import dbo_cli as dbo
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.excitation import Excitation, sweep
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
 from virtual_positioner import PRESETS, PositionerParameters, VirtualPositioner

@@ -31,7 +31,7 @@ from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import move_error
 from dbo_cli.relatives.judging import compare
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
 Plant = Callable[[Floats, float], Floats]  # drive of 0 to 1 and seconds since switching on, to 0 to 1

@@ -32,7 +32,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, Relaxation, ScaleStage, Stage
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
 RATE, ROWS = 20_000.0, 6_000

@@ -41,7 +41,7 @@ from dbo_cli.hysteresis.model import (
     ScaleStage,
     Stage,
 )
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
 RATE = 20_000.0

@@ -191,7 +191,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/search.py",
         IDENTIFICATION,
-        ("middle = round((interval[0] + interval[1]) / 2.0 / self._period * 4.0) / 4.0 * self._period", "middle = interval[0]",
+        ("middle = round((interval[0] + interval[1]) / 2.0 / finest) * finest", "middle = interval[0]",
          "the middle of the delays that explain the logs"),
         ("return min(held), max(held)", "return held[0], held[0]", "the interval of delays"),
     ),
@@ -222,7 +222,7 @@ FAULTS: list[Fault] = [
         ("np.clip(share, 0.0, 1.0)", "np.zeros(samples)", "delays of parts of a sample, in the fit"),
     ),
     *_faults(
-        "hysteresis/identification/search.py",
+        "hysteresis/identification/statistics.py",
         IDENTIFICATION,
         ("/ np.sqrt(max(len(excess) - 1, 1))", "", "the standard error of the mean, not of one fold"),
     ),
@@ -514,7 +514,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/prior.py",
         ("hysteresis_identification_prior",),
-        ("bound = CHANGED * expected", "bound = 10.0 * CHANGED * expected", "a changed shape is refused"),
+        ("bound = BROKEN * expected", "bound = 10.0 * BROKEN * expected", "a changed shape is refused"),
     ),
     *_faults(
         "hysteresis/move_error.py",
@@ -528,7 +528,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "hysteresis/identification/search.py",
         ("hysteresis_identification",),
-        ("return choose(prepared, replace(orders, time_constants=()), cycle)", "pass",
+        ("return choose(prepared, replace(options, relaxation=()), cycle)", "pass",
          "memories of the time do not stand for those of the way"),
     ),
     *_faults(

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
         UsageError,
     )
     from dbo_cli.remarks import DboWarning
-    from dbo_cli.runs.api import compensate, identify, read_log, read_model, report, simulate
-    from dbo_cli.runs.model import Model, ModelSet
+    from dbo_cli.runs.api import Model, ModelSet, compensate, identify, read_log, read_model, report, simulate
     from dbo_cli.runs.trajectories import trajectory
 
 __all__ = [
@@ -45,12 +44,7 @@ __all__ = [
     "trajectory",
 ]
 
-_ROOMS = {
-    "Model": "runs.model",
-    "ModelSet": "runs.model",
-    "DboWarning": "remarks",
-    "trajectory": "runs.trajectories",
-}
+_ROOMS = {"DboWarning": "remarks", "trajectory": "runs.trajectories"}
 
 
 if not TYPE_CHECKING:  # else a type checker would believe in any name

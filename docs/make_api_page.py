@@ -21,7 +21,7 @@ from dbo_cli.drives.shapes import TrajectoryOptions
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import ReadingOptions
-from dbo_cli.runs.model import Result
+from dbo_cli.runs.api import Result
 from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 
 PAGE = Path(__file__).resolve().parent / "api.md"

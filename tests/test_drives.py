@@ -19,7 +19,7 @@ from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 
 def steps_of(drive: Floats) -> Floats:

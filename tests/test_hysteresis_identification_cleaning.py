@@ -169,5 +169,5 @@ def test_options_that_make_no_sense_are_refused(wrong: dict[str, object], messag
 
 def test_options_that_mean_nothing_more_are_taken() -> None:
     taken = IdentificationOptions(gears=25, relaxation=[], delay=0, method="paper", zero=2)
-    assert (taken.relaxation, taken.sensor) == ((), Sensor())
+    assert (taken.relaxation, Sensor.of(taken)) == ((), Sensor())
     assert replace(taken, method="least-squares", relaxation=[0.1, 1]).relaxation == (0.1, 1.0)

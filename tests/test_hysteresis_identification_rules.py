@@ -11,7 +11,9 @@ from test_hysteresis_identification_parts import prepared as prepared_log
 from test_hysteresis_identification_parts import sine
 from virtual_actuator import PRESETS, VirtualActuator
 
+from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.excitation import Excitation
+from dbo_cli.hysteresis.identification import search
 from dbo_cli.hysteresis.identification.evaluation import (
     Residual,
     _slew_warnings,
@@ -30,7 +32,7 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     solve,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared, gain_sign, prepare, without_outliers
-from dbo_cli.hysteresis.identification.recordings import Recording, first_wiped_row
+from dbo_cli.hysteresis.identification.recordings import IdentificationOptions, Recording, first_wiped_row
 from dbo_cli.hysteresis.identification.refinement import (
     MARGIN,
     Fitted,
@@ -39,8 +41,8 @@ from dbo_cli.hysteresis.identification.refinement import (
     corners,
     stages_of,
 )
-from dbo_cli.hysteresis.identification.search import Orders, Score, choose, no_worse
-from dbo_cli.hysteresis.identification.statistics import Basis, gather
+from dbo_cli.hysteresis.identification.search import choose
+from dbo_cli.hysteresis.identification.statistics import Basis, Score, Statistics, gather, no_worse
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, Quantity, ScaleStage
 
 
@@ -221,12 +223,30 @@ def test_the_delay_is_the_middle_of_those_that_explain_the_log() -> None:
     log = Recording("log", voltage, np.zeros(len(voltage)), time=seconds)
     late = np.interp(seconds - 0.0063, seconds, predict(model, log))
     log = replace(log, displacement=late + 0.05 * rng.normal(size=len(voltage)))
-    found = choose(prepare([log], 0.0), Orders(gears=12, segments=1, time_constants=()), 0.2)
+    found = choose(prepare([log], 0.0), IdentificationOptions(gears=12, points=1, relaxation=()), 0.2)
     assert found.delay_interval is not None
     low, high = found.delay_interval
     assert high - low >= 0.0005
     assert found.basis.delay == pytest.approx((low + high) / 2.0, abs=0.000126)
     assert abs(found.basis.delay - low) >= 0.0002
+
+
+def test_slopes_that_cannot_be_solved_refuse_no_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More slopes, or finer gears, may have no solution where a log is late by more than is looked for."""
+    judged = search.cross_validate
+
+    def some(statistics: Statistics, structure: Structure) -> Score:
+        if statistics.columns.gears > 64 or structure.smoothness < 1e-9:
+            raise FitError("the least-squares solver did not converge")
+        return judged(statistics, structure)
+
+    monkeypatch.setattr(search, "cross_validate", some)
+    voltage = np.tile(sine(6), 4)
+    log = Recording("log", voltage, np.zeros(len(voltage)))
+    log = replace(log, displacement=predict(small_model(), log))
+    found = choose(prepare([log], 0.0), IdentificationOptions(), None)
+    assert found.basis.gears == 64
+    assert found.structure.smoothness >= 1e-9
 
 
 # --- sign and scale ---

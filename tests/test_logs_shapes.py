@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import ColumnWish
 from dbo_cli.logs.request import ReadingOptions
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.text import text_table
 from dbo_cli.logs.text import text_table as parsing
-from dbo_cli.logs.text.instruments import InstrumentHeader, read_instrument_header
+from dbo_cli.logs.text.dialect import Dialect, InstrumentHeader, detect
+from dbo_cli.logs.text.instruments import read_instrument_header
 from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.readable import READABLE, Shape
 
@@ -119,5 +122,13 @@ def test_what_is_taken_for_a_plain_log_has_no_instruments_header(tmp_path: Path)
         contents.append(path.read_bytes())
     plain = [content for content in contents if text_table._PLAIN.fullmatch(content)]
     assert len(plain) > 10
+
+    def outcome(read: Callable[..., InstrumentHeader | Dialect], content: bytes) -> object:
+        try:
+            found = read("log", content, ReadingOptions())
+        except InputError as problem:
+            return str(problem)
+        return InstrumentHeader(found) if isinstance(found, Dialect) else found
+
     for content in plain:
-        assert read_instrument_header("log", content, ReadingOptions()) == InstrumentHeader()
+        assert outcome(read_instrument_header, content) == outcome(detect, content)

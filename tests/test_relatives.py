@@ -30,7 +30,7 @@ from dbo_cli.relatives.fitting import RELATIVES, Design, Products, fit, gather, 
 from dbo_cli.relatives.judging import NAMES, compare
 from dbo_cli.relatives.play_model import RelativeModel, with_plays
 from dbo_cli.relatives.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 Floats = NDArray[np.float64]
 COMPILED = kernel.compiled_kernel()

@@ -27,7 +27,7 @@ from dbo_cli.hysteresis.model import (
     Stage,
 )
 from dbo_cli.logs.sources import ArraySource, WholeSource
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 RATE = 20_000.0
 COUNT = 6_000

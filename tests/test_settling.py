@@ -21,7 +21,7 @@ from dbo_cli.drives.settling import StepTimes, distance_in, settling_seconds
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import BacklashStage, Relaxation
 from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.runs.model import Model
+from dbo_cli.runs.api import Model
 
 
 @pytest.mark.parametrize("seed", [6, 7, 10, 11, 13, 15, 16, 28, 34])

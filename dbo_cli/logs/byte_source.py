@@ -13,7 +13,7 @@ from typing import IO, Any, cast
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.request import CHANGED, Address, Given, Request, parse_address
+from dbo_cli.logs.request import CHANGED, Given, Request, parse_address
 
 _PIPE_BYTES = 1 << 18  # a reading of a pipe: four of what Linux keeps in one
 _UNREADABLE = (EOFError, zlib.error, OSError)  # what reading and unpacking raise
@@ -89,27 +89,24 @@ class ByteSource:
     def __init__(self, request: Request) -> None:
         address = request.address
         self.name = address.name
-        self._content = request.content
         self.is_regular = not address.is_stream and os.path.isfile(address.path)
         self.is_compressed = False
-        self._file: IO[bytes] | None = None
-        self._begun: os.stat_result | None = None  # how a regular file was when it was opened
-        self._largest = 0  # bytes that it has had since
-        self._live = request.live
+        self._live, self._at_start, self._classic_mac = request.live, True, False
         self._hash: Any = None
         if request.digest and address.is_stream:
             import hashlib
 
             self._hash = hashlib.sha256()
-        self._owned: list[IO[bytes]] = []
+        self._file = self._open(request)
+        self._owned = [] if address.is_stream else [self._file]
+        self._begun = self._now()  # how a regular file was when it was opened
+        self._largest = 0 if self._begun is None else self._begun.st_size  # bytes that it has had since
         try:
-            self._stream = self._open(address)
-            self._decode = self._decoder(request.options.encoding)
+            self._stream, start = self._unpacked()
+            self._decode = self._decoder(request.options.encoding, start)
         except BaseException:
             self.close()
             raise
-        self._classic_mac = False
-        self._at_start = True
 
     @property
     def sha256(self) -> str | None:
@@ -170,10 +167,10 @@ class ByteSource:
     def _now(self) -> os.stat_result | None:
         """Look at the open file; None for a stream and for text in memory."""
         try:
-            found = os.fstat(self._file.fileno()) if self._file is not None else None
+            found = os.fstat(self._file.fileno())
         except (OSError, ValueError):
             return None
-        return found if found is not None and stat.S_ISREG(found.st_mode) else None
+        return found if stat.S_ISREG(found.st_mode) else None
 
     def _patiently(self, size: int) -> bytes:
         """Read a full block from a pipe in pieces: an interrupt is served between them."""
@@ -201,16 +198,25 @@ class ByteSource:
             stream.close()
         self._owned.clear()
 
-    def _open(self, address: Address) -> IO[bytes]:
-        if self._content is not None:
-            stream = cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(self._content))))
-        else:
-            stream = sys.stdin.buffer if address.is_stream else _open_file(address)
-        if not address.is_stream:
-            self._owned.append(stream)
-        self._file = stream
-        self._begun = self._now()
-        self._largest = 0 if self._begun is None else self._begun.st_size
+    def _open(self, request: Request) -> IO[bytes]:
+        address = request.address
+        if request.content is not None:
+            return cast(IO[bytes], io.BufferedReader(cast(Any, io.BytesIO(request.content))))
+        if address.is_stream:
+            return sys.stdin.buffer
+        try:
+            if os.path.isdir(address.path):
+                raise InputError(f"{address.path}: this is a folder, not a log")
+            return open(address.path, "rb", buffering=1 << 20)
+        except FileNotFoundError:
+            raise InputError(f"{address.path}: no such file") from None
+        except (OSError, ValueError) as problem:
+            reason = getattr(problem, "strerror", None) or problem
+            raise InputError(f"{address.path}: cannot be read: {reason}") from None
+
+    def _unpacked(self) -> tuple[IO[bytes], bytes]:
+        """Return the stream of the text itself, and how it starts; refuse what is plainly no text."""
+        stream = self._file
         if self._hash is not None:
             stream = cast(IO[bytes], io.BufferedReader(_Hashing(stream, self._hash), 1 << 20))
         start = self._first_bytes(stream)
@@ -225,11 +231,9 @@ class ByteSource:
         for magic, remedy in _REMEDIES.items():
             if start.startswith(magic):
                 raise InputError(f"{self.name}: this is not a text log but {remedy}")
-        self._start = start
-        return stream
+        return stream, start
 
-    def _decoder(self, encoding: str | None) -> Any:
-        start = self._start
+    def _decoder(self, encoding: str | None, start: bytes) -> Any:
         if encoding is None:
             encoding = next((name for mark, name in _UTF16.items() if start.startswith(mark)), None)
         if encoding is None and b"\0" in start:
@@ -242,18 +246,6 @@ class ByteSource:
             return None
         decoder = codecs.getincrementaldecoder(encoding)(errors="replace")
         return lambda data: decoder.decode(data).encode("utf-8")
-
-
-def _open_file(address: Address) -> IO[bytes]:
-    try:
-        if os.path.isdir(address.path):
-            raise InputError(f"{address.path}: this is a folder, not a log")
-        return open(address.path, "rb", buffering=1 << 20)
-    except FileNotFoundError:
-        raise InputError(f"{address.path}: no such file") from None
-    except (OSError, ValueError) as problem:
-        reason = getattr(problem, "strerror", None) or problem
-        raise InputError(f"{address.path}: cannot be read: {reason}") from None
 
 
 # --- where a model comes from ------------------------------------------------------------------------

@@ -563,7 +563,7 @@ class TimeColumn:
 
 
 def time_column(
-    place: str, column: ColumnInfo, columns: list[ColumnInfo], given: str | None = None
+    place: str, column: ColumnInfo, columns: Sequence[ColumnInfo], given: str | None = None
 ) -> TimeColumn:
     """Prepare a time column, and find the dates beside clock times.
 

@@ -294,34 +294,39 @@ class ColumnTable(Table):
             The columns are of unequal length, a value is not finite (unless ``skip_bad``), or the file
             changes while it is read.
         """
-        sources = [self.sources[pick.number - 1] for pick in picks.values()]
+        wanted = list(picks.values())
+        sources = [self.sources[pick.number - 1] for pick in wanted]
         for source in sources:
             if source.problem:
                 raise InputError(f"{self.place}: {source.problem}")
             self.notes.extend(f"{self.place}: {remark}" for remark in source.remarks)
-        length, options = self._common_length(sources), self.request.options
-        end = length if options.rows[1] is None else min(length, options.rows[1])
+        lengths, options = [source.length for source in sources], self.request.options
+        if len(set(lengths)) > 1:
+            listed = ", ".join(f"'{s.label}' {n}" for s, n in zip(sources, lengths, strict=True))
+            raise InputError(f"{self.place}: the columns are of unequal length: {listed}")
+        end = min(lengths[0], options.rows[1] or lengths[0])
         dropped, first = 0, ""
         for start in range(options.rows[0] - 1, end, options.block_rows):
             stop = min(end, start + options.block_rows)
             with self.request.reading(self.kind, self.damaged):
                 arrays = [source.read(start, stop) for source in sources]
-            values = dict(zip(picks, arrays, strict=True))
-            block = SampleBlock(range(start + 1, stop + 1), None, None, values)
-            good = np.array([are_measured(array) for array in block.values.values()])
-            if not good.all():
-                blank = [p.may_be_blank & np.isnan(block.values[role]) for role, p in picks.items()]
-                bad = ~(good | np.array(blank))
-                rows = np.flatnonzero(bad.any(axis=0))
-                if len(rows):
-                    message = self._complaint(picks, block, int(rows[0]), int(np.argmax(bad[:, rows[0]])))
+            block = SampleBlock(range(start + 1, stop + 1), None, None, dict(zip(picks, arrays, strict=True)))
+            good = [are_measured(array) for array in arrays]
+            whole = np.logical_and.reduce(good)
+            if not whole.all():
+                blank = [
+                    pick.may_be_blank & np.isnan(array) for pick, array in zip(wanted, arrays, strict=True)
+                ]
+                bad = np.argwhere(~np.logical_or(good, blank).T)  # row and column, the first row first
+                if len(bad):
+                    row, number = bad[0].tolist()
+                    column, value = column_label(wanted[number]), str(float(arrays[number][row]))
+                    message = f"{self.place}: row {start + row + 1}: {column} is not finite: {value!r}"
+                    count = len(np.unique(bad[:, 0]))
                     if not options.skip_bad:
-                        rest = bad.shape[1] - 1 - int(rows[0])
-                        raise InputError(f"{message} {remedy_for(len(rows) - 1, rest)}")
-                    dropped, first = dropped + len(rows), first or message
-                whole = good.all(axis=0)
-                kept = {role: array[whole] for role, array in block.values.items()}
-                block = SampleBlock(np.asarray(block.rows)[whole], None, None, kept)
+                        raise InputError(f"{message} {remedy_for(count - 1, len(block) - 1 - row)}")
+                    dropped, first = dropped + count, first or message
+                block = block.chosen(whole)
             yield block
         if dropped:
             self.notes.append(dropped_note(first, dropped))
@@ -330,15 +335,3 @@ class ColumnTable(Table):
         """Close the file."""
         if self.at_close is not None:
             self.at_close()
-
-    def _common_length(self, sources: Sequence[ColumnSource]) -> int:
-        lengths = [source.length for source in sources]
-        if len(set(lengths)) > 1:
-            listed = ", ".join(f"'{s.label}' {n}" for s, n in zip(sources, lengths, strict=True))
-            raise InputError(f"{self.place}: the columns are of unequal length: {listed}")
-        return lengths[0]
-
-    def _complaint(self, picks: Mapping[str, ColumnInfo], block: SampleBlock, index: int, column: int) -> str:
-        role, pick = list(picks.items())[column]
-        value = repr(str(float(block.values[role][index])))
-        return f"{self.place}: row {block.rows[index]}: {column_label(pick)} is not finite: {value}"

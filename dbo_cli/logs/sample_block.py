@@ -89,6 +89,13 @@ class SampleBlock:
             {role: values[start:stop] for role, values in self.values.items()},
         )
 
+    def chosen(self, kept: NDArray[np.bool_]) -> SampleBlock:
+        """Return the samples that are marked."""
+        lines = None if self.lines is None else np.asarray(self.lines)[kept]
+        time = None if self.time is None else self.time[kept]
+        values = {role: values[kept] for role, values in self.values.items()}
+        return SampleBlock(np.asarray(self.rows)[kept], lines, time, values)
+
     def within(self, rows: tuple[int, int | None]) -> SampleBlock:
         """Return the samples whose row numbers lie from the first to the last of ``rows``, both included."""
         stop = len(self) if rows[1] is None else bisect_right(self.rows, rows[1])

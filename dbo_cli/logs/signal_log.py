@@ -40,7 +40,6 @@ from dbo_cli.logs.sample_block import (
     JITTER,
     TIME,
     ColumnInfo,
-    FloatArray,
     SampleBlock,
     Table,
     TimeCheck,
@@ -145,8 +144,6 @@ def _is_matlab_4(head: bytes) -> bool:
 
 # --- several files as one -------------------------------------------------------------------------
 
-_CLOCK = "the clock of file "  # the role of a file's seconds while clocks are compared
-
 
 @dataclass
 class _File:
@@ -157,106 +154,70 @@ class _File:
     clock: TimeColumn | None = None
 
 
-def _join_files(
-    table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions
-) -> tuple[Table, dict[str, ColumnWish], ReadingOptions, list[str]]:
-    """Open the other files that wishes name, and put their columns behind those of the first.
-
-    Returns all columns as one table (the first file itself where there is no other), wishes and options with
-    the columns of other files by their numbers in it, and the addresses of the other files.
+class _JoinedTable(Table):
+    """Several files as one: columns of others behind those of the first, which has the place and the notes.
 
     Parameters
     ----------
-    table
+    first
         The first file.
-    want
-        Role to wish; those of the form ``FILE::COLUMN`` are replaced by column numbers of the joined log.
     options
-        How all files are to be read; ``time`` names a column of the first, or of another file.
-
-    Raises
-    ------
-    InputError
-        A file or a column is absent.
+        How all files are to be read.
     """
-    others: dict[str, _File] = {}
-    columns = list(table.columns)
-    wishes = dict(want)
-    there = replace(options, format=None, time=None)
 
-    def number_of(wish: ColumnWish) -> str | None:
+    def __init__(self, first: Table, options: ReadingOptions) -> None:
+        self.place, self.notes = first.place, first.notes
+        self.columns = list(first.columns)
+        self.files = {"": _File(first, {column.number: column for column in first.columns})}
+        self._options = options
+        self._step = 0.0
+
+    def number_of(self, wish: ColumnWish) -> str | None:
+        """Return the selector of a wished column, by its number here where it is another file's.
+
+        Raises
+        ------
+        InputError
+            A file or a column is absent.
+        """
         named = other_file(wish.selector)
         if named is None:
-            _refuse_missing(table, wish)
+            path, mark, _ = (wish.selector or "").partition("::")
+            if mark and all(wish.selector not in (one.name, one.quantity) for one in self.columns):
+                takes = f"`{wish.option}` FILE::COLUMN takes a column of another file"
+                raise InputError(f"{path}: no such file ({takes})")
             return wish.selector
         address, selector = named
-        if address not in others:
-            others[address] = _File(open_table(Request(parse_address(address), there, [selector])), {})
-        file = others[address]
-        _append(columns, file, find_column(file.table.place, file.table.columns, selector, wish.option))
-        return f"number={len(columns)}"
+        if address not in self.files:
+            there = replace(self._options, format=None, time=None)
+            self.files[address] = _File(open_table(Request(parse_address(address), there, [selector])), {})
+        file = self.files[address]
+        self._append(file, find_column(file.table.place, file.table.columns, selector, wish.option))
+        return f"number={len(self.columns)}"
 
-    try:
-        for role, wish in want.items():
-            wishes[role] = replace(wish, selector=number_of(wish))
-        if options.time is not None:
-            options = replace(options, time=number_of(ColumnWish(options.time, option="time")))
-        _find_clocks(table, columns, list(others.values()), options)
-    except BaseException:
-        for other in others.values():
-            other.table.close()
-        raise
-    if others:
-        first = _File(table, {column.number: column for column in table.columns})
-        table = _JoinedTable(table.place, columns, table.notes, [first, *others.values()], options)
-    return table, wishes, options, list(others)
+    def _append(self, file: _File, found: ColumnInfo) -> None:
+        name, number = f"{file.table.place}::{found.name}", len(self.columns) + 1
+        self.columns.append(replace(found, name=name, number=number))
+        file.columns[number] = found
 
-
-def _append(columns: list[ColumnInfo], other: _File, found: ColumnInfo) -> None:
-    columns.append(replace(found, name=f"{other.table.place}::{found.name}", number=len(columns) + 1))
-    other.columns[len(columns)] = found
-
-
-def _find_clocks(
-    table: Table, columns: list[ColumnInfo], others: Sequence[_File], options: ReadingOptions
-) -> None:
-    """Find the other files' clocks; where the first file has none, another's becomes that of the log."""
-    if options.sample_rate is not None:
-        return  # the clocks are replaced
-    mine = columns if options.time is not None else list(table.columns)
-    own = find_time_column(table.place, list(mine), options, [])
-    for other in others:
-        wanted = list(other.columns.values())
-        plain = replace(options, time=None)
-        other.clock = find_time_column(other.table.place, other.table.columns, plain, wanted).clock
-        if own.clock is None and other.clock is not None:
-            for found in other.clock.picks.values():
-                _append(columns, other, found)
-            own = find_time_column(table.place, columns, options, [])
-
-
-def _refuse_missing(table: Table, wish: ColumnWish) -> None:
-    """State that a file is missing where ``FILE::COLUMN`` was meant."""
-    path, mark, _ = (wish.selector or "").partition("::")
-    if mark and all(wish.selector not in (column.name, column.quantity) for column in table.columns):
-        takes = f"`{wish.option}` FILE::COLUMN takes a column of another file"
-        raise InputError(f"{path}: no such file ({takes})")
-
-
-@dataclass
-class _JoinedTable(Table):
-    """Several files as one; the first has the place and takes the notes."""
-
-    place: str
-    columns: list[ColumnInfo]
-    notes: list[str]
-    files: Sequence[_File]
-    options: ReadingOptions
-    _step: float = 0.0
+    def find_clocks(self, options: ReadingOptions) -> None:
+        """Find the other files' clocks; where the first file has none, another's becomes that of the log."""
+        if options.sample_rate is not None:
+            return  # the clocks are replaced
+        first, *others = self.files.values()
+        mine = self.columns if options.time is not None else first.table.columns
+        own = find_time_column(self.place, list(mine), options, [])
+        for other in others:
+            wanted, plain = list(other.columns.values()), replace(options, time=None)
+            other.clock = find_time_column(other.table.place, other.table.columns, plain, wanted).clock
+            if own.clock is None and other.clock is not None:
+                for found in other.clock.picks.values():
+                    self._append(other, found)
+                own = find_time_column(self.place, self.columns, options, [])
 
     def describe(self) -> str:
         """Describe in one line how each file is written."""
-        return "; ".join(file.table.describe() for file in self.files)
+        return "; ".join(file.table.describe() for file in self.files.values())
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) on which all files that state one agree, and the first row's time (s).
@@ -266,7 +227,7 @@ class _JoinedTable(Table):
         InputError
             They do not agree.
         """
-        first, *others = self.files
+        first, *others = self.files.values()
         rate, start = first.table.even_clock([one for one in columns if one.number in first.columns])
         for other in others:
             rate_there, start_there = other.table.even_clock(list(other.columns.values()))
@@ -287,88 +248,95 @@ class _JoinedTable(Table):
         InputError
             The files are not equally long, or their clocks do not agree.
         """
-        first, *others = self.files
+        first, *others = self.files.values()
         timed = TIME in picks and picks[TIME].number in first.columns  # else there is nothing to compare
         if timed:
             column = first.columns[picks[TIME].number]
-            first.clock = time_column(self.place, column, list(first.table.columns), self.options.time_unit)
-        streams = []
-        for file in self.files:
-            own = {}
-            for role, pick in picks.items():
-                if pick.number in file.columns:
-                    own[role] = replace(file.columns[pick.number], may_be_blank=pick.may_be_blank)
+            first.clock = time_column(self.place, column, first.table.columns, self._options.time_unit)
+        places, streams = [], []
+        for file in (first, *others):
+            own = {
+                role: replace(file.columns[pick.number], may_be_blank=pick.may_be_blank)
+                for role, pick in picks.items()
+                if pick.number in file.columns
+            }
             clock = file.clock if timed else None
-            extra = {} if clock is None or file is first else dict(clock.picks)
-            if own or extra:
-                found = file.table.blocks(own | extra)
-                role = _CLOCK if file is first else _CLOCK + file.table.place
-                seconds = found if clock is None else _with_seconds(clock, found, role, extra)
-                streams.append((file.table.place, seconds))
-        for block in _in_step(streams, self.options.skip_bad, self.notes):
-            yield self._checked(block)
+            if own or clock is not None:
+                wanted = own if clock is None or file is first else own | clock.picks
+                found = file.table.blocks(wanted)
+                streams.append(found if clock is None else _timed(found, clock, own))
+                places.append(file.table.place)
+        for parts in _in_step(places, streams, self._options.skip_bad, self.notes):
+            yield self._merged(places, parts)
         for other in others:
             self.notes.extend(other.table.notes)
 
-    def _checked(self, block: SampleBlock) -> SampleBlock:
-        """Refuse a block whose clocks disagree (InputError); give it back without the compared clocks."""
-        clocks = {role: array for role, array in block.values.items() if role.startswith(_CLOCK)}
-        here = clocks.pop(_CLOCK, None)
-        if here is None:
-            return block
-        if self._step == 0.0 and len(here) > 1:
+    def _merged(self, places: Sequence[str], parts: Sequence[SampleBlock]) -> SampleBlock:
+        """Put parts of several files beside each other; rows that one of them lacks are left out.
+
+        Raises
+        ------
+        InputError
+            Their times differ.
+        """
+        common = np.asarray(parts[0].rows)
+        for part in parts[1:]:
+            if len(part) != len(common) or not np.array_equal(part.rows, common):
+                common = np.intersect1d(common, np.asarray(part.rows), assume_unique=True)
+        parts = [one if len(one) == len(common) else one.chosen(np.isin(one.rows, common)) for one in parts]
+        here = parts[0].time
+        if here is not None and self._step == 0.0 and len(here) > 1:
             self._step = median_step(np.abs(np.diff(here)))
-        for role, there in clocks.items():
-            apart = np.flatnonzero(~(np.abs(here - there) <= JITTER * self._step))
+        for place, part in zip(places, parts, strict=True):
+            if here is None or part.time is None:
+                continue
+            apart = np.flatnonzero(~(np.abs(here - part.time) <= JITTER * self._step))
             if len(apart):
                 index = int(apart[0])
                 raise InputError(
-                    f"{self.place}: row {block.rows[index]}: its time {here[index]:.6g} s is "
-                    f"{there[index]:.6g} s in {role.removeprefix(_CLOCK)} (bring both to one clock; "
+                    f"{self.place}: row {common[index]}: its time {here[index]:.6g} s is "
+                    f"{part.time[index]:.6g} s in {place} (bring both to one clock; "
                     "`sample_rate` HZ takes them row by row)"
                 )
-        values = {role: array for role, array in block.values.items() if not role.startswith(_CLOCK)}
-        return replace(block, values=values)
+        values = {role: array for part in parts for role, array in part.values.items()}
+        return replace(parts[0], time=None, values=values)
 
     def close(self) -> None:
         """Close all files."""
-        for file in self.files:
+        for file in self.files.values():
             file.table.close()
 
     @property
     def sha256(self) -> str | None:
         """The digest of the first file, where it was asked for."""
-        return self.files[0].table.sha256
+        return self.files[""].table.sha256
 
 
-def _with_seconds(
-    clock: TimeColumn, blocks: Iterator[SampleBlock], role: str, extra: Mapping[str, ColumnInfo]
-) -> Iterator[SampleBlock]:
-    """Add the seconds of a file's clock under a role; the columns in ``extra`` were read for that alone."""
+def _timed(blocks: Iterator[SampleBlock], clock: TimeColumn, own: Collection[str]) -> Iterator[SampleBlock]:
+    """Give the blocks of a file the seconds of its clock; of the columns those are kept that are its own."""
     for block in clock.held_back(blocks):
         seconds = clock.seconds(dict(block.values))
-        values = {name: array for name, array in block.values.items() if name not in extra}
-        yield replace(block, values=values | {role: seconds})
+        yield replace(block, time=seconds, values={role: block.values[role] for role in own})
 
 
 def _in_step(
-    files: Sequence[tuple[str, Iterator[SampleBlock]]], skip_bad: bool, notes: list[str]
-) -> Iterator[SampleBlock]:
-    """Merge blocks of several files by row number.
+    places: Sequence[str], found: Sequence[Iterator[SampleBlock]], skip_bad: bool, notes: list[str]
+) -> Iterator[list[SampleBlock]]:
+    """Cut the blocks of several files at common rows.
 
     Raises
     ------
     InputError
         The files are not equally long (with ``skip_bad`` that is a note).
     """
-    streams = [filter(len, blocks) for _, blocks in files]  # a block may be empty
+    streams = [filter(len, blocks) for blocks in found]  # a block may be empty
     pending = [next(stream, None) for stream in streams]
     last = [0] * len(streams)
     while all(pending):
         blocks = [block for block in pending if block is not None]
         upto = min(int(block.rows[-1]) for block in blocks)
         cuts = [bisect_right(block.rows, upto) for block in blocks]
-        yield _merged([block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)])
+        yield [block.part(0, cut) for block, cut in zip(blocks, cuts, strict=True)]
         last = [int(block.rows[-1]) for block in blocks]
         rests = [block.part(cut, len(block)) for block, cut in zip(blocks, cuts, strict=True)]
         pending = [rest if len(rest) else next(one, None) for rest, one in zip(rests, streams, strict=True)]
@@ -377,27 +345,10 @@ def _in_step(
     for number, block in enumerate(pending):
         for rest in [block, *streams[number]] if block is not None else []:  # how far are they apart?
             last[number] = int(rest.rows[-1])
-    counts = ", ".join(f"{name} {count}" for (name, _), count in zip(files, last, strict=True))
+    counts = ", ".join(f"{name} {count}" for name, count in zip(places, last, strict=True))
     if not skip_bad:
         raise InputError(f"the files are not equally long: {counts} rows (`rows` A:B cuts all of them)")
     notes.append(f"the files do not end at the same row: {counts}: the rows beyond the shortest are left out")
-
-
-def _merged(parts: list[SampleBlock]) -> SampleBlock:
-    """Put parts of several files beside each other; rows that one of them lacks are left out."""
-    first, *others = parts
-    common = np.asarray(first.rows)
-    for part in others:
-        if len(part) != len(common) or not np.array_equal(part.rows, common):
-            common = np.intersect1d(common, np.asarray(part.rows), assume_unique=True)
-    values: dict[str, FloatArray] = {}
-    for part in parts:
-        kept = slice(None) if len(part) == len(common) else np.isin(np.asarray(part.rows), common)
-        values |= {role: array[kept] for role, array in part.values.items()}
-    if len(common) == len(first):
-        return replace(first, values=values)
-    lines = None if first.lines is None else np.asarray(first.lines)[np.isin(np.asarray(first.rows), common)]
-    return SampleBlock(common, lines, None, values)
 
 
 # --- the log -----------------------------------------------------------------------------------------
@@ -556,17 +507,24 @@ class SignalLog(Source):
     def _as_recorded(self) -> Iterator[SampleBlock]:
         clock = self._clock
         picks = self._picks | ({} if clock is None else clock.picks)
-        check: TimeCheck | None = None
         most = self._options.block_rows
-        found = self._table.blocks(picks)
-        for raw in found if clock is None else clock.held_back(found):
+        found, check = self._table.blocks(picks), None
+        if clock is not None:
+            found = clock.held_back(found)
+            check = TimeCheck(self.name, clock.periods())
+        for raw in found:
             for start in range(0, len(raw.rows), most):
-                block = self._with_time(raw.part(start, start + most))
-                if block.time is not None and len(block.rows):
-                    first = block.time[0] if self._times is None else self._times[0]
-                    self._times = float(first), float(block.time[-1])
-                    if clock is not None:
-                        check = check or TimeCheck(self.name, clock.periods())
+                part = raw.part(start, start + most)
+                values, time = dict(part.values), None
+                if clock is not None:
+                    time = clock.seconds(values)
+                elif self.sample_rate is not None:
+                    rows = np.asarray(part.rows, dtype=np.float64)
+                    time = self._start_time + (rows - 1.0) / self.sample_rate
+                block = replace(part, time=time, values=self.in_units(values))
+                if time is not None and len(time):
+                    self._times = self._times[0] if self._times else float(time[0]), float(time[-1])
+                    if check is not None:
                         check.feed(block)
                 self.rows_read += len(block.rows)
                 yield block
@@ -582,16 +540,6 @@ class SignalLog(Source):
         if (first, last) != ALL_ROWS:
             return f"`rows` {first}:{last or ''} is beyond the last data row"
         return "no good data row" if self._options.skip_bad else "no data rows"
-
-    def _with_time(self, raw: SampleBlock) -> SampleBlock:
-        """Take the time out of the columns, or make it from the sample rate; apply the scales."""
-        values = dict(raw.values)
-        time = None
-        if self._clock is not None:
-            time = self._clock.seconds(values)
-        elif self.sample_rate is not None:
-            time = self._start_time + (np.asarray(raw.rows, dtype=np.float64) - 1.0) / self.sample_rate
-        return SampleBlock(raw.rows, raw.lines, time, self.in_units(values))
 
 
 def _plain(value: float, digits: int = 4) -> str:
@@ -657,7 +605,13 @@ def open_log(
     try:
         others: list[str] = []
         if any("::" in one for one in selectors):
-            table, want, options, others = _join_files(table, want, options)
+            first, table = table, (joint := _JoinedTable(table, options))
+            want = {role: replace(wish, selector=joint.number_of(wish)) for role, wish in want.items()}
+            if options.time is not None:
+                options = replace(options, time=joint.number_of(ColumnWish(options.time, option="time")))
+            joint.find_clocks(options)
+            others = [address for address in joint.files if address]
+            table = joint if others else first
         return SignalLog(target, table, want, options, others)
     except BaseException:
         table.close()

@@ -526,13 +526,12 @@ def all_or_none() -> Iterator[OutputSet]:
             _CURRENT.reset(token)
 
 
-def _current_or_new() -> AbstractContextManager[OutputSet]:
-    current = _CURRENT.get()
-    return _committed() if current is None else contextlib.nullcontext(current)
-
-
 @contextlib.contextmanager
-def _committed() -> Iterator[OutputSet]:
+def _current_or_new() -> Iterator[OutputSet]:
+    outputs = _CURRENT.get()
+    if outputs is not None:
+        yield outputs
+        return
     outputs = OutputSet()
     try:
         yield outputs

@@ -21,21 +21,21 @@ from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage
 from dbo_cli.hysteresis.identification import normal_equations
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import Recording
+from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Recording
 from dbo_cli.hysteresis.identification.search import (
     FINE_INDIFFERENCE,
     LONGEST_DELAY,
     ROWS_PER_SLOPE,
-    Score,
     sample_period,
-    simplest_of,
 )
 from dbo_cli.hysteresis.identification.statistics import (
     Basis,
     FoldProducts,
     PreparedLog,
+    Score,
     fewer_rows,
     hat_functions,
+    simplest_of,
 )
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
@@ -323,7 +323,7 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
         for group in range(1, len(products.grams)):
             mine = products.rows[group]
             others = sum(products.rows) - mine
-            if mine < own.FEWEST_GROUP_ROWS or others < max(own.FEWEST_REST_ROWS, mine / 5):
+            if mine < FEWEST_ROWS or others < max(FEWEST_ROWS, mine / 5):
                 continue
             squares += min(products.left_out(group), mine * (own.MAX_RATIO * cycles) ** 2)
             rows += mine

@@ -397,17 +397,22 @@ class TrackingMetrics:
     ----------
     remove_offset : bool
         Take the mean error off before anything else is said about it (a sensor's arbitrary zero).
+    sample_rate : float, optional
+        Samples a second (Hz), where no times tell it.
 
     Attributes
     ----------
+    rows : (int, int), optional
+        The first and the last row taken.
     distribution : ErrorDistribution
         Of the error before the offset is taken off.
     missing : list of two int
         Samples that are not numbers, desired and measured.
     """
 
-    def __init__(self, *, remove_offset: bool = False) -> None:
-        self._remove_offset = remove_offset
+    def __init__(self, *, remove_offset: bool = False, sample_rate: float | None = None) -> None:
+        self._remove_offset, self._sample_rate = remove_offset, sample_rate
+        self.rows: tuple[int, int] | None = None
         self._batches = Batches()
         self.distribution = running_statistics.ErrorDistribution()
         self._loop = LoopWidth()
@@ -423,6 +428,9 @@ class TrackingMetrics:
 
     def add(self, desired: Floats, measured: Floats, row: Floats, time: Floats | None = None) -> None:
         """Take one block of equally long arrays; ``row`` counts from 1, ``time`` is in seconds."""
+        if not len(row):
+            return
+        self.rows = (int(row[0]) if self.rows is None else self.rows[0], int(row[-1]))
         if time is None:
             time = np.full(len(desired), np.nan)
         for batch in self._batches.add(desired, measured, row, time):
@@ -473,10 +481,12 @@ class TrackingMetrics:
 
     def _sample_period(self) -> float | None:
         samples = self.distribution.count + self._not_finite
-        if self._times is None or samples < 2:
-            return None
-        period = (self._times[1] - self._times[0]) / (samples - 1)
-        return period if math.isfinite(period) and period > 0.0 else None
+        period = 0.0
+        if self._times is not None and samples > 1:
+            period = (self._times[1] - self._times[0]) / (samples - 1)
+        if math.isfinite(period) and period > 0.0:
+            return period
+        return None if self._sample_rate is None else 1.0 / self._sample_rate
 
     def _take(self, desired: Floats, measured: Floats, row: Floats, time: Floats) -> None:
         first = self._times[0] if self._times else float(time[0])

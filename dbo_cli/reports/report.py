@@ -272,23 +272,23 @@ class _Evaluation:
             blocks = dwells.of(blocks)
         if figure_data is not None:
             figure_data.begin(options.labels)
-        whole, current = _Running(self), _Running(self)
+        whole, current = self._metrics(), self._metrics()
         segments: list[Segment] = []
         for part in chain(self._segmented(sample_pairs.batched(blocks)), [None]):
             if part is None:
-                segments += current.closed(len(segments) + 1)
-                current = _Running(self)
+                segments += self._closed(current, len(segments) + 1)
+                current = self._metrics()
                 continue
-            whole.add(part)
-            if options.segment is not None:
-                current.add(part)
+            signals = part.values["desired"], part.values["measured"]
+            for metrics in (whole, current) if options.segment is not None else (whole,):
+                metrics.add(*signals, row=sample_pairs.row_numbers(part), time=part.time)
             if figure_data is not None:
                 figure_data.add(part)
         figures = whole.result()
         if figures is None:
-            raise InputError(_nothing(name, options.labels, whole.metrics.missing))
+            raise InputError(_nothing(name, options.labels, whole.missing))
         if figure_data is not None:
-            figure_data.finish(figures, whole.metrics.distribution)
+            figure_data.finish(whole.distribution)
         notes += [dwells.note()] if dwells is not None else []
         notes += _notes(name, options.labels, figures)
         rest = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
@@ -317,37 +317,17 @@ class _Evaluation:
             return blocks
         return cycles(blocks) if segment == "cycles" else spans(blocks, segment, self.sample_rate)
 
+    def _metrics(self) -> TrackingMetrics:
+        return TrackingMetrics(remove_offset=self.options.remove_offset, sample_rate=self.sample_rate)
 
-class _Running:
-    """The figures of a log or a segment while its pairs come."""
-
-    def __init__(self, evaluation: _Evaluation) -> None:
-        self.metrics = TrackingMetrics(remove_offset=evaluation.options.remove_offset)
-        self.rows: tuple[int, int] | None = None
-        self._name, self._rate = evaluation.name, evaluation.sample_rate
-
-    def add(self, part: SampleBlock) -> None:
-        if len(part):
-            rows = sample_pairs.row_numbers(part)
-            self.rows = (int(rows[0]) if self.rows is None else self.rows[0], int(rows[-1]))
-            self.metrics.add(part.values["desired"], part.values["measured"], row=rows, time=part.time)
-
-    def result(self) -> TrackingFigures | None:
-        figures = self.metrics.result()
-        if figures is None or figures.sample_period is not None or self._rate is None:
-            return figures
-        return replace(figures, sample_period=1.0 / self._rate)
-
-    def closed(self, number: int) -> list[Segment]:
+    def _closed(self, metrics: TrackingMetrics, number: int) -> list[Segment]:
         """Return the segment that ends here; none where it holds no number."""
-        figures = self.result()
-        if figures is None or self.rows is None:
+        figures = metrics.result()
+        if figures is None or metrics.rows is None:
             return []
         if number > MOST_SEGMENTS:
-            raise UsageError(
-                f"{self._name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)"
-            )
-        return [Segment(number, *self.rows, figures)]
+            raise UsageError(f"{self.name}: more than {MOST_SEGMENTS} segments (`segment` with more SECONDS)")
+        return [Segment(number, *metrics.rows, figures)]
 
 
 def cycles(

@@ -18,7 +18,6 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import running_statistics
-from dbo_cli.reports.figures_of_merit import TrackingFigures
 from dbo_cli.reports.running_statistics import BATCH, Batches, DoublingBins, Floats, comparable
 from dbo_cli.reports.sample_pairs import row_numbers
 
@@ -237,7 +236,6 @@ class FigureData:
         self.start = 0.0
         self.has_time = False
         self.has_drive = False
-        self.figures: TrackingFigures | None = None
         self.distribution = running_statistics.ErrorDistribution()
         self.spectrum = Spectrum()
         self._batches = Batches()
@@ -261,11 +259,10 @@ class FigureData:
         for batch in self._batches.add(*columns):
             self._take(*batch)
 
-    def finish(self, figures: TrackingFigures, distribution: running_statistics.ErrorDistribution) -> None:
-        """Take what is left, and the results that the figures refer to."""
+    def finish(self, distribution: running_statistics.ErrorDistribution) -> None:
+        """Take what is left, and the error's distribution."""
         for batch in self._batches.rest():
             self._take(*batch)
-        self.figures = figures
         self.distribution = distribution
 
     def against_time(self, name: str) -> Curve | Band:

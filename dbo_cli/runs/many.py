@@ -35,11 +35,9 @@ def signals(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Lis
         return Outcome(asked.run(listener))
     if asked.tracked:
         raise UsageError("`tracked` learns one trajectory at a time: one log, one column and one output")
-    from dbo_cli.runs.channels import wants_channels
+    from dbo_cli.runs.channels import signals_of_channels, wants_channels
 
     if wants_channels(output, asked.column):
-        from dbo_cli.runs.channel_signals import signals_of_channels
-
         if len(logs) > 1:
             raise UsageError(f"{len(logs)} logs, and a pattern of columns of one: give one log")
         return signals_of_channels(asked, work, listener)

@@ -17,16 +17,9 @@ from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
+from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, wish
-from dbo_cli.logs.request import (
-    ALL_ROWS,
-    Address,
-    Given,
-    ReadingOptions,
-    Rows,
-    check_document,
-    selected_files,
-)
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
@@ -392,7 +385,7 @@ class ReportRun:
     def prepared(self) -> tuple[str, list[Given]]:
         """Return the report's form and the inputs; what cannot be written is refused before the long work."""
         options, chosen = self.options, report_form(self.output, self.form)
-        check_document(self.output, "a report", chosen)
+        request.check_document(self.output, "a report", chosen)
         files = [name for name in (options.model, options.trajectory) if name is not None]
         inputs: list[Given] = [*self.logs, *files]
         inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)

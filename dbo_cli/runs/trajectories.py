@@ -22,8 +22,8 @@ from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks
+from dbo_cli.runs.api import Model, require_known
 from dbo_cli.runs.files import Destination, shown_name, summary_of_values, write_summary
-from dbo_cli.runs.model import Model, require_known
 
 if TYPE_CHECKING:
     import os

@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import UsageError
-from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Floats, Recording, drive_shape
+from dbo_cli.hysteresis.identification.recordings import (
+    BLOCK_ROWS,
+    EVEN,
+    FEWEST_ROWS,
+    MOST,
+    Floats,
+    IdentificationOptions,
+    Recording,
+    drive_shape,
+)
 from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
@@ -21,34 +30,27 @@ SPECTRUM_ROWS = 200
 """For a spectrum in which noise and drive can be told apart."""
 
 OF_NORMAL = 1.4826  # standard deviation over the median distance from the middle, of normal noise
-EVEN = 1e-3  # of a sample: a clock written with few digits still counts as even
-
-READ_BACK_NOISE = 3e-4
-"""Of the drive's range: less noise moves fewer gears than the sensor's own noise hides."""
+NOTICEABLE = 3e-4
+"""Of the range: a voltage's noise below it moves fewer gears than the sensor's own noise hides, and a line of
+hum is not worth mentioning. Half and double, of HARMONICS, too, changed the model of none of ten logs."""
 
 FLOOR_FACTOR = 5.0
 """The drive ends where its spectrum, averaged over bands, is down to so many times the noise floor."""
 
-LOWEST_CUTOFF = 12.0
-"""In cycles of the drive: a low-pass below its twelfth harmonic rounds the turns (0.3 % of the range)."""
+HARMONICS = 12.0
+"""In cycles of the drive: a low-pass below its twelfth harmonic rounds the turns (0.3 % of the range), and a
+line below may be what the actuator does."""
 
 HUM_LINE = 30.0
-"""Power of a line over the median around it; white noise reaches 12 in a log of 10,000 rows."""
-
-# Half and double of these three changed the model of none of ten logs (benchmarks/halved_constants.py).
-HUM_RMS = 3e-4  # of the range: a smaller line is not worth mentioning
-HUM_LOWEST = 8.0  # in cycles of the drive: below, a line may be what the actuator does
-HUM_OF_DRIVE = 0.03  # power in the voltage, scaled to the displacement: more, and the drive does hum
-MOST_HELD = 0.5  # of the rows that repeat the one before: beyond, the sensor is slower than the log
-MOST_LINES = 4  # the mains and their harmonics
+"""Power of a line over the median around it (white noise reaches 12 in a log of 10,000 rows), and over what
+the drive has there, scaled to the displacement: else the drive does hum."""
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them; 5 and 11: the same models
-SPIKE_ROWS = 1 << 12  # looked at together: windows that fit the cache are sorted in a third of the time
 SPIKE_SIGMAS = 8.0  # with 4 and 16, errors on new moves of eight invented logs were 0.999 to 1.001
 SPIKE_SPREAD = 2.0
 """A spike leaves its neighbours by so many times what they differ among themselves; a turn does not."""
 
-MOST_SPIKES = 0.2  # of the rows: more are not spikes; chosen
+MOST_OUTLYING = 0.2  # of the rows: more are what the actuator does; chosen
 
 STUCK_PATH = 0.08
 """Of the drive's range: how far it may travel while a working sensor, even one of 5 bits, repeats itself."""
@@ -109,8 +111,8 @@ def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
     half = window // 2
     windows = sliding_window_view(np.pad(displacement, half, mode="edge"), window)
     away, spread = np.empty((2, len(displacement)))
-    for begin in range(0, len(displacement), SPIKE_ROWS):
-        part = slice(begin, begin + SPIKE_ROWS)
+    for begin in range(0, len(displacement), BLOCK_ROWS):
+        part = slice(begin, begin + BLOCK_ROWS)
         around = np.sort(windows[part], axis=1)
         away[part] = np.abs(displacement[part] - around[:, half])
         spread[part] = around[:, -1 - window // 3] - around[:, window // 3]
@@ -118,7 +120,7 @@ def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
     spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
     # 0.1 % of the range: chosen.
     spiked &= away > 1e-3 * float(np.subtract(*np.percentile(displacement, [99.0, 1.0])))
-    return spiked if spiked.mean() <= MOST_SPIKES else np.zeros(len(displacement), bool)
+    return spiked if spiked.mean() <= MOST_OUTLYING else np.zeros(len(displacement), bool)
 
 
 def stuck_rows(displacement: Floats, voltage: Floats) -> Booleans:
@@ -165,7 +167,7 @@ def _without_hum(recording: Recording, bad: Booleans, step: float, notes: list[s
     """Take lines that the drive does not have off the displacement, each with a slowly changing size."""
     base = _drive_frequency(recording, step)
     held = float(np.mean(np.diff(recording.displacement) == 0.0))
-    if base is None or held > MOST_HELD:
+    if base is None or held > MOST:
         return recording
     displacement = _filled(recording.displacement, bad)
     found = _hum_lines(displacement, recording.voltage, step, base)
@@ -192,16 +194,14 @@ def _hum_lines(displacement: Floats, voltage: Floats, step: float, base: float) 
     """Frequencies (Hz) of lines far above the drive that stand out of the displacement alone."""
     frequency, power = _spectrum(displacement, step)
     _, driven = _spectrum(voltage * (np.ptp(displacement) / np.ptp(voltage)), step)
-    least = (HUM_RMS * float(np.ptp(displacement))) ** 2 * len(displacement) / 4.0
-    candidates = np.flatnonzero((frequency > HUM_LOWEST * base) & (power > least))
+    least = (NOTICEABLE * float(np.ptp(displacement))) ** 2 * len(displacement) / 4.0
+    candidates = np.flatnonzero((frequency > HARMONICS * base) & (power > least))
     found: list[float] = []
     for line in candidates[np.argsort(-power[candidates])]:
         near = any(abs(frequency[line] - one) < 6.0 * frequency[1] for one in found)
-        foreign = float(driven[line]) < HUM_OF_DRIVE * float(power[line])
+        foreign = HUM_LINE * float(driven[line]) < float(power[line])
         if not near and foreign and _stands_out(power, int(line), base / float(frequency[1])):
             found.append(float(frequency[line]))
-        if len(found) == MOST_LINES:
-            break
     return sorted(found)
 
 
@@ -230,12 +230,12 @@ def _without_read_back_noise(recording: Recording, bad: Booleans, step: float, n
     floor = float(np.median(power[3 * len(power) // 4 :]))
     noise = float(np.sqrt(floor / 0.69))  # the median of an exponential variable is 0.69 of its mean
     between_rows = OF_NORMAL * float(np.median(np.abs(np.diff(voltage, 2)))) / np.sqrt(6.0)
-    if min(noise, 2.0 * between_rows) < READ_BACK_NOISE * float(np.ptp(voltage)):
+    if min(noise, 2.0 * between_rows) < NOTICEABLE * float(np.ptp(voltage)):
         return recording  # a few jumps have a broad spectrum, too; noise is in most rows
     bands = np.array_split(power[1:], min(100, len(power) // 20))
     above = [band.mean() > FLOOR_FACTOR * floor / 0.69 for band in bands]  # see above
     last = max((k for k, yes in enumerate(above) if yes), default=0)
-    cutoff = max(float(frequency[sum(map(len, bands[: last + 1]))]), LOWEST_CUTOFF * base)
+    cutoff = max(float(frequency[sum(map(len, bands[: last + 1]))]), HARMONICS * base)
     if cutoff > 0.35 / step:  # so near half the rate (chosen) a low-pass takes off little noise
         return recording
     from scipy.signal import butter, sosfiltfilt
@@ -261,6 +261,11 @@ class Sensor:
 
     delay: float = 0.0
     lag: float = 0.0
+
+    @staticmethod
+    def of(options: IdentificationOptions) -> Sensor:
+        """Return the sensor that the user named."""
+        return Sensor(options.sensor_delay, options.sensor_lag)
 
     def __bool__(self) -> bool:
         """Whether there is anything to take off."""

@@ -26,8 +26,8 @@ from scipy.optimize import nnls
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
+from dbo_cli.hysteresis.identification.cleaning import Sensor
 from dbo_cli.hysteresis.identification.dynamics_fit import (
-    EARNED,
     MOST_RESONANCES,
     TRUSTED,
     Band,
@@ -47,12 +47,15 @@ from dbo_cli.hysteresis.identification.evaluation import predict, validated, val
 from dbo_cli.hysteresis.identification.recordings import (
     FastPart,
     Floats,
+    IdentificationOptions,
     Recording,
     first_wiped_row,
     grid_step,
     split,
 )
-from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions, identify_static
+from dbo_cli.hysteresis.identification.search import SEGMENTS
+from dbo_cli.hysteresis.identification.static import Identification, identify_static
+from dbo_cli.hysteresis.identification.statistics import EARNED
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
 from dbo_cli.records import dataclass
 
@@ -67,7 +70,6 @@ the reading with which they leave least on the fast rows: they were nearest to t
 0.143, 0.048; where a second mode was not found, one of 0.600 as 0.607 with the first).
 """
 FINER = 4  # times the segments of asymmetry that slow moves need (see _again)
-MOST_POINTS = 32  # as many as any static model has (search.SEGMENTS); errors with 8, 16, 32: see _again
 FAST_LAGS = 2.0  # periods of the lowest swept frequency: shorter relaxation is part of the dynamics
 
 ROUNDS = 3  # of gears and creep in turn; from the memories' gains two bring it to 2 % of itself
@@ -203,7 +205,7 @@ def _left_over(signals: Sequence[Signals], chosen: Candidate) -> float:
 
 def _without_sensor(part: FastPart, options: IdentificationOptions) -> FastPart:
     """Return a fast part as a sensor without delay and lag would have made it."""
-    log = options.sensor.taken_off(part.recording)
+    log = Sensor.of(options).taken_off(part.recording)
     rows = slice(part.rows.start, min(part.rows.stop, log.voltage.size))
     return dataclasses.replace(part, recording=log, rows=rows)
 
@@ -233,7 +235,7 @@ def _again(
     points = base.fit["points"]
     assert isinstance(points, int)
     if options.points is None and points > 0:
-        known["points"] = min(FINER * points, MOST_POINTS)
+        known["points"] = min(FINER * points, SEGMENTS[-1][0])
     lagged = slow
     if chosen.lag_before > 0.0:
         lagged = [_led(log, chosen.lag_before) for log in slow]
@@ -370,7 +372,9 @@ def _assembled(
     if warnings:
         figures["warnings"] = warnings
     whole = dataclasses.replace(model, stages=stages, output=output, fit={})
-    checks = [validation_of(whole, options.sensor.taken_off(log), options.skip_seconds) for log in validation]
+    checks = [
+        validation_of(whole, Sensor.of(options).taken_off(log), options.skip_seconds) for log in validation
+    ]
     unit = f" {model.output.unit}" if model.output.unit else ""
     # Of lag and memories the slow rows tell what the dynamics say better.
     told = [line for line in base.summary if not line.startswith("lag ")]

@@ -18,15 +18,22 @@ from scipy.signal import csd, lfilter, welch
 
 from dbo_cli.hysteresis.cascade import late_by, whole_and_part
 from dbo_cli.hysteresis.dynamics import Antiresonance, DynamicsStage, Lag, Resonance, Section
-from dbo_cli.hysteresis.identification.evaluation import TINY, WHOSE_LAG, beyond_noise, white_noise
-from dbo_cli.hysteresis.identification.recordings import FastPart, Floats
+from dbo_cli.hysteresis.identification.evaluation import (
+    FOLDS,
+    STUDENT,
+    TINY,
+    WHOSE_LAG,
+    beyond_noise,
+    white_noise,
+)
+from dbo_cli.hysteresis.identification.recordings import MOST, FastPart, Floats
+from dbo_cli.hysteresis.identification.statistics import EARNED
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.records import dataclass
 
 Booleans = NDArray[np.bool_]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
-FOLDS = 5  # of which each leaves out 8 of the blocks; chosen
 BLOCKS = 40  # of the fast rows, dealt out to the folds in turn, so that every fold has all frequencies
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98  # rings for 1,600 periods; hardly rings, and is no pair of lags yet
 MOST_BESIDE = 0.1
@@ -311,14 +318,6 @@ def _spread(signals: Sequence[Signals], best: Floats, structure: Structure) -> F
 
 
 MOST_RESONANCES = 2  # what stages show within a sweep; more are not told apart by one (see SURE)
-EARNED = 0.9
-"""Of the error on blocks left out: one more resonance, or an antiresonance, must lower it to this.
-
-So must a lag behind the gears against one before them: a small sweep cannot tell (the gears hardly turn in
-it), and an amplifier's lag is the usual one.
-Actuators without a resonance, fitted with one, came to 0.97 to 1.00; with a heavily damped one at half the
-swept band, 0.3.
-"""
 SURE, MOST_OF_IT = 200.0, 0.3
 """Or, once one resonance is found, to this: the sum of squares on blocks left out falls by so many times the
 noise's mean square, and by this share of what it is beyond white noise.
@@ -506,13 +505,7 @@ def _peak(signals: Sequence[Signals], best: Candidate, band: Band) -> float:
 ENERGY = 0.003  # of the strongest third of an octave of the drive (amplitude): with less, nothing is known
 TRUSTED = 0.1  # of what was predicted, in a third of an octave: the error up to which a model is trusted
 TRUSTED_PART = 0.7  # of the lowest resonance, the most that is trusted: a change of 5 % there costs a tenth
-COHERENT = 0.5  # of the square of the response, at least, is no noise where it is shown
 MOST_SHOWN = 60  # frequencies of the response that the model keeps, for its figure
-OVERLAP = 2.776
-"""Standard errors on either side: Student's t with four degrees of freedom, 95 %, as few blocks are near a
-resonance. They held frequency and damping of 22 of 23 simulated stages (sample_data/virtual_positioner.py),
-and of 100 plants of gears (benchmarks/dynamics_found.py) 94 and 99; those of a jackknife held 84 and 90.
-"""
 
 
 def response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[str, list[float]]:
@@ -523,7 +516,7 @@ def response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[
     frequency, power = welch(before, rate, nperseg=size)
     both, other = csd(before, one.measured, rate, nperseg=size)[1], welch(one.measured, rate, nperseg=size)[1]
     ratio = both / np.maximum(power, 1e-12 * power.max())
-    inside = (frequency >= lowest) & (frequency <= highest) & (np.abs(both) ** 2 > COHERENT * power * other)
+    inside = (frequency >= lowest) & (frequency <= highest) & (np.abs(both) ** 2 > MOST * power * other)
     rows = np.flatnonzero(inside)
     if not rows.size:
         return {"frequency": [], "gain": [], "phase_degrees": []}
@@ -536,7 +529,7 @@ def response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[
 
 def interval(value: float, spread: float) -> list[float]:
     """Return both ends of the interval of a parameter, from the standard error of its logarithm."""
-    return [value * float(np.exp(-OVERLAP * spread)), value * float(np.exp(OVERLAP * spread))]
+    return [value * float(np.exp(-STUDENT * spread)), value * float(np.exp(STUDENT * spread))]
 
 
 def trusted(signals: Sequence[Signals], chosen: Candidate, highest: float) -> tuple[float, str]:

@@ -19,7 +19,6 @@ from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.excitation import AT_AN_END
 from dbo_cli.hysteresis.identification.evaluation import (
     FEWEST_SWINGS,
-    GAIN_EXPLAINS,
     most_noise,
     pooled,
     residual_of,
@@ -31,9 +30,9 @@ from dbo_cli.hysteresis.identification.normal_equations import (
     squared_error,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import Floats, Recording
+from dbo_cli.hysteresis.identification.recordings import MOST, Floats, Recording
 from dbo_cli.hysteresis.identification.refinement import Fitted, corners, stages_of
-from dbo_cli.hysteresis.identification.search import Choice, sample_period
+from dbo_cli.hysteresis.identification.search import BEND_STEP, Choice, sample_period
 from dbo_cli.hysteresis.identification.statistics import (
     LENGTHS,
     Basis,
@@ -173,7 +172,7 @@ def _gain_trend(logs: Sequence[PreparedLog], choice: Choice, own: Solution, floo
         gram, rows = statistics.total()
         solution = solve(gram, statistics.columns, choice.structure, rows)
         lefts.append(squared_error(gram, solution.vector) / rows)
-    if lefts[0] <= most_noise(floor, rows) or lefts[1] - floor > GAIN_EXPLAINS * (lefts[0] - floor):
+    if lefts[0] <= most_noise(floor, rows) or lefts[1] - floor > MOST * (lefts[0] - floor):
         return None
     last = np.cumsum([log.drift.shape[1] for log in changing]) - 1
     return float(max(solution.drift[last], key=abs))
@@ -274,7 +273,7 @@ def _changes(choice: Choice, logs: Sequence[PreparedLog]) -> Iterator[tuple[str,
     basis, structure = choice.basis, choice.structure
     for factor in (0.01, 100.0):
         yield "smoothness", basis, replace(structure, smoothness=factor * structure.smoothness)
-    for bend in (-0.1, 0.1):
+    for bend in (-BEND_STEP, BEND_STEP):
         if abs(basis.bend + bend) < 1.0:
             yield "bend", replace(basis, bend=basis.bend + bend), structure
     if basis.time_constants:

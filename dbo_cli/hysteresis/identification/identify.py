@@ -27,13 +27,15 @@ from dbo_cli.hysteresis.identification.evaluation import (
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
+    IdentificationOptions,
     Recording,
     check_recordings,
     split,
     widest_first,
 )
 from dbo_cli.hysteresis.identification.refinement import corners, zero_shift
-from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions, identify_static
+from dbo_cli.hysteresis.identification.search import ALL_GEARS, SLOPE_CHOICES
+from dbo_cli.hysteresis.identification.static import Identification, identify_static
 from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
@@ -47,7 +49,6 @@ from dbo_cli.hysteresis.model import (
 
 GEARS = 25  # the paper's
 SEGMENTS = 2  # on its cycle 1, 2, 4 fit to 0.38, 0.22, 0.23 um and leave 0.89, 0.90, 1.04 um on the other log
-FINE = (64, 16)  # slopes, gears for each
 SMOOTHNESS = 1e-11  # of the fine slopes; 1e-9 to 1e-13: 0.233 to 0.213 um on the cycle, 0.90 on the other log
 SHRUNK = tuple(part / 20 for part in range(20, 5, -1))  # amplitudes, over the cycle's own; the first is it
 
@@ -175,7 +176,7 @@ def identify_as_in_paper(
     x0, swing = float(voltage.min()), float(np.ptp(voltage))
     gain = float(np.ptp(displacement)) / swing
     y0 = float(displacement.min())
-    basis = Basis(FINE[0], x0, x0 + swing, FINE[1])
+    basis = Basis(SLOPE_CHOICES[0], x0, x0 + swing, ALL_GEARS // SLOPE_CHOICES[0])
     log = twice_over(recording, y0, gain * swing)
     fine, knots = _fine_heights(log, basis, max(SEGMENTS if segments is None else segments, 1))
     count = gears or GEARS

@@ -129,7 +129,6 @@ TIE = 1e4
 """Weight, over the data's own, of the equation that makes the widths of the segments add up to one, where the
 last of them is at its bound (elsewhere it is what the others leave)."""
 
-LOOSER = 10.0  # the tolerance, each time that the solver is begun again
 TOLERANCE = 1e-8
 """Of the largest gradient at the start: a gradient below it lowers the sum of squares by 1e-16 of itself."""
 
@@ -384,13 +383,13 @@ def _least(matrix: Floats, right: Floats, states: States) -> Floats:
     scale = np.sqrt(np.maximum(size, max(RIDGES[0] * float(size.sum()), np.finfo(float).tiny)))
     scaled = matrix / scale[:, None] / scale
     goal = right / scale
-    tolerance = TOLERANCE * float(np.abs(goal).max(initial=0.0))
+    least = TOLERANCE * float(np.abs(goal).max(initial=0.0))
     for ridge in RIDGES:
         np.einsum("ii->i", scaled)[...] += ridge  # a view of the diagonal
         x, tried = np.zeros(len(goal)), states.copy()
+        tolerance = least * float(np.sqrt(ridge / RIDGES[0]))
         if ridge > RIDGES[0]:  # the guess led nowhere: begin without one, and less exactly
             tried[tried == AT_ZERO] = POSITIVE
-            tolerance *= LOOSER
         if CHOSEN.minimise(np.ascontiguousarray(scaled), goal, tried, x, tolerance, MOST_STEPS) > 0:
             states[:] = tried
             return x / scale

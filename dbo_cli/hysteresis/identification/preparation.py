@@ -15,12 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
-from dbo_cli.hysteresis.identification.cleaning import OF_NORMAL, SPIKE_SIGMAS, spiked_rows
+from dbo_cli.hysteresis.identification.cleaning import (
+    MOST_OUTLYING,
+    OF_NORMAL,
+    SPIKE_SIGMAS,
+    SPIKE_WINDOW,
+    spiked_rows,
+)
 from dbo_cli.hysteresis.identification.normal_equations import Structure, solve, squared_error
 from dbo_cli.hysteresis.identification.recordings import (
     AMPLITUDE_SCATTER,
     FEWEST_ROWS,
     KNOWN_PAST,
+    MOST,
     DriveShape,
     Floats,
     Integers,
@@ -31,6 +38,8 @@ from dbo_cli.hysteresis.identification.recordings import (
     pieces_behind_gaps,
 )
 from dbo_cli.hysteresis.identification.statistics import (
+    EVIDENT,
+    TIME_CONSTANT_RATIO,
     Basis,
     DriveRows,
     PreparedLog,
@@ -45,11 +54,13 @@ from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN
 from dbo_cli.records import dataclass
 
-HIGHEST_ORDER = 4  # of the polynomial: chosen; on eight invented logs 2 and 8 changed no model
-
-WARM_UPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the log's length: time constants of a sensor that warms up
-ORDERS_OF_A_WARM_UP = 2  # offered where a polynomial of this order is: it has a size and a time constant
-SLOW = 1 / 32  # of the log's length: memories longer than this can stand in for a drift
+WARM_UPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
+"""Of the log's length: time constants of a sensor that warms up. Memories longer than the first can stand in
+for a drift; with half as long ones 139 models were the same."""
+HIGHEST_ORDER = 4
+"""Of the polynomial. With 2, drifts of 2 % that rise and fall (a cubic, a sine, a parabola; six invented
+logs) left 1.9 times the error on new moves; 8 changed none of eight models."""
+WARMING = 2  # a warm-up is offered where a polynomial of this order is: it has a size and a time constant
 LONGEST = 0.7
 """Of the log's length: the slowest memory that drift has to compete with. Half of it let slow creep pass for
 drift (3 of the 70 logs below); all of it let a steady drift of 1 % be found in 12 logs instead of 24: so slow
@@ -79,13 +90,10 @@ actuators that only creep it is in 2."""
 TRIAL_SLOPES, TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 64, 8, 8, 1e-8
 """Slopes and gears of each, in a trial and in any probing fit, segments and smoothness. Chosen: on eight
 invented logs half and double, and a tenth and ten times the smoothness, led to the same models."""
-# Half and double of these two, and of SLOW, changed none of ten models (benchmarks/halved_constants.py).
-SLOW_MEMORIES = 4  # of the displacement: from the 27th part of the slowest up
-TRIAL_RATIO = 3.0  # between the time constants of the memories that drift has to compete with
-
 
 LEVEL_MOVES = 0.02
-"""Scatter of the cycles' mean levels, over the drive's range, from which creep can be told from drift."""
+"""Scatter of the cycles' mean levels, of the drive or of a slow memory, over the drive's range, from which
+creep can be told from drift. Half and double changed none of ten models (benchmarks/halved_constants.py)."""
 
 
 def level_moves(shape: DriveShape, voltage: Floats) -> bool:
@@ -119,7 +127,7 @@ def with_drift_needed(
     if highest == 0 or one_level or any(log.seconds is None for log in logs):
         return list(logs), 0.0
     offered = [_Drift(order) for order in range(highest + 1)]
-    if highest >= ORDERS_OF_A_WARM_UP:
+    if highest >= WARMING:
         offered += [_Drift(0, part) for part in WARM_UPS]
     wanted, doubtful = _wanted(_trials(logs, low, high, offered), _trials(logs, low, high, offered, True))
     return [replace(log, drift=_columns(log)[:, _places(log, wanted)]) for log in logs], doubtful
@@ -185,7 +193,7 @@ def _columns(log: PreparedLog) -> Floats:
     """Columns of all drifts: the log's own polynomial, warm-ups, offsets of stretches; (samples, columns)."""
     own = _order(log) + 1
     assert log.seconds is not None
-    parts = np.asarray(WARM_UPS if own > ORDERS_OF_A_WARM_UP else ()) * float(log.seconds.max())
+    parts = np.asarray(WARM_UPS if own > WARMING else ()) * float(log.seconds.max())
     left = np.exp(-log.seconds[:, None] / parts)
     return np.hstack((log.drift[:, :own], left - left.mean(axis=0), log.drift[:, own:]))
 
@@ -193,7 +201,7 @@ def _columns(log: PreparedLog) -> Floats:
 def _places(log: PreparedLog, drift: _Drift) -> list[int]:
     """Which of a log's columns make up the drift, of no higher order than the log's own."""
     own = _order(log) + 1
-    warm_ups = WARM_UPS if own > ORDERS_OF_A_WARM_UP else ()
+    warm_ups = WARM_UPS if own > WARMING else ()
     places = list(range(min(drift.order + 1, own)))
     if drift.warm_up in warm_ups:
         places.append(own + warm_ups.index(drift.warm_up))
@@ -210,7 +218,7 @@ def _time_constants(logs: Sequence[PreparedLog]) -> tuple[float, ...]:
     found = []
     while tau >= least:
         found.append(tau)
-        tau /= TRIAL_RATIO
+        tau /= TIME_CONSTANT_RATIO
     return tuple(found[::-1])
 
 
@@ -231,8 +239,8 @@ def _trials(
     basis = Basis(TRIAL_SLOPES, low, high, TRIAL_SPLIT, _time_constants(logs))
     # Of a log much shorter than a memory the memory is its own negative, and explains whatever is in it.
     shortest = min(float(log.seconds[-1]) for log in logs if log.seconds is not None)
-    offered_memories = [tau for tau in basis.time_constants if tau <= LONGEST * shortest]
-    slow = tuple(offered_memories[-SLOW_MEMORIES:]) if creeping else ()
+    possible = [tau for tau in basis.time_constants if creeping and tau <= LONGEST * shortest]
+    slow = tuple(tau for tau in possible if tau > WARM_UPS[0] / LONGEST * possible[-1])
     some = _scaled(fewer_rows(logs))
     together = [replace(log, drift=np.hstack((_columns(log), _crept(log, slow)))) for log in some]
     statistics = gather(together, basis, TRIAL_SEGMENTS)
@@ -268,7 +276,7 @@ def _trial(
     solutions = [solve(gram, columns, structure, rows) for structure in structures]
     errors = [squared_error(gram, solution.vector) for solution in solutions]
     best = solutions[int(np.argmin(errors))]
-    slow = np.asarray(basis.time_constants) > SLOW / LONGEST * basis.time_constants[-1]
+    slow = np.asarray(basis.time_constants) > WARM_UPS[0] / LONGEST * basis.time_constants[-1]
     sizes, first = [0.0], 0
     for place, table in zip(kept[1:], tables, strict=True):
         sizes.append(float(np.ptp(table @ best.drift[first + 1 : first + 1 + table.shape[1]])))
@@ -279,21 +287,13 @@ def _trial(
 Booleans = NDArray[np.bool_]
 
 FOLDS = 10  # with 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again
-# Half and double of MOST_OUTLIERS, and a HISTORY_GAIN of 0.5 and 0.85, changed none of ten models
-# (benchmarks/halved_constants.py).
-MOST_OF_A_LOG = 0.5  # of the rows: a cycle with more is left out in parts; chosen
-PARTS = 8  # of it: with one slow sweep beside small cycles 0.19 % was expected, 1.4 with 4, and 0.03 came
-MOST_OUTLIERS = 0.02  # more rows than this are no outliers: they are what the actuator does
-RESIDUAL_WINDOW = 21
-"""Rows among which a spike of the residual must stand out: no drive turns in it, so that more of them are
-seen together than in the displacement itself (three spikes among four rows left 0.6 % of the range)."""
-
+PARTS = 8
+"""Of a cycle with most of the rows, left out in turn: with one slow sweep beside small cycles 0.19 % was
+expected, 1.4 with 4, and 0.03 came."""
 CLIPPED_STEEPNESS = 0.35
 """Slope just before the displacement stands still, over the mean one, above which the sensor is to blame: a
 piezo cut off in its upper half has 0.8 to 1.3, a wire that has reached its plateau less than 0.2."""
 
-PROBE_SEGMENTS = 4  # beside the slopes of a trial: 2 and 8 led to the same histories on eight invented logs
-HISTORY_GAIN = 0.7  # an open history must lower the error by so much, since rows and offsets are its price
 MOST_STRETCHES = 12  # chosen: each costs an offset; 6 and 24 led to the same histories of those logs
 STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 
@@ -406,7 +406,7 @@ def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) 
         fold = _stretches(usable, min(wanted, 4))
     else:
         long = cycle == int(held.argmax())
-        cut = np.where(long & (held.max() > MOST_OF_A_LOG * held.sum()), _stretches(usable & long, PARTS), 0)
+        cut = np.where(long & (held.max() > MOST * held.sum()), _stretches(usable & long, PARTS), 0)
         piece = PARTS * cycle + cut
         present = np.unique(piece[usable])
         fold = np.searchsorted(present, piece) % max(min(wanted, len(present)), 1)
@@ -543,7 +543,7 @@ def _with_offsets_behind_gaps(recording: Recording, log: PreparedLog, low: float
     if not own:
         return log
     opened = replace(log, drift=np.column_stack((log.drift, *own)), stretches=len(own))
-    better = _probe_error(opened, low, high) < HISTORY_GAIN * _probe_error(log, low, high)
+    better = _probe_error(opened, low, high) < EVIDENT * _probe_error(log, low, high)
     return opened if better else log
 
 
@@ -564,7 +564,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
     if errors[best] >= 0.99 * errors[0]:  # chosen: no evident gain
         best = 0
     opened = None if log.stretches else _left_open(log)
-    if opened is not None and _probe_error(opened, low, high) < HISTORY_GAIN * errors[best]:
+    if opened is not None and _probe_error(opened, low, high) < EVIDENT * errors[best]:
         lost = int(log.used.sum() - opened.used.sum())
         notes.append(
             f"{log.name}: {lost} rows at new extremes of the drive left out: no known start explains them, "
@@ -595,9 +595,9 @@ def _probe_error(log: PreparedLog, low: float, high: float) -> float:
     basis, structure = _probe(low, high)
     values = log.output[log.used]
     scaled = replace(log, output=(log.output - values.min()) / np.ptp(values))
-    trial = gather(fewer_rows([scaled]), basis, PROBE_SEGMENTS)
+    trial = gather(fewer_rows([scaled]), basis, TRIAL_SEGMENTS)
     gram, rows = trial.total()
-    solution = solve(gram, trial.columns, replace(structure, segments=PROBE_SEGMENTS), rows)
+    solution = solve(gram, trial.columns, replace(structure, segments=TRIAL_SEGMENTS), rows)
     return float(np.sqrt(squared_error(gram, solution.vector) / rows)) * float(np.ptp(values))
 
 
@@ -647,8 +647,10 @@ def _leave_out_spikes(
         centre = float(np.median(values))
         sigma = OF_NORMAL * float(np.median(np.abs(values - centre)))
         far = used & (np.abs(residual - centre) > SPIKE_SIGMAS * max(sigma, 1e-12))
-        far &= spiked_rows(np.where(used, residual, centre), RESIDUAL_WINDOW)
-        if 0 < int(far.sum()) <= MOST_OUTLIERS * int(used.sum()):
+        # No drive turns in a residual: more of them are seen together than in the displacement itself (three
+        # spikes among four rows left 0.6 % of the range).
+        far &= spiked_rows(np.where(used, residual, centre), 3 * SPIKE_WINDOW)
+        if 0 < int(far.sum()) <= MOST_OUTLYING * int(used.sum()):
             found[place] = int(far.sum())
             notes.append(
                 f"{log.name}: {found[place]} outlying rows left out (more than {SPIKE_SIGMAS:g} standard "

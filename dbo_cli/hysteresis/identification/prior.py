@@ -16,6 +16,8 @@ import numpy as np
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned
 from dbo_cli.hysteresis.identification.evaluation import (
+    FOLDS,
+    STUDENT,
     beyond_noise,
     predict,
     rated_warnings,
@@ -27,6 +29,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
     KNOWN_PAST,
     Floats,
+    IdentificationOptions,
     Recording,
     drive_shape,
     first_wiped_row,
@@ -35,7 +38,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     without_voltage_glitches,
 )
 from dbo_cli.hysteresis.identification.search import LONGEST_DELAY
-from dbo_cli.hysteresis.identification.static import Identification, IdentificationOptions
+from dbo_cli.hysteresis.identification.static import BROKEN, Identification
 from dbo_cli.hysteresis.identification.statistics import drift_columns
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
 from dbo_cli.hysteresis.move_error import Alternative, alternatives_of
@@ -43,16 +46,7 @@ from dbo_cli.records import dataclass
 
 Booleans = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
-BLOCKS = 5  # chosen; the next line follows from it
-STUDENT = 2.776  # standard errors on either side: Student's t of as many blocks, 95 %
 TRIALS = 41  # delays tried within an eighth of a cycle to either side; parabolas refine the best
-CHANGED = 2.0
-"""Times the prior's expected error: a shape that leaves more, noise aside, has changed.
-
-Six invented actuators, logs of 10 s: the same shape with another gain, offset and lag left at most 1.0 times
-that error, noise and all; a loop a tenth wider 0.9 to 7 times, a quarter wider 1.8 to 18, another bend 4 to
-24.
-"""
 KEPT = ("gears", "different_slopes", "points", "drive_bend", "slopes", "smoothness", "loop_width_percent",
         "relaxation_seconds", "fastest_drive", "swings", "dynamics", "trusted_hz",
         "interpretation")  # fmt: skip
@@ -103,11 +97,11 @@ class _Log:
         return free
 
     def products(self, delay: float) -> Floats:
-        """Return the products of prediction and measurement, both free of drift; shape (BLOCKS, 2, 2)."""
+        """Return the products of prediction and measurement, both free of drift; shape (FOLDS, 2, 2)."""
         table = np.column_stack(
             [self.free_of_drift(one) for one in (self.late(delay), self.measured[self.keep])]
         )
-        return np.array([part.T @ part for part in np.array_split(table, BLOCKS)])
+        return np.array([part.T @ part for part in np.array_split(table, FOLDS)])
 
 
 def refresh(
@@ -133,7 +127,7 @@ def refresh(
             "`prior` has a lag, which needs a clock: name the time column (`time`) or give `sample_rate`"
         )
     cycle = median_cycle_seconds(recordings) if clocked else None
-    sensor = options.sensor or _sensor_of(prior.fit)
+    sensor = Sensor.of(options) or _sensor_of(prior.fit)
     sensor.check(cycle)
     recordings, notes = without_voltage_glitches([sensor.taken_off(log) for log in recordings])
     mended = [cleaned(log) for log in recordings]
@@ -216,7 +210,7 @@ def _products(logs: Sequence[_Log], delay: float) -> Floats:
 
 def _interval(parts: Sequence[float]) -> float:
     """Return the half width of the jackknife's 95 % interval, from fits without one block each."""
-    return STUDENT * float(np.sqrt(BLOCKS - 1.0) * np.std(parts))
+    return STUDENT * float(np.sqrt(FOLDS - 1.0) * np.std(parts))
 
 
 def _moved(logs: Sequence[_Log], held: float, cycle: float | None) -> _Moved:
@@ -242,7 +236,7 @@ def _lag(logs: Sequence[_Log], held: float, longest: float) -> tuple[float, floa
         around = np.array([_products(logs, held + middle + at) for at in (-step, 0.0, step)])
         parts = [
             step * _vertex([_gain_and_error(one.sum(axis=0) - one[k])[1] for one in around])
-            for k in range(BLOCKS)
+            for k in range(FOLDS)
         ]
         middle += step * _vertex([_gain_and_error(one.sum(axis=0))[1] for one in around])
         step /= 4.0
@@ -343,14 +337,17 @@ def _check_shape(
 ) -> list[str]:
     """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced.
 
-    A lag below none, which no model has, takes part: it has a warning of its own.
+    Six invented actuators, logs of 10 s: the same shape with another gain, offset and lag left at most 1.0
+    times the prior's expected error, noise and all; a loop a tenth wider 0.9 to 7 times, a quarter wider 1.8
+    to 18, another bend 4 to 24. A lag below none, which no model has, takes part: it has a warning of its
+    own.
     """
     expected = _expected(prior, moved.gain)
     if expected is None:
         return [
             "the prior does not say what error to expect of it, so whether its shape has changed is not known"
         ]
-    bound = CHANGED * expected
+    bound = BROKEN * expected
     worst, why = 0.0, ""
     for log in logs:
         left = _left_over(log, moved.gain, prior.delay_seconds + moved.lag)

@@ -1,28 +1,35 @@
-"""Recordings of drive voltage and displacement: their turns, cycles and fast parts, before any model."""
+"""What an identification is given: recordings (their turns, cycles, fast parts), and what a user may fix."""
 
 from __future__ import annotations
 
 import itertools
+import math
+import numbers
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import FitError
+from dbo_cli.errors import FitError, UsageError
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN, turning_points
 from dbo_cli.records import dataclass
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 FEWEST_ROWS = 40  # chosen: no log worth a fit has fewer
 LARGEST = 1e30  # in any unit: beyond this the squares of the fit would overflow
 GAP_STEPS = 1.5  # usual steps; where more lie between two stamps, at least one sample is missing
-HIDDEN_STEPS = 3.0  # times the largest change between samples is hidden between samples anyway; chosen
+HIDDEN_STEPS = 3.0  # times the largest change between samples: less is hidden between samples anyway; chosen
 SPEED_ROWS = 4  # beside a gap tell how fast the drive is there: fewer would take noise for motion; chosen
-LEAST_BEHIND_GAPS = 0.3  # of the rows must be left; of fewer, a fit knows less than gaps spoil; chosen
+SMALL_SWING = 0.35  # of the range: larger ones are loops, no sweep's; divides the swings that are left out
+KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
+MOST = 0.5
+"""More than half of the rows, of an error, of a square is most of it. So many rows must be left behind gaps,
+or these are passed over: a fit to fewer knows less than gaps spoil."""
+BLOCK_ROWS = 1 << 12  # at once: changes no bit; windows that fit the cache are sorted in a third of the time
+EVEN = 1e-3  # of a step: a clock written with few digits still counts as even; with 1e-6 models were the same
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
 
 
@@ -51,6 +58,163 @@ class Recording:
             even: Floats = self.sample_period * np.arange(len(self.voltage), dtype=np.float64)
             return even
         return None
+
+
+METHODS = ("least-squares", "paper")
+SLOPES = ("growing", "falling", "free")
+ZEROS = ("none", "mean", "first")
+NOT_FOR_PAPER = (
+    "relaxation",
+    "delay",
+    "slopes",
+    "skip_seconds",
+    "rated",
+    "sensor_delay",
+    "sensor_lag",
+    "dynamics",
+)
+
+NOT_WITH_PRIOR = ("gears", "points", "relaxation", "delay", "slopes", "method", "zero", "dynamics")
+
+MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
+
+
+@dataclass(frozen=True)
+class IdentificationOptions:
+    """What the user asked for; None stands for 'auto'.
+
+    Parameters
+    ----------
+    gears, points : int, optional
+        Number of gears; number of segments of the asymmetry, 0 for none.
+    relaxation : sequence of float, optional
+        Time constants in seconds, () for none.
+    delay : float, optional
+        Of the actuator, in seconds.
+    slopes : {"growing", "falling", "free"}, optional
+        How the slopes of the gears may change from one to the next.
+    skip_seconds : float
+        Left out at the beginning of every log.
+    method : {"least-squares", "paper"}
+        The paper's own takes one log of one cycle, and of the other options gears, points and zero alone.
+    zero : {"none", "mean", "first"} or float
+        Displacement that counts as zero: as logged, the log's mean, its first, or a value.
+    rated : (float, float), optional
+        The drive's full range, for a warning where the logs cover less; texts have a unit (``"1.2kV"``).
+    force : bool
+        Keep a model that would be refused.
+    dynamics : int, optional
+        Number of resonances: 0, 1 or 2.
+    sensor_delay, sensor_lag : float
+        What the sensor adds, in seconds: taken off the logs, kept in the model's ``fit``, not compensated.
+
+    Raises
+    ------
+    UsageError
+        A value is not of its kind, or options contradict each other.
+    """
+
+    gears: int | None = None
+    points: int | None = None
+    relaxation: Sequence[float] | None = None
+    delay: float | None = None
+    slopes: str | None = None
+    skip_seconds: float = 0.0
+    method: str = "least-squares"
+    zero: str | float = "none"
+    rated: tuple[float | str, float | str] | None = None
+    force: bool = False
+    sensor_delay: float = 0.0
+    sensor_lag: float = 0.0
+    dynamics: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is not of its kind or contradicts the rest."""
+        self._check_count("gears", self.gears, 1)
+        if self.gears is not None and self.gears > MOST_GEARS:
+            raise UsageError(f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart")
+        self._check_count("points", self.points, 0)
+        self._check_count("dynamics", self.dynamics, 0)
+        if self.dynamics is not None and self.dynamics > 2:
+            raise UsageError(f"`dynamics` {self.dynamics}: at most two resonances are looked for")
+        _seconds("skip", self.skip_seconds)
+        _seconds("sensor_delay", self.sensor_delay)
+        _seconds("sensor_lag", self.sensor_lag)
+        if self.delay is not None:
+            _seconds("delay", self.delay)
+        if self.relaxation is not None:
+            self._check_relaxation(self.relaxation)
+        if self.slopes is not None:
+            _choice("slopes", self.slopes, SLOPES)
+        _choice("method", self.method, METHODS)
+        if not (_is_number(self.zero) and math.isfinite(float(self.zero))):
+            _choice("zero", self.zero, ZEROS, " or a displacement")
+        self._check_rated()
+        _choice("force", self.force, (False, True))
+        if self.method == "paper":
+            self._check_paper()
+
+    @staticmethod
+    def _check_count(name: str, value: object, least: int) -> None:
+        if value is None:
+            return
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+            raise UsageError(f"`{name}` {value!r}: is a whole number, at least {least}")
+
+    def _check_relaxation(self, taus: object) -> None:
+        if isinstance(taus, str) or not isinstance(taus, Sequence):
+            raise UsageError(f"`relaxation` {taus!r}: give a list of time constants in seconds")
+        for tau in taus:
+            if not (_is_number(tau) and 0.0 < tau < math.inf):
+                raise UsageError(f"`relaxation` {tau!r}: time constants are positive numbers of seconds")
+        object.__setattr__(self, "relaxation", tuple(float(tau) for tau in taus))
+
+    def _check_rated(self) -> None:
+        if self.rated is None:
+            return
+        if isinstance(self.rated, str) or not (isinstance(self.rated, Sequence) and len(self.rated) == 2):
+            raise UsageError(f"`rated` {self.rated!r}: give both ends of the drive's range")
+        low, high = self.rated
+        if isinstance(low, str) or isinstance(high, str):
+            return  # checked when they are in the logs' unit
+        if not (_is_number(low) and _is_number(high) and -math.inf < low < high < math.inf):
+            raise UsageError(f"`rated` {self.rated!r}: the lower end must be a number below the upper one")
+
+    def check_prior(self) -> None:
+        """Refuse what a prior already has (UsageError)."""
+        usual = {one.name: one.default for one in fields(self)}
+        for name in NOT_WITH_PRIOR:
+            if getattr(self, name) != usual[name]:
+                raise UsageError(
+                    f"`{name}` does not go with `prior`, whose shape is kept: leave one of them out"
+                )
+
+    def _check_paper(self) -> None:
+        """Refuse what the paper's method would have to ignore."""
+        usual = {one.name: one.default for one in fields(self)}
+        for name in NOT_FOR_PAPER:
+            value = getattr(self, name)
+            nothing = name in ("relaxation", "delay", "dynamics") and not value
+            if value != usual[name] and not nothing:
+                shown = {"skip_seconds": "skip"}.get(name, name)
+                raise UsageError(
+                    f"`{shown}` does not go with `method` paper: the paper's model is fitted to one cycle "
+                    "and has neither lag nor delay (`rows` A:B cuts the cycle out)"
+                )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and not math.isnan(float(value))
+
+
+def _seconds(name: str, value: object) -> None:
+    if not (isinstance(value, numbers.Real) and _is_number(value) and 0.0 <= float(value) < math.inf):
+        raise UsageError(f"`{name}` {value!r}: is a time in seconds, not negative")
+
+
+def _choice(name: str, value: object, choices: Sequence[object], other: str = "") -> None:
+    if not any(value is one or (isinstance(value, str) and value == one) for one in choices):
+        raise UsageError(f"`{name}` {value!r}: is one of {', '.join(map(str, choices))}{other}")
 
 
 @dataclass(frozen=True)
@@ -175,7 +339,7 @@ def without_voltage_glitches(recordings: Sequence[Recording]) -> tuple[list[Reco
         middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
         jump = np.abs(v[1:-1] - middle)
         usual = float(np.abs(np.diff(middle)).max())
-        rows = np.flatnonzero(jump > max(3.0 * usual, SMALLEST_TURN * float(np.ptp(middle)))) + 1
+        rows = np.flatnonzero(jump > max(HIDDEN_STEPS * usual, SMALLEST_TURN * float(np.ptp(middle)))) + 1
         if len(rows) and usual > 0.0:
             repaired = v.copy()
             repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
@@ -242,7 +406,7 @@ def known_behind_gaps(log: Recording, usable: NDArray[np.bool_]) -> NDArray[np.b
     known = usable.copy()
     for begin, wiped, _ in pieces_behind_gaps(log):
         known[begin:wiped] = False
-    enough = max(LEAST_BEHIND_GAPS * usable.sum(), FEWEST_ROWS)
+    enough = max(MOST * usable.sum(), FEWEST_ROWS)
     return known if known.sum() >= enough else usable
 
 
@@ -274,7 +438,6 @@ def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
 
 
 SMALLEST_SWING = 5e-4  # of the log's range: smaller reversals of the drive are converter steps and noise
-LARGEST_SWING = 0.35  # of the range, in a sweep: larger swings are loops
 FEWEST_SWINGS = 40  # in a sweep
 SWEPT = 5.0  # the highest frequency of a sweep over its lowest, at least
 SMOOTH = 0.7  # of neighbouring half periods, the larger over the smaller, as a logarithm: a sweep is gradual
@@ -398,7 +561,7 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
     rows, levels = _swings(log.voltage, span)
     halves, heights = np.diff(rows), np.abs(np.diff(levels))
     near = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
-    small = heights <= LARGEST_SWING * span
+    small = heights <= SMALL_SWING * span
     good = small[1:] & small[:-1] & (near | (np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD))
     best = (0, 0)
     begin = None

@@ -32,6 +32,7 @@ from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import Floats, Recording
 from dbo_cli.hysteresis.identification.statistics import (
     FIT_ROWS,
+    INDIFFERENCE,
     Basis,
     Linearise,
     PreparedLog,
@@ -53,9 +54,6 @@ from dbo_cli.hysteresis.model import (
 from dbo_cli.records import dataclass
 
 STEPS = 4  # of Gauss and Newton: 2 left one of eight invented logs 5 % worse, 8 changed nothing
-WORTHWHILE = 0.02
-"""Of the squared output error: a smaller gain is not worth leaving the convex solution. With 0.01 one of ten
-invented logs was followed better by 3 %, with 0.04 two worse by 5 (benchmarks/halved_constants.py)."""
 SMALL_GAIN = 1e-3  # of the gears' whole height: a memory below this is pruned; half and double: 0.1 %
 
 
@@ -161,7 +159,7 @@ def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -
         slopes, kinks = penalties(statistics.columns)
         form = rows * (structure.smoothness * slopes + structure.knot_smoothness * kinks)
         error = squared_error_free_of(gram, vector, drift) + quadratic(form, full)
-        if error > best * (1.0 - 1e-4):  # chosen: what WORTHWHILE would never notice
+        if error > best * (1.0 - 1e-4):  # chosen: what INDIFFERENCE would never notice
             break
         first = error if found is None else first
         best, found = error, _with_drift(current, gram, vector, drift)
@@ -176,7 +174,7 @@ def _refined(logs: Sequence[PreparedLog], start: Fitted, structure: Structure) -
             knots=corners(solution.knots, segments),
             drift=solution.drift,
         )
-    return found if best < (1.0 - WORTHWHILE) * first else None
+    return found if best < (1.0 - INDIFFERENCE) * first else None
 
 
 def _levelled(logs: Sequence[PreparedLog], fitted: Fitted) -> Fitted:

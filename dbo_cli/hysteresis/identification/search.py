@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,19 +11,29 @@ import numpy as np
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.normal_equations import (
     Structure,
-    quadratic,
 )
-from dbo_cli.hysteresis.identification.preparation import Prepared
-from dbo_cli.hysteresis.identification.recordings import Floats
+from dbo_cli.hysteresis.identification.preparation import LEVEL_MOVES, TRIAL_SMOOTHNESS, Prepared
+from dbo_cli.hysteresis.identification.recordings import IdentificationOptions
 from dbo_cli.hysteresis.identification.statistics import (
+    EARNED,
+    EVIDENT,
+    INDIFFERENCE,
     LENGTHS,
+    MAX_STANDARD_ERROR,
+    TIME_CONSTANT_RATIO,
     Basis,
     PreparedLog,
+    Score,
     Statistics,
+    cross_validate,
     fewer_rows,
+    fitted_rmse,
+    fitted_squares,
     gather,
     groups_left_out,
+    no_worse,
     relaxed_drive,
+    simplest_of,
 )
 from dbo_cli.records import dataclass
 
@@ -30,9 +41,9 @@ ALL_GEARS = 1024
 """However many slopes they share. On eight invented logs half as many left 0.997 to 1.42 of the error on new
 moves, twice as many 0.53 (springs that slip) to 1.003."""
 
-FINER_GEARS = 4  # see below; twice as many again would gain little
-FINER_INDIFFERENCE = 0.01
-"""Times as many gears where that lowers the error on data left out by more than this share, surely.
+FINER_GEARS = 4
+"""Times as many gears where that lowers the error on data left out, surely; twice as many again would gain
+little.
 
 A turn inside a gear retraces it. On a loop of 40 % of the range that is an error of 0.013 % with 1,280 gears
 (0.0055 with 2,560, 0.004 with 5,120): more than a good sensor's noise. Stages with 0.02 % of noise then
@@ -48,16 +59,9 @@ SEGMENTS = (
     *((count, KNOT_SMOOTHNESS) for count in (1, 2, 4, 8, 16)), (16, 1e-7), (32, 1e-7), (32, 1e-8), (32, 1e-9)
 )  # fmt: skip
 """Segments and smoothness of the asymmetry, simplest first: the error on a saturating curve falls from 0.69 %
-of the range with 8 to 0.33, on a shape-memory wing from 0.52 to 0.21; smooth piezos stay at 8 or 16."""
-
-SEGMENTS_ONE_AMPLITUDE = 5
-"""How many of them a log of one amplitude may choose from: with more, loop and asymmetry stand in for each
-other (three times the error on a softening loop)."""
-
-FREE_GAIN = 0.9
-"""Free slopes must lower the error on cycles left out, and on an amplitude, level or speed left out, to
-this share. On 20 invented plants (several amplitudes) the geometric mean of the error over the best
-rival's was 0.61 so; by the cycles alone 0.69."""
+of the range with 8 to 0.33, on a shape-memory wing from 0.52 to 0.21; smooth piezos stay at 8 or 16. A log of
+one amplitude may not choose from the rougher ones: loop and asymmetry then stand in for each other (three
+times the error on a softening loop)."""
 
 ONE_AMPLITUDE_MEMORY = 0.15
 """What memories must gain there over a delay alone: they make loops, too, at the logs' one frequency. Where
@@ -67,49 +71,23 @@ ONE_AMPLITUDE_INDIFFERENCE = 0.05
 """A gain below this share is no evidence there while bend and lag are looked for. On 26 logs of one amplitude
 the geometric mean of the error over the best rival's was 1.19 with 0.02, 1.13 with 0.05."""
 
-# On ten invented logs (benchmarks/halved_constants.py) half and double of FINE_INDIFFERENCE changed errors on
-# new moves by at most 1 %, of ORDER_INDIFFERENCE by 3, of BEND_TRIALS by 5, and of BEND_GAIN, LONGEST_DELAY,
-# EVIDENT_DELAY_GAIN (0.5, 0.85), FINEST_DELAY_STEP, CREEP_EVIDENCE, INDIFFERENCE and MAX_STANDARD_ERROR none.
-FINE_INDIFFERENCE = 0.005  # where the logs themselves can tell
-ORDER_INDIFFERENCE = 0.01  # a kink in the asymmetry is worth having for less than rougher slopes are
+FINE_INDIFFERENCE = 0.005
+"""Where the logs themselves can tell: of segments, smoothness, slopes and gears. With 0.01 for segments and
+finer gears 139 models erred as much, with 0.01 for all some three times as much."""
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-14, 1e-16)
 """Springs that slip at a few forces have slopes with kinks: their error on new moves (four kinds of logs) was
 0.36 to 0.52 of that with 1e-12 for the last; on nine other kinds it is the same or less (0.76 to 1.00)."""
-START_SMOOTHNESS = 1e-8  # for comparing the other choices; 1e-7 and 1e-9 led to the same models
 BEND_STEP = 0.1  # of the range, refined by half: 0.05 and 0.2 changed one of eight logs, by 5 %
-BEND_TRIALS = 4  # steps to either side, outwards while the fit gets better
-BEND_GAIN = 0.1  # of the RMSE: an asymmetry on the drive must earn its place beside the one on the output
-FORGETTING_GAIN = 0.9
-"""Memories that fade with the way gone instead of the time must leave this share of the error on data left
-out: then those of the time only stand for them, and are left out. That comes to pass on 12 of 36 logs of
-plants that forget so (benchmarks/foreign_plants.py, seeds 1 to 3), and new moves err by 0.57 to 0.77 of what
-they did; with 1.0 on three more. Plants with memories of the time left 1.04 and more.
-"""
-
-TIME_CONSTANT_RATIO = 3.0  # with 6 a log of creep alone was followed four times worse, with 2 by 7 % worse
+BEND_TRIALS = (
+    4  # steps to either side, outwards while the fit gets better; half and double: 5 % on one of ten
+)
 LONGEST_MEMORY = 0.5
 """Of the longest log, wherever the ratio leads: creep over minutes, seen through 15 s at 5 kHz, was followed
 to 0.005 um instead of 0.007 so (0.9 and 0.45 of the error at 2.5 to 5 kHz); a whole log was worth no more."""
 
-LONGEST_DELAY = 0.125  # of a cycle
-EVIDENT_DELAY_TRIALS = (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample periods
-EVIDENT_DELAY_GAIN = 0.7  # of the RMSE without one
+LONGEST_DELAY = 0.125  # of a cycle; half and double changed none of ten models, nor of the next line
 FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
-DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # sample periods
-CREEP_EVIDENCE = (
-    0.02  # of the drive's range: how much a slow memory must move for creep to be told from drift
-)
-
-
-@dataclass(frozen=True)
-class Orders:
-    """What the user fixed; None stands for 'auto'. ``delay`` and ``time_constants`` in seconds."""
-
-    gears: int | None = None
-    segments: int | None = None
-    time_constants: tuple[float, ...] | None = None
-    delay: float | None = None
-    slopes: str | None = None
+DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
 
 
 @dataclass(frozen=True)
@@ -171,11 +149,11 @@ def _moving_slowly(prepared: Prepared, taus: tuple[float, ...], cycle: float) ->
         for place in np.flatnonzero(~moving) if len(rows) >= 4 else ():
             memory = memories[used, place]
             means = np.bincount(window, memory - drift @ (drift.T @ memory)) / rows
-            moving[place] = float(means.std()) > CREEP_EVIDENCE
+            moving[place] = float(means.std()) > LEVEL_MOVES
     return [tau for tau, moves in zip(taus, moving, strict=True) if moves]
 
 
-def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
+def choose(prepared: Prepared, options: IdentificationOptions, cycle: float | None) -> Choice:
     """Choose among all structures that the logs can tell apart; what the user fixed stays fixed.
 
     One list of rules for the slopes, segments of the asymmetry and memories is judged together on data left
@@ -185,39 +163,33 @@ def choose(prepared: Prepared, orders: Orders, cycle: float | None) -> Choice:
     Parameters
     ----------
     prepared : the logs
-    orders : what the user fixed
+    options : what the user fixed
     cycle : median duration of a cycle in seconds, None without a clock
     """
     logs = fewer_rows(prepared.logs)
     period = sample_period(logs)
-    if period is None or cycle is None:
-        grid: tuple[float, ...] = ()
-    elif orders.time_constants is not None:
-        grid = orders.time_constants
-    else:
-        grid = time_constant_grid(prepared, period, cycle)
-    slopes_wanted, split = SLOPE_CHOICES[0], ALL_GEARS // SLOPE_CHOICES[0]
-    if orders.gears is not None:
-        few = orders.gears <= 2 * slopes_wanted
-        slopes_wanted, split = (
-            (orders.gears, 1) if few else (slopes_wanted, -(-orders.gears // slopes_wanted))
-        )
-    search = _Search(logs, orders, prepared.one_amplitude, grid, period, cycle)
-    basis = Basis(slopes_wanted, prepared.low, prepared.high, split, grid, orders.delay or 0.0)
-    if orders.delay is None and period is not None:
+    grid: tuple[float, ...] = ()
+    if period is not None and cycle is not None:
+        given = options.relaxation
+        grid = time_constant_grid(prepared, period, cycle) if given is None else tuple(given)
+    slopes, split = SLOPE_CHOICES[0], ALL_GEARS // SLOPE_CHOICES[0]
+    if options.gears is not None:
+        few = options.gears <= 2 * slopes
+        slopes, split = (options.gears, 1) if few else (slopes, -(-options.gears // slopes))
+    search = _Search(logs, options, prepared.one_amplitude, len(grid), period, cycle)
+    basis = Basis(slopes, prepared.low, prepared.high, split, grid, options.delay or 0.0)
+    if options.delay is None and period is not None:
         basis = replace(basis, delay=search.evident_delay(basis))
     rule, clockwise = search.direction(basis)
     basis, structure = search.bend(basis, rule)
-    basis, memories, interval = search.lag(basis, structure)
-    rule = search.rule(basis, structure, memories)
-    settled = replace(structure, slopes=rule, memories=memories[0])
-    again = search.bend_again(basis, settled)
-    if again != basis and basis.delay != orders.delay:
-        again, _, interval = search.delayed(replace(again, delay=0.0), settled)
-    basis = again
-    basis, structure, score = search.gears(basis, rule, memories)
-    if orders.time_constants is None and structure.memories and search.forgets(basis, structure, score):
-        return choose(prepared, replace(orders, time_constants=()), cycle)
+    basis, structure, interval = search.lag(basis, structure)
+    structure = replace(structure, slopes=search.rule(basis, structure))
+    again = search.bend_again(basis, structure)
+    if again != basis and basis.delay != options.delay:
+        again, interval = search.delayed(replace(again, delay=0.0), structure)
+    basis, structure, score = search.gears(again, structure)
+    if options.relaxation is None and structure.memories and search.forgets(basis, structure, score):
+        return choose(prepared, replace(options, relaxation=()), cycle)
     return Choice(basis, structure, score, interval, clockwise)
 
 
@@ -227,30 +199,32 @@ class _Search:
     Parameters
     ----------
     logs : the rows that structures are chosen on
-    orders : what the user fixed
+    options : what the user fixed
     one_amplitude : whether the logs go over one range only: then the simpler model is right more often
-    grid : time constants in seconds
+    memories : the number of time constants
     period, cycle : sample period and duration of a cycle in seconds, None without a clock
     """
 
     def __init__(
         self,
         logs: Sequence[PreparedLog],
-        orders: Orders,
+        options: IdentificationOptions,
         one_amplitude: bool,
-        grid: tuple[float, ...],
+        memories: int,
         period: float | None,
         cycle: float | None,
     ) -> None:
-        self._logs, self._orders, self._one = logs, orders, one_amplitude
-        self._period, self._cycle = period, cycle
-        self._all = tuple(range(len(grid)))
-        if orders.segments is not None:
-            self._segments: tuple[tuple[int, float], ...] = ((orders.segments, KNOT_SMOOTHNESS),)
-        else:
-            self._segments = SEGMENTS[: SEGMENTS_ONE_AMPLITUDE if one_amplitude else None]
+        self._logs, self._options, self._one = logs, options, one_amplitude
+        self._period, self._cycle = period or 0.0, cycle
+        self._all = tuple(range(memories))
+        self._segments = SEGMENTS
+        if one_amplitude:
+            self._segments = tuple(one for one in SEGMENTS if one[1] == KNOT_SMOOTHNESS)
+        if options.points is not None:
+            self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
-        self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
+        self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
+        self._fine = INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
         self._gathered: dict[Basis, Statistics] = {}
 
     def _statistics(self, basis: Basis) -> Statistics:
@@ -260,13 +234,13 @@ class _Search:
 
     def _memories(self) -> list[tuple[int, ...]]:
         """Return the choices of memories, simplest first; those that the user gave are not a choice."""
-        return [self._all] if self._orders.time_constants is not None or not self._all else [(), self._all]
+        return [self._all] if self._options.relaxation is not None or not self._all else [(), self._all]
 
     def _listed(
         self,
         slopes: str,
         memories: Sequence[tuple[int, ...]],
-        smoothness: Sequence[float] = (START_SMOOTHNESS,),
+        smoothness: Sequence[float] = (TRIAL_SMOOTHNESS,),
     ) -> list[Structure]:
         """Return the list of candidates, simplest first."""
         return [
@@ -310,40 +284,45 @@ class _Search:
             for slopes in ("growing", "falling")
         }
         ratio = errors["growing"] / max(errors["falling"], np.finfo(float).tiny)
-        return self._orders.slopes or ("growing" if ratio <= 1.0 else "falling"), ratio
+        return self._options.slopes or ("growing" if ratio <= 1.0 else "falling"), ratio
 
-    def rule(self, basis: Basis, structure: Structure, memories: Sequence[tuple[int, ...]]) -> str:
+    def rule(self, basis: Basis, structure: Structure) -> str:
         """Return 'free' slopes where they are far better on cycles and on swings of a kind left out.
 
         Among the cycles of one amplitude, and of few, free slopes always win, and lose on another amplitude.
         """
-        if self._orders.slopes is not None or self._one:
+        if self._options.slopes is not None or self._one:
             return structure.slopes
-        ruled, score = self._best(basis, self._listed(structure.slopes, memories))
-        free, other = self._best(basis, self._listed("free", memories))
-        if other.rmse >= FREE_GAIN * score.rmse or no_worse(score, other):
+        ruled, score = self._best(basis, self._listed(structure.slopes, [structure.memories]))
+        free, other = self._best(basis, self._listed("free", [structure.memories]))
+        if other.rmse >= EARNED * score.rmse or no_worse(score, other):
             return structure.slopes
         mine, groups = groups_left_out(self._logs, basis, ruled, score.rmse)
         its, _ = groups_left_out(self._logs, basis, free, other.rmse)
-        return "free" if groups and its < FREE_GAIN * mine else structure.slopes
+        return "free" if groups and its < EARNED * mine else structure.slopes
 
     def evident_delay(self, basis: Basis) -> float:
         """Delay in seconds that is seen at first sight, else 0: with it in the way, all is chosen wrong.
 
         (25 ms at 200 samples a second: 2 segments of asymmetry instead of 16, and 0.20 % of error for 0.03.)
         """
-        structure = Structure("growing", self._all, *self._segments[-1][:1], START_SMOOTHNESS)
-        assert self._period is not None and self._cycle is not None
+        structure = Structure("growing", self._all, *self._segments[-1][:1], TRIAL_SMOOTHNESS)
         errors: dict[float, float] = {}
-        for step in EVIDENT_DELAY_TRIALS:
-            if step * self._period > LONGEST_DELAY * self._cycle:
-                break
-            statistics = gather(self._logs, replace(basis, delay=step * self._period), self._finest)
-            errors[step] = fitted_rmse(statistics, structure)
+        for step in self._steps_within(DELAY_TRIALS[::2]):
+            errors[step] = fitted_rmse(self._late(basis, step), structure)
             if errors[step] > min(errors.values()):
                 break
         best = min(errors, key=lambda step: errors[step])
-        return best * self._period if errors[best] < EVIDENT_DELAY_GAIN * errors[0.0] else 0.0
+        return best * self._period if errors[best] < EVIDENT * errors[0.0] else 0.0
+
+    def _steps_within(self, samples: Sequence[float]) -> list[float]:
+        """Return the delays, in samples, that are within an eighth of a cycle."""
+        assert self._cycle is not None
+        longest = LONGEST_DELAY * self._cycle
+        return list(itertools.takewhile(lambda step: step * self._period <= longest, samples))
+
+    def _late(self, basis: Basis, samples: float) -> Statistics:
+        return self._statistics(replace(basis, delay=samples * self._period))
 
     def bend(self, basis: Basis, slopes: str) -> tuple[Basis, Structure]:
         """Asymmetry that acts on the drive, beyond the paper: taken where it clearly helps on data left out.
@@ -353,9 +332,9 @@ class _Search:
         """
         listed = self._listed(slopes, [self._memories()[0] if self._one else self._all])
         found = [(basis, *self._best(basis, listed))]
-        if self._orders.segments is not None:
+        if self._options.points is not None:
             return found[0][:2]
-        needed = (1.0 - BEND_GAIN) * found[0][2].rmse
+        needed = EARNED * found[0][2].rmse
         trials = found[0][1], listed[-1]
 
         def error(bent: Basis) -> float:
@@ -387,98 +366,85 @@ class _Search:
         scores = [cross_validate(self._statistics(one), structure).rmse for one in near]
         return near[int(np.argmin(scores))]
 
-    def lag(
-        self, basis: Basis, structure: Structure
-    ) -> tuple[Basis, list[tuple[int, ...]], tuple[float, float] | None]:
+    def lag(self, basis: Basis, structure: Structure) -> tuple[Basis, Structure, tuple[float, float] | None]:
         """Delay and relaxation: none where the data left out do not ask for any, a delay alone before both.
 
         The delay is the middle of those that explain the logs no worse than the best one does. A log with one
         amplitude and one frequency hardly tells a delay from a lag or a wider loop; the middle bounds what
         that costs on the next recording.
         """
-        if self._period is None or self._cycle is None:
-            return basis, [()], None
-        found = [
-            (basis, replace(structure, memories=self._memories()[0]), None),
-            *(self.delayed(basis, replace(structure, memories=some)) for some in self._memories()),
-        ]
-        if self._orders.delay is None and basis.delay > 0.0:
+        choices = [replace(structure, memories=some) for some in self._memories()]
+        if self._cycle is None:
+            return basis, choices[0], None
+        found: list[tuple[Basis, Structure, tuple[float, float] | None]] = [(basis, choices[0], None)]
+        for one in choices:
+            late, interval = self.delayed(basis, one)
+            found.append((late, one, interval))
+        if self._options.delay is None and basis.delay > 0.0:
             basis, structure, interval = found[-1]
-            return basis, [structure.memories], interval  # without any delay the fit was far worse
+            return basis, structure, interval  # without any delay the fit was far worse
         scores = [cross_validate(self._statistics(one), other) for one, other, _ in found]
         best = simplest_of(scores)
         if self._one and best == len(found) - 1 > 1:
             short = simplest_of(scores[:-1])
             if no_worse(scores[short], scores[best], ONE_AMPLITUDE_MEMORY, ONE_AMPLITUDE_MEMORY):
                 best = short
-        return found[best][0], [found[best][1].memories], found[max(best, 1)][2]
+        return found[best][0], found[best][1], found[max(best, 1)][2]
 
-    def delayed(
-        self, basis: Basis, structure: Structure
-    ) -> tuple[Basis, Structure, tuple[float, float] | None]:
+    def delayed(self, basis: Basis, structure: Structure) -> tuple[Basis, tuple[float, float] | None]:
         """Return the basis with the delay that the logs ask for beside these memories, and its interval."""
-        if self._orders.delay is not None:
-            return basis, structure, None
-        assert self._period is not None
+        if self._options.delay is not None:
+            return basis, None
         interval = _interval(self._delays(basis, structure))
-        middle = round((interval[0] + interval[1]) / 2.0 / self._period * 4.0) / 4.0 * self._period
-        return replace(basis, delay=middle), structure, interval
+        finest = FINEST_DELAY_STEP * self._period
+        middle = round((interval[0] + interval[1]) / 2.0 / finest) * finest
+        return replace(basis, delay=middle), interval
 
-    def _delays(self, basis: Basis, structure: Structure) -> list[tuple[float, Floats, Floats]]:
-        """Squared error by fold, and the folds' rows, of the fit with each delay (seconds) tried."""
-        scanned: list[tuple[float, Floats, Floats]] = []
-        assert self._period is not None and self._cycle is not None
-        period = self._period
+    def _delays(self, basis: Basis, structure: Structure) -> dict[float, Score]:
+        """Return the error by fold of the fit with each delay (seconds) tried."""
+        tried: dict[float, Score] = {}
 
-        def error(delay: float) -> float:
-            statistics = self._statistics(replace(basis, delay=delay))
-            by_fold = fitted_squares(statistics, structure)
-            scanned.append((delay, by_fold, np.asarray(statistics.rows, dtype=float)))
-            return float(by_fold.sum())
+        def attempt(step: float) -> None:
+            statistics = self._late(basis, step)
+            tried[step] = Score.of(fitted_squares(statistics, structure), statistics.rows)
 
-        tried: dict[float, float] = {}
-        for step in DELAY_TRIALS:
-            if step * period > LONGEST_DELAY * self._cycle:
-                break
-            tried[step] = error(step * period)
-            if len(tried) > 4 and tried[step] > 1.5 * min(tried.values()):  # chosen: far beyond the least
+        for step in self._steps_within(DELAY_TRIALS):
+            attempt(step)
+            far = tried[step].rmse ** 2 > 1.5 * min(score.rmse for score in tried.values()) ** 2
+            if len(tried) > 4 and far:  # chosen: far beyond the least
                 break
         while True:  # halve the gaps beside the best until they are a quarter of a sample
-            best = min(tried, key=lambda step: tried[step])
-            beside = [step for step in tried if step != best]
-            below = max((step for step in beside if step < best), default=best)
-            above = min((step for step in beside if step > best), default=best)
+            best = min(tried, key=lambda step: tried[step].rmse)
+            below = max((step for step in tried if step < best), default=best)
+            above = min((step for step in tried if step > best), default=best)
             between = [(best + step) / 2.0 for step in (below, above) if abs(step - best) > FINEST_DELAY_STEP]
             if not between:
-                break
+                return {step * self._period: score for step, score in tried.items()}
             for step in between:
-                tried[step] = error(step * period)
-        return scanned
+                attempt(step)
 
-    def gears(
-        self, basis: Basis, slopes: str, memories: Sequence[tuple[int, ...]]
-    ) -> tuple[Basis, Structure, Score]:
+    def gears(self, basis: Basis, structure: Structure) -> tuple[Basis, Structure, Score]:
         """Smoothest slopes that are no worse, then how many of them, then finer gears where they show.
 
         Never fewer gears: they cost nothing per sample, and a turn inside a gear retraces it, an error that
         the logs do not show where they turn at few levels, on the gears' own edges perhaps (128 gears looked
         as good as 1024 on two amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
         """
-        structure, _ = self._best(
-            basis, self._listed(slopes, memories), INDIFFERENCE if self._one else self._indifference
-        )
+        listed = self._listed(structure.slopes, [structure.memories])
+        structure, _ = self._best(basis, listed, self._fine)
         structure, score = self._smoothness(basis, structure)
-        if self._orders.gears is not None:
+        if self._options.gears is not None:
             return basis, structure, score
         usable = sum(int(log.used.sum()) for log in self._logs)
         candidates = [(basis, score)]
         for count in SLOPE_CHOICES[1:]:
-            if count * ROWS_PER_SLOPE <= usable:
-                other = replace(basis, gears=count, split=ALL_GEARS // count)
-                candidates.append((other, cross_validate(self._statistics(other), structure)))
+            other = replace(basis, gears=count, split=ALL_GEARS // count)
+            its = self._score(other, structure) if count * ROWS_PER_SLOPE <= usable else None
+            candidates += [] if its is None else [(other, its)]
         basis, score = candidates[simplest_of([one[1] for one in candidates], FINE_INDIFFERENCE)]
         finer = replace(basis, split=FINER_GEARS * basis.split)
-        if not no_worse(score, cross_validate(self._statistics(finer), structure), FINER_INDIFFERENCE):
+        its = self._score(finer, structure)
+        if its is not None and not no_worse(score, its, FINE_INDIFFERENCE):
             return finer, *self._smoothness(finer, structure)
         return basis, structure, score
 
@@ -486,107 +452,29 @@ class _Search:
         """Return whether memories of the way gone do far better on data left out than those of the time."""
         count = len(basis.time_constants)
         other = replace(structure, memories=tuple(range(count, count + len(LENGTHS))))
+        way = self._score(replace(basis, lengths=LENGTHS), other)
+        return way is not None and bool(way.excess_over(score).mean() < np.log(EARNED))
+
+    def _score(self, basis: Basis, structure: Structure) -> Score | None:
+        """Return the error on data left out; None where the candidate cannot be solved."""
         try:
-            way = cross_validate(self._statistics(replace(basis, lengths=LENGTHS)), other)
+            return cross_validate(self._statistics(basis), structure)
         except FitError:
-            return False
-        return bool(way.excess_over(score).mean() < np.log(FORGETTING_GAIN))
+            return None
 
     def _smoothness(self, basis: Basis, structure: Structure) -> tuple[Structure, Score]:
         """Smoothest slopes that are no worse on data left out."""
         smoothed = [replace(structure, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
-        statistics = self._statistics(basis)
-        scores = [cross_validate(statistics, one) for one in smoothed]
-        best = simplest_of(scores, INDIFFERENCE if self._one else FINE_INDIFFERENCE)
-        return smoothed[best], scores[best]
+        tried = [(one, self._score(basis, one)) for one in smoothed]
+        solved = [(one, score) for one, score in tried if score is not None]
+        if not solved:
+            return structure, cross_validate(self._statistics(basis), structure)
+        return solved[simplest_of([score for _, score in solved], self._fine)]
 
 
-def _interval(scanned: list[tuple[float, Floats, Floats]]) -> tuple[float, float]:
+def _interval(tried: dict[float, Score]) -> tuple[float, float]:
     """Delays whose error is within one standard error (over folds) of the best one's."""
-    scores = [(delay, Score(errors / rows, rows / rows.sum())) for delay, errors, rows in scanned]
-    best = min(scores, key=lambda item: float(item[1].excess_over(scores[0][1]).mean()))[1]
-    held = [delay for delay, score in scores if no_worse(score, best)]
+    none = next(iter(tried.values()))
+    best = min(tried.values(), key=lambda score: float(score.excess_over(none).mean()))
+    held = [delay for delay, score in tried.items() if no_worse(score, best)]
     return min(held), max(held)
-
-
-INDIFFERENCE = 0.02  # a gain in RMSE below this share is not worth a larger model, however certain
-
-MAX_STANDARD_ERROR = 0.03  # of the RMSE: what one standard error can excuse at most
-
-
-@dataclass(frozen=True)
-class Score:
-    """Cross-validated error of one candidate.
-
-    ``mean_squares`` of each fold, shape (folds,), in the square of the normalised output; ``weights`` the
-    folds' share of the rows.
-    """
-
-    mean_squares: Floats
-    weights: Floats
-
-    @property
-    def rmse(self) -> float:
-        """Root of the mean square over all rows left out in turn."""
-        return float(np.sqrt(self.weights @ self.mean_squares))
-
-    def excess_over(self, other: Score) -> Floats:
-        """Logarithm of the ratio of the root mean squares, fold by fold; shape (folds,).
-
-        Ratios let a small loop count as much as a large one, and a short log as much as a long one's part.
-        """
-        tiny = np.finfo(float).tiny
-        ratios: Floats = 0.5 * np.log((self.mean_squares + tiny) / (other.mean_squares + tiny))
-        return ratios
-
-
-def cross_validate(statistics: Statistics, structure: Structure) -> Score:
-    """Leave out each fold in turn, fit the others, and measure the error on the fold left out."""
-    _, states = statistics.minimum(structure)
-    errors = [
-        statistics.left_out(structure, fold, states) / max(rows, 1)
-        for fold, rows in enumerate(statistics.rows)
-    ]
-    rows_of = np.asarray(statistics.rows, dtype=float)
-    return Score(np.asarray(errors), rows_of / rows_of.sum())
-
-
-def fitted_squares(statistics: Statistics, structure: Structure) -> Floats:
-    """Sum of squared errors on each fold of a fit to all of them; shape (folds,)."""
-    found, _ = statistics.minimum(structure)
-    full = np.append(found, 1.0)
-    return np.array([max(quadratic(one, full), 0.0) for one in statistics.signed(structure)[1]])
-
-
-def fitted_rmse(statistics: Statistics, structure: Structure) -> float:
-    """RMS error over all rows of a fit to all of them."""
-    return float(np.sqrt(fitted_squares(statistics, structure).sum() / sum(statistics.rows)))
-
-
-def no_worse(
-    candidate: Score,
-    best: Score,
-    indifference: float = INDIFFERENCE,
-    max_standard_error: float = MAX_STANDARD_ERROR,
-) -> bool:
-    """Whether ``candidate`` is within one standard error, or within the indifference, of ``best``.
-
-    The standard error is that of the paired ratios between folds, which have most of their scatter in
-    common. With few or uneven folds it says little, so it excuses a loss only up to ``max_standard_error``.
-    """
-    excess = candidate.excess_over(best)
-    mean = float(excess.mean())
-    error = float(excess.std()) / np.sqrt(max(len(excess) - 1, 1))
-    return bool(mean <= max(min(error, max_standard_error), float(np.log1p(indifference))))
-
-
-def simplest_of(
-    scores: Sequence[Score],
-    indifference: float = INDIFFERENCE,
-    max_standard_error: float = MAX_STANDARD_ERROR,
-) -> int:
-    """Index of the first (simplest first) candidate that is no worse than the best of all."""
-    best = min(scores, key=lambda score: float(score.excess_over(scores[0]).mean()))
-    return next(
-        k for k, score in enumerate(scores) if no_worse(score, best, indifference, max_standard_error)
-    )

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.plain_text import counted, decoded, pattern
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
-from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells
+from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells, writing_of
 from dbo_cli.logs.units import is_known_unit
 from dbo_cli.records import dataclass
 
@@ -73,6 +75,31 @@ class Dialect:
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         columns = counted(self.width, "column")
         return f"{columns} separated by {mark}, {sign}, {head}, data from line {self.first_line}"
+
+
+@dataclass(frozen=True)
+class InstrumentHeader:
+    """What the header of a text log states.
+
+    Attributes
+    ----------
+    dialect
+        How the log is written, by the maker's rules where it is known, else as it was detected.
+    clock
+        What is stated of the sample rate.
+    start
+        The time (s) of the first row.
+    remarks
+        Notes for the user.
+    end_mark
+        What the program writes behind the last row.
+    """
+
+    dialect: Dialect
+    clock: Sequence[Statement] = ()
+    start: float = 0.0
+    remarks: tuple[str, ...] = ()
+    end_mark: bytes = b""
 
 
 def cause_of(cell: str) -> str:
@@ -189,8 +216,6 @@ def _writings(rows: list[list[str]], shape: _Shape) -> tuple[str, ...]:
     others = sorted(set(range(shape.width)) - shape.numeric)
     if not others:
         return ()
-    from dbo_cli.logs.text.lines import writing_of
-
     rows = [row for row in rows if len(row) >= shape.width]
     found = {column: writing_of([row[column] for row in rows]) for column in others}
     if not any(found.values()):

@@ -16,39 +16,13 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.request import BLANKS, ReadingOptions
-from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect
+from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect, InstrumentHeader, detect
 from dbo_cli.logs.text.lines import END_OF_HEADER, find_header_block, is_number, split_cells
-from dbo_cli.records import dataclass
 
 _LOOKED_AT = 400  # lines; no instrument's header is half as long
 _NEAR = 100  # lines; makers that write a few settings begin their table above
 _LONGEST = 300  # characters of a line that states something
 _MARK = re.compile(r"[=:;,\t]")
-
-
-@dataclass(frozen=True)
-class InstrumentHeader:
-    """What a header states.
-
-    Attributes
-    ----------
-    dialect
-        How the log is written, where the maker is known; None leaves it to be detected.
-    clock
-        What is stated of the sample rate.
-    start
-        The time (s) of the first row.
-    remarks
-        Notes for the user.
-    end_mark
-        What the program writes behind the last row.
-    """
-
-    dialect: Dialect | None = None
-    clock: Sequence[Statement] = ()
-    start: float = 0.0
-    remarks: tuple[str, ...] = ()
-    end_mark: bytes = b""
 
 
 def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> InstrumentHeader:
@@ -66,7 +40,7 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
     Raises
     ------
     InputError
-        The header is a known maker's and contradicts itself.
+        The header is a known maker's and contradicts itself; or there is no line of numbers.
     """
     lines = [decoded(line.removesuffix(b"\r")) for line in head.split(b"\n", _LOOKED_AT)[:_LOOKED_AT]]
     lines[0] = lines[0].removeprefix("\ufeff")
@@ -75,10 +49,10 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
         begins = (n for n, line in enumerate(lines[: maker.within]) if maker.mark.match(line[:_LONGEST]))
         at = next(begins, None)
         header = None if at is None else maker.read(place, lines, at)
-        if header is not None and header.dialect is not None:
+        if header is not None:
             stated = header.clock or tuple(_stated(lines[: header.dialect.first_line - 1]))
             return replace(header, clock=stated)
-    return InstrumentHeader(clock=tuple(_stated(lines)))
+    return InstrumentHeader(detect(place, head, options), clock=tuple(_stated(lines)))
 
 
 def _stated(lines: Sequence[str]) -> Iterator[Statement]:
@@ -242,7 +216,6 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     decimal = "," if file.get("Decimal_Separator") == "," else "."
     width = len(names) if remarks and rows[-1][-1] else max(len(names), len(rows[-1]))
     found = _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
-    assert found.dialect is not None
     return replace(found, dialect=replace(found.dialect, remarks=remarks))
 
 

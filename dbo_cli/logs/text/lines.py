@@ -421,8 +421,11 @@ class LineBlocks:
             read = len(self._pending)
             if read >= HEAD_BYTES and (self._pending.count(b"\n") > 1 or read > LONGEST_LINE):
                 break
-            self._fill(HEAD_BYTES - len(self._pending) % HEAD_BYTES)
-            self._leave_out_empty_lines()
+            self._append(self._read(HEAD_BYTES - read % HEAD_BYTES))
+            if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
+                above = len(self._pending) - len(self._pending.lstrip())  # a billion, in compressed data
+                self.empty_lines += self._pending.count(b"\n", 0, above)
+                self._pending = self._pending[self._pending.rfind(b"\n", 0, above) + 1 :]
             if enough(self._pending[: self._pending.rfind(b"\n") + 1]):
                 break
         return self._pending
@@ -433,23 +436,20 @@ class LineBlocks:
         if self.ended or wanted > LONGEST_LINE:
             return None
         while len(self._pending) < wanted and not self.ended:
-            self._fill(wanted - len(self._pending))
+            self._append(self._read(wanted - len(self._pending)))
         return self._pending
-
-    def _leave_out_empty_lines(self) -> None:
-        """Forget empty lines above the first text, a million of them or a billion in compressed data."""
-        if len(self._pending) >= HEAD_BYTES and not self._pending[:HEAD_BYTES].strip():
-            text = self._pending.lstrip()
-            above = self._pending[: len(self._pending) - len(text)]
-            end = above.rfind(b"\n") + 1
-            self.empty_lines += above.count(b"\n")
-            self._pending = self._pending[end:]
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of whole lines; a last line without its line end comes alone, after all others."""
-        for start, end in self._cuts():  # of what was read ahead
-            yield self._noted(self._pending[start:end])
-        self._pending = self._pending[self._pending.rfind(b"\n") + 1 :]
+        text, start, last = self._pending, 0, self._pending.rfind(b"\n") + 1
+        self._pending = text[last:]
+        # What was read ahead is cut where it is much; the usual case is what one reading brought.
+        most = self.block_bytes if last > 2 * self.block_bytes else last
+        while start < last:
+            limit = min(last, start + most)
+            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
+            yield self._noted(text[start:end])
+            start = end
         while not self.ended:
             data = self._read(self.block_bytes)
             end = data.rfind(b"\n") + 1
@@ -460,29 +460,12 @@ class LineBlocks:
             else:
                 self._append(data)
         if self._pending:
-            last, self._pending = self._pending, b""
-            yield last
+            text, self._pending = self._pending, b""
+            yield text
 
     def _noted(self, block: bytes) -> bytes:
         self.above = (self.above + block[-NEIGHBOUR_BYTES:])[-NEIGHBOUR_BYTES:]
         return block
-
-    def _cuts(self) -> list[tuple[int, int]]:
-        """Return where the whole lines of what is pending are cut into blocks of about ``block_bytes``."""
-        text, start = self._pending, 0
-        last = text.rfind(b"\n") + 1
-        if last <= 2 * self.block_bytes:  # the usual case: what one reading brought
-            return [(0, last)] if last else []
-        cuts = []
-        while start < last:
-            limit = min(last, start + self.block_bytes)
-            end = text.rfind(b"\n", start, limit) + 1 or text.index(b"\n", limit) + 1
-            cuts.append((start, end))
-            start = end
-        return cuts
-
-    def _fill(self, size: int) -> None:
-        self._append(self._read(size))
 
     def _read(self, size: int) -> bytes:
         data = self.source.read(size)

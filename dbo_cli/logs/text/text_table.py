@@ -11,13 +11,14 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource
+from dbo_cli.logs.clock import agreed_rate
 from dbo_cli.logs.columns import column_info, column_label
 from dbo_cli.logs.libraries import import_polars
 from dbo_cli.logs.plain_text import counted, decoded, pattern
@@ -32,8 +33,17 @@ from dbo_cli.logs.sample_block import (
     are_measured,
     dropped_note,
 )
-from dbo_cli.logs.text.dialect import COMMENTS, Dialect, cause_of, detect, is_comment, labelled
+from dbo_cli.logs.text.dialect import (
+    COMMENTS,
+    Dialect,
+    InstrumentHeader,
+    cause_of,
+    detect,
+    is_comment,
+    labelled,
+)
 from dbo_cli.logs.text.lines import (
+    READERS,
     LineBlocks,
     RepeatedHeader,
     complain,
@@ -45,9 +55,6 @@ from dbo_cli.logs.text.lines import (
     to_number,
 )
 from dbo_cli.records import dataclass
-
-if TYPE_CHECKING:
-    from dbo_cli.logs.text.instruments import InstrumentHeader
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
 _NEIGHBOURS = 100  # rows above the last: enough to see how many digits a column has
@@ -79,19 +86,24 @@ class TextTable(Table):
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and _has_data(text, options))
-            self.dialect, self._header = self._detected(head, options, live)
+            self._header = self._detected(head, options, live)
         except BaseException:
             self.source.close()
             raise
-        self.columns = self._describe_columns()
-        self._small = not live and self._lines.ended and len(head) < PLAIN_BYTES
+        self.dialect = found = self._header.dialect
+        units = found.units or ("",) * found.width
+        writings = found.writings or ("numbers",) * found.width
+        known = found.numeric | {number for number, how in enumerate(writings) if how != "numbers"}
+        names = found.headers or ["" if number in known else "(text)" for number in range(found.width)]
+        self.columns = [
+            replace(column_info(name, number, unit), written=how)
+            for number, (name, unit, how) in enumerate(zip(names, units, writings, strict=True), start=1)
+        ]
+        self._small = live or (self._lines.ended and len(head) < PLAIN_BYTES)
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
-        self._live = live
         self._ahead = self.source.is_regular and not (live or self._lines.ended)
 
-    def _detected(
-        self, head: bytes | None, options: ReadingOptions, live: bool
-    ) -> tuple[Dialect, InstrumentHeader | None]:
+    def _detected(self, head: bytes | None, options: ReadingOptions, live: bool) -> InstrumentHeader:
         """Detect the dialect and what the instrument states above it, perhaps below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
@@ -101,11 +113,10 @@ class TextTable(Table):
             try:
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
                 if _PLAIN.fullmatch(complete):
-                    return detect(self.place, complete, options), None
+                    return InstrumentHeader(detect(self.place, complete, options))
                 from dbo_cli.logs.text.instruments import read_instrument_header
 
-                header = read_instrument_header(self.place, complete, options)
-                return header.dialect or detect(self.place, complete, options), header
+                return read_instrument_header(self.place, complete, options)
             except InputError as problem:
                 refusal = problem
             head = None if live else self._lines.longer_head()
@@ -117,10 +128,6 @@ class TextTable(Table):
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
-        if self._header is None:
-            return None, 0.0
-        from dbo_cli.logs.clock import agreed_rate
-
         return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
 
     def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
@@ -131,12 +138,11 @@ class TextTable(Table):
         InputError
             At the first bad row, unless ``skip_bad``.
         """
-        rows = (
-            self._options.block_rows if self.source.is_regular else min(self._options.block_rows, PIPE_ROWS)
-        )
+        options = self._options
+        rows = options.block_rows if self.source.is_regular else min(options.block_rows, PIPE_ROWS)
         self._lines.block_bytes = min(_LARGEST_BLOCK, max(64, rows * self._bytes_per_row))
-        parser = BlockParser(self.place, self.dialect, picks, self._options.rows, self._options.skip_bad)
-        found = parser.parse(self._data(parser), self._small or self._live)
+        parser = BlockParser(self.place, self.dialect, picks, options.rows, options.skip_bad)
+        found = parser.parse(self._data(parser), self._small)
         yield from one_ahead(found) if self._ahead else found
         if parser.repeated is not None and parser.repeated.count:
             self.notes.append(parser.repeated.note(TIME in picks))
@@ -154,8 +160,8 @@ class TextTable(Table):
 
     def _data(self, parser: BlockParser) -> Iterator[bytes]:
         """Skip the lines above the data, and the instrument's mark of the end."""
-        remarks, mark = (self._header.remarks, self._header.end_mark) if self._header else ((), b"")
-        self.notes.extend(f"{self.place}: {remark}" for remark in remarks)
+        self.notes.extend(f"{self.place}: {remark}" for remark in self._header.remarks)
+        mark = self._header.end_mark
         parser.next_line += self._lines.empty_lines
         first = self.dialect.first_line + self._lines.empty_lines
         for block in self._lines:
@@ -171,15 +177,18 @@ class TextTable(Table):
 
     def _is_whole(self, last: bytes, parser: BlockParser) -> bool:
         """Judge a last line without its end: True with a note, False where it is dropped, or refuse it."""
-        line, row = decoded(last.removesuffix(b"\r")), parser.next_row
+        line, row, dialect = decoded(last.removesuffix(b"\r")), parser.next_row, self.dialect
         first, final = parser.rows
-        if is_comment(line, self.dialect.comments) or row < first or (final is not None and row > final):
+        if is_comment(line, dialect.comments) or row < first or (final is not None and row > final):
             return True
         place = f"{self.place}:{parser.next_line}"
-        cell = split_cells(line, self.dialect.delimiter)[-1]
-        above = last_cells(self._lines.above, self.dialect)
+        cell = split_cells(line, dialect.delimiter)[-1]
+        near = self._lines.above.split(b"\n")[1:-1][-_NEIGHBOURS:]
+        texts = [text for raw in near if not is_comment(text := decoded(raw), dialect.comments)]
+        rows = (split_cells(text, dialect.delimiter) for text in texts)
+        above = [cells[-1] for cells in rows if len(cells) == dialect.width]
         why = self.source.unfinished()
-        if why is None and not looks_cut(cell, above, self.dialect.decimal):
+        if why is None and not looks_cut(cell, above, dialect.decimal):
             self.notes.append(f"{place}: the last line has no line end: was the record cut there?")
             return True
         if why is None:
@@ -190,16 +199,6 @@ class TextTable(Table):
             raise InputError(f"{message} ({out}; end the line if it is whole)")
         parser.drop(message)
         return False
-
-    def _describe_columns(self) -> list[ColumnInfo]:
-        units = self.dialect.units or ("",) * self.dialect.width
-        written = self.dialect.writings or ("numbers",) * self.dialect.width
-        names = self.dialect.headers or [
-            "" if number in self.dialect.numeric or how != "numbers" else "(text)"
-            for number, how in enumerate(written)
-        ]
-        parts = enumerate(zip(names, units, written, strict=True), start=1)
-        return [replace(column_info(name, number, unit), written=how) for number, (name, unit, how) in parts]
 
 
 def _has_data(text: bytes, options: ReadingOptions) -> bool:
@@ -214,18 +213,6 @@ def _has_data(text: bytes, options: ReadingOptions) -> bool:
         for mark in marks
         for sign in ".,"
     )
-
-
-def last_cells(text: bytes, dialect: Dialect) -> list[str]:
-    """Return the last cells of the whole rows in the text above the last line, at most a hundred."""
-    cells = []
-    for raw in text.split(b"\n")[1:-1][-_NEIGHBOURS:]:
-        line = decoded(raw.removesuffix(b"\r"))
-        if not is_comment(line, dialect.comments):
-            row = split_cells(line, dialect.delimiter)
-            if len(row) == dialect.width:
-                cells.append(row[-1])
-    return cells
 
 
 # --- blocks of lines to arrays ------------------------------------------------------------------------
@@ -252,8 +239,7 @@ class BlockParser:
     next_row: int = 1
     next_line: int = 1
     repeated: RepeatedHeader | None = None
-    block: Sequence[bytes] = ()  # the lines of the block that is taken line by line
-    block_begins: int = 1
+    ahead: Iterator[bytes] = iter(())  # the lines that follow in a block that is taken line by line
 
     def __post_init__(self) -> None:
         """Prepare for headers among the data."""
@@ -334,8 +320,8 @@ class BlockParser:
         time = list(self.picks).index(TIME) if TIME in self.picks else None
         places: list[tuple[int, int]] = []
         values: list[list[float]] = []
-        self.block, self.block_begins = block.removesuffix(b"\n").split(b"\n"), self.next_line
-        for number, raw in enumerate(self.block, start=self.next_line):
+        self.ahead = iter(block.removesuffix(b"\n").split(b"\n"))
+        for number, raw in enumerate(self.ahead, start=self.next_line):
             self.next_line = number
             line = decoded(raw.removesuffix(b"\r"))
             if raw and self.repeated is not None and self.repeated.takes(line, number):
@@ -371,8 +357,15 @@ class BlockParser:
         first, last = self.rows
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
-        cells = split_cells(line, self.dialect.delimiter)
-        problem = _wrong_width(cells, self.dialect.width, self.dialect.remarks)
+        cells, sign, width = (
+            split_cells(line, self.dialect.delimiter),
+            self.dialect.decimal,
+            self.dialect.width,
+        )
+        problem = ""
+        trailing = len(cells) == width + 1 and (self.dialect.remarks or not cells[-1])
+        if len(cells) != width and not trailing:
+            problem = f"{counted(len(cells), 'cell')} where the other rows have {width}"
         row: list[float] = []
         cell, blank = "-", False
         for pick in () if problem else self.picks.values():
@@ -380,9 +373,9 @@ class BlockParser:
             if not cell and pick.may_be_blank:
                 blank = True
                 continue
-            value = self._value(cell, pick)
+            value = to_number(cell, sign) if pick.written == "numbers" else READERS[pick.written](cell)
             if value is None:
-                problem = f"{column_label(pick)} {complain(cell, self.dialect.decimal, pick.written)}"
+                problem = f"{column_label(pick)} {complain(cell, sign, pick.written)}"
                 break
             row.append(value)
         problem = problem or self._text_among_numbers(cells)
@@ -397,8 +390,7 @@ class BlockParser:
     def _remedy(self, cell: str) -> str:
         """Return what to do about the row being taken, by how many of the block's next rows are bad, too."""
         twin = replace(self, skip_bad=True, rows=ALL_ROWS, dropped=0)
-        ahead = self.block[self.next_line - self.block_begins + 1 :]
-        texts = (decoded(raw.removesuffix(b"\r")) for raw in ahead if raw)
+        texts = (decoded(raw.removesuffix(b"\r")) for raw in self.ahead if raw)
         rows = [text for text in texts if not is_comment(text, self.dialect.comments)]
         for text in rows:
             twin._parse_row(text)
@@ -408,11 +400,6 @@ class BlockParser:
         """Count a row that is left out, and keep the first one's message."""
         self.dropped += 1
         self.first_dropped = self.first_dropped or message
-
-    def _value(self, cell: str, pick: ColumnInfo) -> float | None:
-        """Read a cell as a number or a time stamp (s); None where it is neither."""
-        number = pick.written == "numbers"
-        return to_number(cell, self.dialect.decimal) if number else _stamp_reader(pick.written)(cell)
 
     def _text_among_numbers(self, cells: list[str]) -> str:
         """Describe where text stands in a column of numbers that nobody asked for: no sample has it."""
@@ -430,13 +417,6 @@ class BlockParser:
         """The columns of numbers or time stamps (from 0) that are not read."""
         stamps = {at for at, written in enumerate(self.dialect.writings) if written != "numbers"}
         return sorted((self.dialect.numeric | stamps) - {pick.number - 1 for pick in self.picks.values()})
-
-
-def _wrong_width(cells: list[str], width: int, remarks: bool) -> str:
-    """Describe what is wrong with a row's length; an empty cell more at the end is a trailing delimiter."""
-    if len(cells) == width or (len(cells) == width + 1 and (remarks or not cells[-1])):
-        return ""
-    return f"{counted(len(cells), 'cell')} where the other rows have {width}"
 
 
 def _without_empty_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
@@ -497,25 +477,16 @@ def _counts(block: bytes, mark: int) -> tuple[int, int, bool]:
     return lines, marks, empty
 
 
-def _letters(block: bytes, delimiter: str) -> NDArray[np.int64]:
-    """Find the characters that no number has: at ``@`` or above, but no exponent's e and no delimiter."""
-    text = np.frombuffer(block, dtype=np.uint8)
-    found = [np.empty(0, dtype=np.int64)]
-    for start in range(0, len(text), _AT_ONCE):
-        part = text[start : start + _AT_ONCE]
-        letters = part >= 64
-        if letters.any():
-            letters &= ((part | 32) != 101) & (part != ord(delimiter))  # 101: e and E
-            found.append(start + np.flatnonzero(letters))
-    return np.concatenate(found)
-
-
 def _has_text_in(columns: Sequence[int], block: bytes, dialect: Dialect) -> bool:
     """Return whether one of the columns (from 0) holds text somewhere in a rectangular block."""
-    letters = _letters(block, dialect.delimiter) if columns else ()
-    if not len(letters):
+    if not columns:
         return False
     text = np.frombuffer(block, dtype=np.uint8)
+    letters = np.flatnonzero(text >= 64)  # no digit, sign or blank; nor an exponent's e (101) or a delimiter
+    found = text[letters]
+    letters = letters[((found | 32) != 101) & (found != ord(dialect.delimiter))]
+    if not len(letters):
+        return False
     ends = np.flatnonzero((text == ord(dialect.delimiter)) | (text == 10))
     asked, numeric = np.zeros((2, dialect.width), dtype=bool)
     asked[columns], numeric[list(dialect.numeric)] = True, True
@@ -556,17 +527,11 @@ def _parse_plain(
     return arrays if all(are_measured(array).all() for array in arrays) else None
 
 
-def _stamp_reader(written: str) -> Callable[[str], float | None]:
-    from dbo_cli.logs.text.lines import READERS
-
-    return READERS[written]
-
-
 def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
     """Return what reads the cells of a column."""
     if pick.written == "numbers":
         return float
-    read = _stamp_reader(pick.written)
+    read = READERS[pick.written]
     return lambda cell: read(cell.decode().strip())
 
 
