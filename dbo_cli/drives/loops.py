@@ -20,19 +20,10 @@ from dbo_cli.drives.model_run import Response, Tally
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, SHORTEST_WAY, Before, ramp, require_rows, rest_samples, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.hysteresis import loops
 from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
-from dbo_cli.hysteresis.loops import (
-    Settled,
-    creep_rest,
-    looped_state,
-    settled_drive,
-    settled_run,
-    settling,
-    shifted,
-    slow_output,
-    undone_loop,
-)
+from dbo_cli.hysteresis.loops import Settled
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
@@ -104,7 +95,7 @@ class LoopCompensation(Compensation):
             self.inputs.note_rounding(request, asked)
         desired = request if self.lesson is None else self.lesson.desired
         _require_closed(self.whole.name, desired)
-        self.period = undone_loop(self.model, asked, step)
+        self.period = loops.undone_loop(self.model, asked, step)
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
         before, followed, run_in, settled, begun = self._led_to_loop(asked)
@@ -127,7 +118,7 @@ class LoopCompensation(Compensation):
             begun = self.model.start(float(drive[0]), self.start)
         self._require_loop(settled, begun)
         self.move.see(desired, None)
-        end = settled_run(self.model, drive, step, settled.before).state.dynamics
+        end = loops.settled_run(self.model, drive, step, settled.before).state.dynamics
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
         response = self._response(zero + step * np.arange(float(drive.size)), desired, drive, step)
@@ -140,7 +131,7 @@ class LoopCompensation(Compensation):
         self.beyond.add(done.outside_count, done.first_outside, block)
         self._clip(done, block)
         if done.clipped_count:
-            self._miss(self.period - slow_output(self.model, done.y, self.step, settled.before))
+            self._miss(self.period - loops.slow_output(self.model, done.y, self.step, settled.before))
         seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
@@ -170,7 +161,7 @@ class LoopCompensation(Compensation):
         """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
         drive, unit = settled.done.y, self.input.suffix
         within, what = self._stated()
-        first, passes = settling(self.model, drive, self.step, begun, settled.before, within)
+        first, passes = loops.settling(self.model, drive, self.step, begun, settled.before, within)
         how = "is settled from its first pass on: within"
         if passes:
             how = (
@@ -211,7 +202,7 @@ class LoopCompensation(Compensation):
             desired = self._approached(asked, float(before.expected[-1]))
             assert before.state is not None
             run_in, settled, begun = self._run_in(desired, asked, before.state, self._settled(before.state))
-            off, _ = settling(self.model, settled.done.y, self.step, begun, settled.before, within)
+            off, _ = loops.settling(self.model, settled.done.y, self.step, begun, settled.before, within)
             if abs(off) <= 0.5 * within:
                 break
             if start is None:  # what an unknown start leaves crossed jumps with it: the next rests start here
@@ -245,7 +236,7 @@ class LoopCompensation(Compensation):
         fade = _fade(passes * count, passes * count, (1.0, 1.0 / passes))
         rise = 1.0 - (1.0 - _rise(count, passes)) * (1.0 - fade)
         for _ in range(REST_PLANS):
-            level, seconds = creep_rest(model, settled, step, memory, rise, within, between, bias)
+            level, seconds = loops.creep_rest(model, settled, step, memory, rise, within, between, bias)
             voltage, begun = np.array([level]), known
             if last is not None:
                 voltage = ramp("approach", last, level, step, swing, self.limits)
@@ -292,7 +283,7 @@ class LoopCompensation(Compensation):
 
     def _settled(self, state: ModelState) -> Settled:
         """Return the loop that settles from a state: gears that it does not reach stay as they were."""
-        return settled_drive(self.model, self.period, self.step, state, self.limits)
+        return loops.settled_drive(self.model, self.period, self.step, state, self.limits)
 
     def _of_its_own_start(self, settled: Settled) -> tuple[Before, Settled]:
         """Return the loop whose first row's own start (``auto``, ``settled``) leads to it, and rows before.
@@ -349,9 +340,9 @@ class LoopCompensation(Compensation):
     def _away(self, settled: Settled, begun: ModelState) -> float:
         """Return how far off the model repeats a settled drive that is begun in a state."""
         model, drive, step = self.model, settled.done.y, self.step
-        ends = slow_output(model, drive, step, looped_state(model, drive, step, begun))
+        ends = loops.slow_output(model, drive, step, loops.looped_state(model, drive, step, begun))
         clipped = settled.done.clipped_count
-        aim = slow_output(model, drive, step, settled.before) if clipped else self.period
+        aim = loops.slow_output(model, drive, step, settled.before) if clipped else self.period
         return float(np.abs(ends - aim).max())
 
     def _run_in(
@@ -382,7 +373,7 @@ class LoopCompensation(Compensation):
                     off = min(off, abs(float(drive[-1] - closed[-1])))
                     break
                 state = model.simulate(drive, forward, time_step=time_step).state
-                aim = settled_drive(model, self.period, self.step, state, limits)
+                aim = loops.settled_drive(model, self.period, self.step, state, limits)
                 found = drive, target, state
                 if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:
                     return found
@@ -398,7 +389,7 @@ class LoopCompensation(Compensation):
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
-        signal = shifted(np.concatenate([desired, np.resize(asked, ahead)]), model.delay_seconds / step)
+        signal = loops.shifted(np.concatenate([desired, np.resize(asked, ahead)]), model.delay_seconds / step)
         if inverter is not None:
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)
