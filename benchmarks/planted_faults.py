@@ -380,7 +380,7 @@ FAULTS: list[Fault] = [
          "a binary log that is written over while it is read"),
     ),
     *_faults(
-        "logs/hdf5/safety.py",
+        "logs/hdf5/reader.py",
         ("logs_changing_files",),
         ("    root.watch.add(target)\n", "", "a file behind a link is watched, too"),
         ("        watch.add(source)\n", "", "a source of a virtual dataset is watched, too"),

@@ -89,7 +89,12 @@ def open_npz(request: Request) -> ColumnTable:
         np.load(stream, allow_pickle=False) as archive,
     ):
         for name in archive.files:
-            arrays[name] = _member(archive, name)
+            try:
+                arrays[name] = archive[name]
+            except ValueError as problem:
+                if "allow_pickle" not in str(problem):
+                    raise
+                arrays[name] = None  # pickled objects are left out, as text is
     readable = {name: array for name, array in arrays.items() if array is not None}
     sources = without_scalars(
         [one for name, array in readable.items() for one in _array_columns(name, array)]
@@ -98,16 +103,6 @@ def open_npz(request: Request) -> ColumnTable:
     stated = {name: value for name, value in single.items() if is_clock_name(name) or isinstance(value, str)}
     held = (f"{name} ({_array_shape(array)})" for name, array in arrays.items())
     return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated), held=held)
-
-
-def _member(archive: Any, name: str) -> Any:
-    """Read one array; None for pickled objects, which are left out as text is."""
-    try:
-        return archive[name]
-    except ValueError as problem:
-        if "allow_pickle" in str(problem):
-            return None
-        raise
 
 
 def _array_columns(name: str, array: Any) -> list[ColumnSource]:

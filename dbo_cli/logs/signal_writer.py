@@ -41,8 +41,8 @@ class SignalWriter(Protocol):
 class TextWriter:
     """Appends rows of delimited text to a binary stream.
 
-    With ``behind``, formatting and writing go on in a thread while the caller works on the next rows; the
-    arrays must not change after they were handed in.
+    With ``behind``, where nothing is to be flushed, formatting and writing go on in a thread while the caller
+    works on the next rows; the arrays must not change after they were handed in.
     """
 
     stream: IO[bytes]
@@ -57,10 +57,7 @@ class TextWriter:
     def __post_init__(self) -> None:
         """Write the header."""
         self._headers = unique_headers(self.columns)
-        self._how = {
-            "blanks": any(column.may_be_blank for column in self.columns),
-            "own_file": self.behind and isinstance(self.stream, io.BufferedWriter),  # gzip's is none
-        }
+        self._blanks = any(column.may_be_blank for column in self.columns)
         cells = [header_cell(header, self.delimiter) for header in self._headers]
         self.stream.write((self.comment + self.delimiter.join(cells) + "\n").encode())
         if self.flush:
@@ -69,7 +66,7 @@ class TextWriter:
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
         self.finish()
-        if self.behind and np.size(arrays[0]) >= _WORTH_A_THREAD:
+        if self.behind and not self.flush and np.size(arrays[0]) >= _WORTH_A_THREAD:
             if self._pool is None:
                 from concurrent.futures import ThreadPoolExecutor
 
@@ -102,7 +99,7 @@ class TextWriter:
             require_finite(self.columns, self._headers, arrays)
             for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
                 rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
-                write_rows(self.stream, rows, self.delimiter, **self._how)
+                write_rows(self.stream, rows, self.delimiter, blanks=self._blanks)
 
 
 class _Keeper:
@@ -161,24 +158,24 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_output(address, format)
-    kept = KEPT.get()
-    if kept is not None:
+    if (kept := KEPT.get()) is not None:
         keeper = _Keeper(columns)
         yield keeper
         kept.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":
-        with _hdf5(target, columns, attributes()) as hdf5:
+        from dbo_cli.logs.hdf5.store import hdf5_writer
+
+        with hdf5_writer(target, columns, attributes()) as hdf5:
             yield hdf5
         return
     with opened(target.path, 1 << 20) as file, _packed(file, target) as stream:
-        behind = not flush and is_replaceable(target.path)
         comment = ""
         if commented:  # where the output comes from
             stated = (f"{key}: {value}" for key, value in attributes().items())
             comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
-        writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
+        writer = TextWriter(stream, columns, target.delimiter, flush, is_replaceable(target.path), comment)
         try:
             yield writer
             writer.finish()
@@ -215,12 +212,7 @@ def shortest(value: float) -> str:
 
 
 def write_rows(
-    stream: IO[bytes],
-    arrays: Sequence[ArrayLike],
-    delimiter: str,
-    *,
-    blanks: bool = True,
-    own_file: bool = False,
+    stream: IO[bytes], arrays: Sequence[ArrayLike], delimiter: str, *, blanks: bool = True
 ) -> None:
     """Write columns as lines of delimited text; the bytes do not depend on which way is taken.
 
@@ -230,9 +222,6 @@ def write_rows(
         What is written where.
     blanks
         Whether a NaN may be among the numbers, which is an empty cell.
-    own_file
-        The stream is a file that nobody else knows: polars writes into it by itself, and no byte is copied.
-        It would do so to standard output, too, but there a closed pipe and Ctrl-C are Python's to hear of.
     """
     if "polars" not in sys.modules and len(arrays) * np.size(arrays[0]) < PLAIN_CELLS:
         stream.write(_plain_rows(arrays, delimiter))
@@ -240,13 +229,9 @@ def write_rows(
     names = map(str, range(len(arrays)))
     columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
     table = import_polars().DataFrame(dict(zip(names, columns, strict=False)), nan_to_null=blanks)
-    if own_file:
-        stream.flush()
-        table.write_csv(stream, include_header=False, separator=delimiter)
-    else:
-        buffer = io.BytesIO()
-        table.write_csv(buffer, include_header=False, separator=delimiter)
-        stream.write(buffer.getbuffer())
+    buffer = io.BytesIO()
+    table.write_csv(buffer, include_header=False, separator=delimiter)
+    stream.write(buffer.getbuffer())
 
 
 def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
@@ -254,22 +239,6 @@ def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
     columns = [[shortest(value) for value in column] for column in numbers]
     lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
     return ("\n".join(lines) + "\n").encode() if lines else b""
-
-
-@contextlib.contextmanager
-def _hdf5(
-    target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
-) -> Iterator[SignalWriter]:
-    from dbo_cli.logs.hdf5.store import Hdf5Writer, store_output
-
-    with store_output(target) as (path, group):
-        writer = Hdf5Writer(path, group, columns, attributes)
-        try:
-            yield writer
-            writer.finish()
-        except BaseException:
-            writer.abandon()
-            raise
 
 
 def _packed(file: IO[bytes], target: Address) -> AbstractContextManager[IO[bytes]]:

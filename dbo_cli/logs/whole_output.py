@@ -315,6 +315,7 @@ class _Pending:
     target: str
     temporary: str
     prepare: Prepare
+    exclusive: bool = False  # no file of its name may be there
     backup: str | None = None
     renamed: bool = False
 
@@ -390,9 +391,16 @@ class OutputSet:
         OutputError
             A rename failed, or ``prepare`` refused.
         """
-        with contextlib.ExitStack() as prepared:
-            while not self._renamed([self._made_ready(one, prepared) for one in self._pending]):
-                prepared.close()
+        done = False
+        while not done:
+            with contextlib.ExitStack() as prepared:
+                for one in self._pending:
+                    with _telling(one.path):
+                        one.exclusive = prepared.enter_context(one.prepare(one.temporary))
+                        _bring_to_disk(one.temporary, os.O_RDWR)  # else a power failure leaves an empty file
+                        with contextlib.suppress(OSError):  # the permissions of the file that it replaces
+                            os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))
+                done = self._renamed()
         for one in self._pending:
             _remove(one.backup)
         for folder in {os.path.dirname(one.target) for one in self._pending}:
@@ -408,22 +416,13 @@ class OutputSet:
             with contextlib.suppress(OSError):
                 os.rmdir(folder)
 
-    def _made_ready(self, one: _Pending, prepared: contextlib.ExitStack) -> bool:
-        """Prepare an output and bring it to the disk: no rename shows an empty file after a power failure."""
-        with _telling(one.path):
-            alone = prepared.enter_context(one.prepare(one.temporary))
-            _bring_to_disk(one.temporary, os.O_RDWR)
-            with contextlib.suppress(OSError):  # the permissions of the file that it replaces
-                os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))
-        return alone
-
-    def _renamed(self, alone: Sequence[bool]) -> bool:
+    def _renamed(self) -> bool:
         """Rename everything; False where a file appeared meanwhile and it must be tried again."""
         with host().signals_held():
             try:
-                for one, exclusive in zip(self._pending, alone, strict=True):
+                for one in self._pending:
                     with _telling(one.path):
-                        self._rename(one, exclusive)
+                        self._rename(one)
             except BaseException as problem:
                 self._take_back()
                 if isinstance(problem, _AppearedMeanwhile):
@@ -431,8 +430,8 @@ class OutputSet:
                 raise
         return True
 
-    def _rename(self, one: _Pending, exclusive: bool) -> None:
-        if exclusive:
+    def _rename(self, one: _Pending) -> None:
+        if one.exclusive:
             try:
                 os.link(one.temporary, one.target)
                 _remove(one.temporary)

@@ -245,6 +245,22 @@ def _is_being_added_to(path: str) -> bool:
     return any(process != os.getpid() and whole_output.is_running(process) for process in writers)
 
 
+@contextlib.contextmanager
+def hdf5_writer(
+    target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
+) -> Iterator[Hdf5Writer]:
+    """Open an HDF5 output; it is complete, and published, when the block is left without an error."""
+    with store_output(target) as (path, group):
+        writer = Hdf5Writer(path, group, columns, attributes)
+        try:
+            yield writer
+            writer.finish()
+        except BaseException:
+            with contextlib.suppress(OSError, RuntimeError, ValueError):  # what led here is to be shown
+                writer.file.close()
+            raise
+
+
 class Hdf5Writer:
     """Appends rows to the columns of an HDF5 group.
 
@@ -263,9 +279,11 @@ class Hdf5Writer:
     def __init__(
         self, path: str, group: str, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
     ) -> None:
-        self._names = _dataset_names(columns)
-        self._file = h5py.File(path, "w")
-        self._group = self._file.require_group(group)
+        # A slash would make a group, and a lone dot is the group itself.
+        headers = (header.replace("/", "_") for header in unique_headers(columns))
+        self._names = [name if name not in ("", ".") else f"column_{n}" for n, name in enumerate(headers, 1)]
+        self.file = h5py.File(path, "w")
+        self._group = self.file.require_group(group)
         for name, value in attributes.items():
             self._group.attrs[name] = cleaned(value) if isinstance(value, str) else value
         self._group.attrs[MARK] = self._names
@@ -299,16 +317,19 @@ class Hdf5Writer:
         rate = self._times.rate()
         if rate is not None:
             self._group.attrs["sample_rate"] = float(f"{rate:.12g}")  # 2000, not 1999.9999999999998
-        self._file.close()
-
-    def abandon(self) -> None:
-        """Close a file that is about to be removed, whatever state it is in."""
-        with contextlib.suppress(OSError, RuntimeError, ValueError):  # what led here is to be shown
-            self._file.close()
+        self.file.close()
 
     def _store(self, chunk: int, last: bool = False) -> None:
         """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""
-        self._make_datasets(chunk)
+        for name, column in () if self._datasets else zip(self._names, self._columns, strict=True):
+            dataset = self._group.create_dataset(
+                name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
+                shuffle=True,
+            )  # fmt: skip
+            if column.unit:
+                dataset.attrs["units"] = cleaned(column.unit)
+            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
+            self._datasets.append(dataset)
         rows = self._kept_rows if last else self._kept_rows // chunk * chunk
         if not rows:
             return
@@ -321,25 +342,6 @@ class Hdf5Writer:
             self._kept[number] = [values[rows:]]
         self._rows += rows
         self._kept_rows -= rows
-
-    def _make_datasets(self, chunk: int) -> None:
-        if self._datasets:
-            return
-        for name, column in zip(self._names, self._columns, strict=True):
-            dataset = self._group.create_dataset(
-                name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
-                shuffle=True,
-            )  # fmt: skip
-            if column.unit:
-                dataset.attrs["units"] = cleaned(column.unit)
-            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
-            self._datasets.append(dataset)
-
-
-def _dataset_names(columns: Sequence[OutColumn]) -> list[str]:
-    """Name the datasets by the headers; a slash would make a group, and a lone dot is the group itself."""
-    names = [header.replace("/", "_") for header in unique_headers(columns)]
-    return [name if name not in ("", ".") else f"column_{n}" for n, name in enumerate(names, start=1)]
 
 
 def shuffled_deflated(values: FloatArray) -> bytes:

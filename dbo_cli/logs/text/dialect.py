@@ -17,7 +17,14 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.plain_text import counted, decoded, pattern
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
-from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells, writing_of
+from dbo_cli.logs.text.lines import (
+    HeaderBlock,
+    find_header_block,
+    is_number,
+    split_cells,
+    value_of,
+    writing_of,
+)
 from dbo_cli.logs.units import is_known_unit
 from dbo_cli.records import dataclass
 
@@ -68,6 +75,26 @@ class Dialect:
     labels: tuple[tuple[str, str], ...] = ()
     remarks: bool = False
 
+    def is_comment(self, line: str) -> bool:
+        """Return whether a line is empty or a comment."""
+        return is_comment(line, self.comments)
+
+    def cells(self, line: str) -> list[str]:
+        """Split a line."""
+        return split_cells(line, self.delimiter)
+
+    def value(self, cell: str, written: str) -> float | None:
+        """Read a cell of a column as a number or a time stamp (s), as it is written; None for neither."""
+        return value_of(cell, self.decimal, written)
+
+    def renamed(self, line: str) -> tuple[str, str] | None:
+        """Return names above the data, and others that a comment gives the columns instead."""
+        for label, names in labelled(line, self.comments) if self.labels else ():
+            above = dict(self.labels).get(label, names)
+            if above != names:
+                return above, names
+        return None
+
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""
         head = "no header" if not self.headers else "a header" + (" and a units line" if self.units else "")
@@ -113,6 +140,20 @@ def is_comment(line: str, comments: str) -> bool:
     """Return whether a line is empty or a comment."""
     stripped = line.strip()
     return not stripped or stripped[0] in comments
+
+
+def has_data(text: bytes, options: ReadingOptions) -> bool:
+    """Return whether a line of numbers has arrived, so that a live log can begin."""
+    forced = options.delimiter_character
+    comments = COMMENTS if options.comment is None else options.comment
+    marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
+    lines = [line for raw in text.split(b"\n")[-2::-1] if not is_comment(line := decoded(raw), comments)]
+    return any(
+        all(is_number(cell, sign) for cell in split_cells(line, mark))
+        for line in lines
+        for mark in marks
+        for sign in ".,"
+    )
 
 
 def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:

@@ -220,6 +220,11 @@ READERS: dict[str, Callable[[str], float | None]] = {
 """How a column of time stamps may be written, and what reads its cells."""
 
 
+def value_of(cell: str, decimal: str, written: str) -> float | None:
+    """Read a cell of a column as a number or a time stamp (s), as it is written; None for neither."""
+    return to_number(cell, decimal) if written == "numbers" else READERS[written](cell)
+
+
 def writing_of(cells: Sequence[str]) -> str | None:
     """Return how most cells of a column write time stamps, or None where they are none."""
     for writing, read in READERS.items():
