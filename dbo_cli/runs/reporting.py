@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import LimitError, OutputError, UsageError
+from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs import request
@@ -23,11 +23,11 @@ from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows,
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
-from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports import renderers
-from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
+from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
 from dbo_cli.runs.channels import columns_of, models_by_channel, opened_readers, patterns_of, sum_up_remarks
@@ -331,7 +331,6 @@ class TrackingReport:
         OutputError
             The folder cannot be written to.
         """
-        from dbo_cli.reports.drawing import check_folder, file_stems, save
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
 
@@ -376,7 +375,7 @@ class ReportRun:
         inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)
         check_output(self.output, inputs)
         if self.figures is not None:
-            prepare_folder(self.figures)
+            check_folder(self.figures)
         return chosen, inputs
 
     def write(self, content: bytes, inputs: Sequence[Given]) -> None:
@@ -428,14 +427,6 @@ def report_form(output: Address, form: str | None) -> str:
     if form is not None and named not in (None, form):
         raise UsageError(f"{output.text}: `format` {form} contradicts this name: leave one of them out")
     return form or named or "text"
-
-
-def prepare_folder(folder: str) -> None:
-    """Make a folder for outputs where there is none, and refuse one that cannot be written to."""
-    refuse_picture(folder)
-    with contextlib.suppress(OutputError):  # check_folder has the better message
-        make_folder(folder)
-    check_folder(folder)
 
 
 def rows_to_score(
