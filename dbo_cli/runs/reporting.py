@@ -297,15 +297,10 @@ class TrackingReport:
 
     def to_html(self) -> str:
         """Return the report as one self-contained page with its figures."""
-        from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
-        from dbo_cli.reports.models import plots_of_model
-
+        of_logs, together, of_model = self._plots()
+        program = program_version_string()
         return renderers.to_html(
-            self.report,
-            [plots_of_log(self.report, log, figure_data) for log, figure_data in self._drawn()],
-            comparison_plots=plots_of_comparison(self.report, self.figure_data),
-            model_plots=() if self.model is None else plots_of_model(self.model),
-            program=program_version_string(),
+            self.report, of_logs, comparison_plots=together, model_plots=of_model, program=program
         )
 
     def rendered(self, form: str) -> bytes:
@@ -331,21 +326,25 @@ class TrackingReport:
         OutputError
             The folder cannot be written to.
         """
+        target = check_folder(str(folder))
+        of_logs, together, of_model = self._plots()
+        stems = file_stems([log.name for log in self.report.logs])
+        for stem, log, plots in zip(stems, self.report.logs, of_logs, strict=True):
+            save(plots, target, stem, log.name)
+        save(together, target, "all-logs")
+        save(of_model, target, "model")
+
+    def _plots(self) -> tuple[list[list[Plot]], list[Plot], list[Plot]]:
+        """Return the figures of each log, of all together, and of the model."""
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
 
-        target = check_folder(str(folder))
-        stems = file_stems([log.name for log in self.report.logs])
-        for stem, (log, figure_data) in zip(stems, self._drawn(), strict=True):
-            save(plots_of_log(self.report, log, figure_data), target, stem, log.name)
-        save(plots_of_comparison(self.report, self.figure_data), target, "all-logs")
-        if self.model is not None:
-            save(plots_of_model(self.model), target, "model")
-
-    def _drawn(self) -> list[tuple[LogReport, FigureData]]:
-        if len(self.figure_data) != len(self.report.logs):
+        report, kept = self.report, self.figure_data
+        if len(kept) != len(report.logs):
             raise UsageError("nothing was kept to draw from: compare with `traced`")
-        return list(zip(self.report.logs, self.figure_data, strict=True))
+        of_logs = [plots_of_log(report, log, data) for log, data in zip(report.logs, kept, strict=True)]
+        of_model = [] if self.model is None else plots_of_model(self.model)
+        return of_logs, plots_of_comparison(report, kept), of_model
 
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
