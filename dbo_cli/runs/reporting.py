@@ -27,6 +27,7 @@ from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports import renderers
+from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
@@ -37,8 +38,6 @@ from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     import pandas
-
-    from dbo_cli.reports.thinned_curves import FigureData
 
 Match = Literal["auto", "time", "rows"]
 
@@ -229,8 +228,6 @@ class TrackingRun:
         self._units.append((source.name, unit or source.columns["measured"].unit))
 
     def _new_figure_data(self, source: Source) -> FigureData:
-        from dbo_cli.reports.thinned_curves import FigureData
-
         drive = source.columns.get("voltage")
         self._figure_data.append(FigureData(None if drive is None else drive.unit))
         return self._figure_data[-1]
