@@ -300,8 +300,8 @@ class BlockParser:
         self.next_line += 1
         rows, lines = np.array(places, dtype=np.int64).reshape(-1, 2).T
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
-        columns = {role: np.ascontiguousarray(table[:, number]) for number, role in enumerate(self.picks)}
-        return SampleBlock(rows, lines, None, columns)
+        columns = np.ascontiguousarray(table.T)
+        return SampleBlock(rows, lines, None, dict(zip(self.picks, columns, strict=True)))
 
     def _refuse_other_columns(self, line: str) -> None:
         """Refuse a comment that names other columns than the one above the data (InputError)."""
