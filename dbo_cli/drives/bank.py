@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drives.controller import Controller
-from dbo_cli.drives.gate import GateError
+from dbo_cli.drives.gate import Floats, GateError
 from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import Coupling
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.stepper import ROUNDING, make_bank
-
-Floats = NDArray[np.float64]
 
 
 class Bank:
@@ -125,7 +123,7 @@ class Bank:
             self.clipped[:] = [one.clipped for one in self._controllers]
             self._begin()
         else:
-            self._go_on(None if applied is None else self._frame(applied, "what was applied"))
+            self._go_on(applied)
             self.clipped += self._clipped_now
         self._clipped_now[:] = 0
         self.planned = None
@@ -154,15 +152,16 @@ class Bank:
             limits[3] = self._stand
             self._live = self._make(limits)
 
-    def _go_on(self, applied: Floats | None) -> None:
+    def _go_on(self, applied: ArrayLike | None) -> None:
         """Go on in the kernel: from the plan, or from other voltages (of codes)."""
+        volts = self._volts
         if applied is None and self._codes is None:
             self._live.commit()
-            self._stand[:] = self._volts
+            self._stand[:] = volts
             return
-        volts = self._volts if applied is None else applied
-        if self._codes is not None and applied is not None:
-            volts = self._codes.volts_of(applied, self.channels)
+        if applied is not None:
+            volts = self._frame(applied, "what was applied")
+            volts = volts if self._codes is None else self._codes.volts_of(volts, self.channels)
         bad = self._live.apply(volts)
         if bad >= 0:
             raise InputError(f"channel {self.channels[bad]}: what was applied is not a finite number")

@@ -19,11 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import MemoryFree, least_slope, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
-from dbo_cli.hysteresis.kernel import window
+from dbo_cli.hysteresis.kernel import Floats, window
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscreteBacklashOperator, Outside
 
-Floats = NDArray[np.float64]
 Steps = float | Floats
 
 FIRST_CHUNK = 16

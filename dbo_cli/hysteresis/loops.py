@@ -100,13 +100,19 @@ def settled_drive(
 
 def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> ModelState:
     """Return the state before a pass, of gears, memory and drive lag, when a drive was repeated for ever."""
-    inner = slow_model(model)
+    inner, seconds = slow_model(model), drive.size * step
     begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
     for lagging in (None, model.drive_lag):  # a pass for what reaches further at first, one for the loop
         if lagging is not None:
             begun = dataclasses.replace(begun, drive_lag=lagging.loop(drive, step)[1])
         done = inner.simulate(drive, begun, time_step=step if inner.needs_time else None)
-        begun = _periodic(inner, begun, done.state, drive.size * step)
+        begun, held, terms = done.state, begun.backlash.memory, inner.backlash.relaxation
+        if begun.backlash.memory is not None and terms is not None and held is not None:
+            memory = tuple(  # that further passes of the same drive would lead to
+                (end - math.exp(-seconds / tau) * start) / -math.expm1(-seconds / tau)
+                for start, end, tau in zip(held, begun.backlash.memory, terms.tau, strict=True)
+            )
+            begun = dataclasses.replace(begun, backlash=BacklashState(begun.backlash.bits, memory))
     return begun
 
 
@@ -119,19 +125,6 @@ def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelS
 def slow_model(model: ActuatorModel) -> ActuatorModel:
     """Return a model without what lies behind its gears and points in time."""
     return model.without(model.dynamics, model.delay)
-
-
-def _periodic(model: ActuatorModel, before: ModelState, after: ModelState, seconds: float) -> ModelState:
-    """Return the state after a pass, with the memory that further passes of the same drive would lead to."""
-    memory, begun, terms = after.backlash.memory, before.backlash.memory, model.backlash.relaxation
-    if memory is None:
-        return after  # no relaxation
-    if terms is not None and begun is not None:
-        memory = tuple(
-            (end - math.exp(-seconds / tau) * start) / -math.expm1(-seconds / tau)
-            for start, end, tau in zip(begun, memory, terms.tau, strict=True)
-        )
-    return dataclasses.replace(after, backlash=BacklashState(after.backlash.bits, memory))
 
 
 def settled_output(

@@ -20,27 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis import cascade, drive_lag, model_state
-from dbo_cli.hysteresis.cascade import (
-    DelayStage,
-    OtherHysteresis,
-    ScaleStage,
-    Stage,
-    slow_output_range,
-    through,
-)
+from dbo_cli.hysteresis import cascade, drive_lag, model_state, operators
+from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, slow_output_range, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated, StartName
-from dbo_cli.hysteresis.operators import (
-    Axis,
-    BacklashState,
-    Counts,
-    DiscreteBacklashOperator,
-    DiscretePointOperator,
-    OutputLimits,
-    Outside,
-    Relaxation,
-)
+from dbo_cli.hysteresis.operators import Counts, DiscreteBacklashOperator, OutputLimits, Outside, Relaxation
 from dbo_cli.records import dataclass
 
 __all__ = [
@@ -64,7 +48,7 @@ Floats = NDArray[np.float64]
 Steps = float | Floats  # seconds since the sample before: one number, or one for each
 Direction = Literal["forward", "inverse"]
 BacklashStage = DiscreteBacklashOperator
-PointStage = DiscretePointOperator
+PointStage = operators.DiscretePointOperator
 
 
 @dataclass(frozen=True)
@@ -107,7 +91,7 @@ class ActuatorModel:
             raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
         backlash = self.stages[gears[0]]
         assert isinstance(backlash, DiscreteBacklashOperator)
-        axis: Axis = "input" if forward else "output"
+        axis: operators.Axis = "input" if forward else "output"
         if backlash.memory_on != axis:
             if backlash.relaxation is not None:
                 raise ModelError(f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction")
@@ -147,7 +131,7 @@ class ActuatorModel:
                 if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
                     raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
 
-    def _turn(self, stage: DynamicsStage | OtherHysteresis) -> None:
+    def _turn(self, stage: DynamicsStage | cascade.OtherHysteresis) -> None:
         """Let a stage act, or be undone, as the direction tells."""
         if stage.inverted == (self.direction == "forward"):
             self._put(stage, stage.inverse())
@@ -285,7 +269,7 @@ class ActuatorModel:
         """How large the hysteresis operator is, in words."""
         return f"{self.backlash.n} gears"
 
-    def state_values(self, state: BacklashState) -> dict[str, Any]:
+    def state_values(self, state: operators.BacklashState) -> dict[str, Any]:
         """Return what the hysteresis remembers as the state file has it: key and values."""
         return {"backlash": {"gears": self.backlash.n, **state.to_json_dict()}}
 

@@ -22,10 +22,9 @@ from dbo_cli.hysteresis.cascade import DelayStage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, read_relaxation, read_stages, stage_values
-from dbo_cli.hysteresis.operators import Relaxation
+from dbo_cli.hysteresis.operators import Floats, Relaxation
 from dbo_cli.records import dataclass
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn; chosen

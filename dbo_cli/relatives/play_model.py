@@ -19,17 +19,10 @@ import numpy as np
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
+from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, PointStage, Steps
 from dbo_cli.hysteresis.model_file import Node, read_relaxation
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
-from dbo_cli.hysteresis.operators import (
-    BacklashState,
-    Counts,
-    DiscretePointOperator,
-    Floats,
-    OutputLimits,
-    Outside,
-)
+from dbo_cli.hysteresis.operators import BacklashState, Counts, Floats, OutputLimits, Outside
 from dbo_cli.relatives.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
 
 
@@ -55,7 +48,7 @@ class RelativeModel(ActuatorModel):
                     axis = "input" if stage.inverted else "output"
                     raise ModelError(f"stages[{place}].relaxation.on: must be {axis!r} in this direction")
                 self._turn(stage)
-            elif not isinstance(stage, ScaleStage | DiscretePointOperator | DynamicsStage | DelayStage):
+            elif not isinstance(stage, ScaleStage | PointStage | DynamicsStage | DelayStage):
                 raise ModelError(f"stages[{place}]: gears and plays do not go together")
 
     @cached_property
@@ -160,7 +153,7 @@ class RelativeModel(ActuatorModel):
 
     def inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Return limits on the drive as the plays of an inverse model give it."""
-        if any(isinstance(stage, DiscretePointOperator) for stage in self.tail):
+        if any(isinstance(stage, PointStage) for stage in self.tail):
             return super().inner_limits(limits)
         ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
         per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import DboError, OutputError, UsageError
+from dbo_cli.errors import LimitError, OutputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs import request
@@ -353,34 +353,19 @@ ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 
 
 @dataclass(frozen=True)
-class Written:
-    """A report that was written."""
-
-    report: Report
-    form: str
-    remarks: Remarks
-    failure: DboError | None = None
-
-    def check(self, limits: Mapping[str, float | None]) -> None:
-        """Raise LimitError for the first log that misses a limit of ``check_limits``; the others are counted.
-
-        A ``failure`` of channels that are not in the report is raised before.
-        """
-        if self.failure is not None:
-            raise self.failure
-        check_limits(self.report, **limits)
-
-
-@dataclass(frozen=True)
 class ReportRun:
-    """What is asked of ``report``: logs, the report's file and form, and a folder for ``figures``."""
+    """What is asked of ``report``: logs, the report's file and form, a folder for ``figures``, and limits.
+
+    ``limits`` are the parameters of ``check_limits``.
+    """
 
     logs: Sequence[Address]
     output: Address
     reading: ReadingOptions
     options: TrackingOptions
-    form: str | None = None
-    figures: str | None = None
+    form: str | None
+    figures: str | None
+    limits: Mapping[str, float | None]
 
     def prepared(self) -> tuple[str, list[Given]]:
         """Return the report's form and the inputs; what cannot be written is refused before the long work."""
@@ -402,9 +387,18 @@ class ReportRun:
             if self.figures is None:
                 raise
 
+    def judged(self, report: Report, form: str, outcome: Outcome) -> Outcome:
+        """Add what the report notes, and the first limit that a log misses, unless a channel failed."""
+        outcome.last = [] if form == "text" else report.notes
+        try:
+            check_limits(report, **self.limits)
+        except LimitError as missed:
+            outcome.failure = outcome.failure or missed
+        return outcome
+
 
 @all_or_none()
-def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
+def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Outcome:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
     options, figures = asked.options, asked.figures
     scoring = options.scoring(options.model is not None)
@@ -419,7 +413,7 @@ def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     if figures is not None:
         result.figures(figures)
     asked.write(result.rendered(chosen), inputs)
-    return Written(result.report, chosen, result.remarks)
+    return asked.judged(result.report, chosen, Outcome(result.remarks))
 
 
 def report_form(output: Address, form: str | None) -> str:
@@ -491,7 +485,7 @@ def open_trajectory(address: Address, desired: str | None, reading: ReadingOptio
 
 
 @all_or_none()
-def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written:
+def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Outcome:
     """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
     logs, options = asked.logs, asked.options
     if options.trajectory is not None:
@@ -536,7 +530,7 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written
     sum_up_remarks(texts, patterns["measured"], outcome.remarks)
     drawn = asked.figures is not None or chosen == "html"
     outcome.remarks.notes += _summary(merits, patterns if drawn and len(logs) == 1 else None)
-    return Written(report, chosen, outcome.remarks, outcome.failure)
+    return asked.judged(report, chosen, outcome)
 
 
 def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> Iterator[str]:
