@@ -508,7 +508,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "reports/sample_pairs.py",
         ("settling", "cli_shell"),
-        ("held = _only(block, ~new & (time - start", "held = _only(block, (time - start",
+        ("held = only(block, ~new & (time - start", "held = only(block, (time - start",
          "the first row of a level is not one at which it has been held"),
     ),
     *_faults(

@@ -278,9 +278,9 @@ class _Evaluation:
                 segments += self._closed(current, len(segments) + 1)
                 current = self._metrics()
                 continue
-            signals = part.values["desired"], part.values["measured"]
-            for metrics in (whole, current) if options.segment is not None else (whole,):
-                metrics.add(*signals, row=sample_pairs.row_numbers(part), time=part.time)
+            whole.add(part)
+            if options.segment is not None:
+                current.add(part)
             if figure_data is not None:
                 figure_data.add(part)
         figures = whole.result()

@@ -1,9 +1,9 @@
 """Sums and distributions of a stream, in constant memory and the same for any chunk size.
 
-Every accumulator takes its samples in batches of exactly ``BATCH`` samples, cut by ``Batches`` from whatever
-pieces arrive. A sum is therefore always formed over the same samples in the same order, and the result does
-not depend on how the stream was cut, to the last bit. The sums of the batches are added with compensation
-(Neumaier 1974), so 10^9 samples lose no more digits than 10^3 do.
+Every accumulator takes its samples in batches of exactly ``BATCH`` samples, cut by ``sample_pairs.Batches``
+from whatever pieces arrive. A sum is therefore always formed over the same samples in the same order, and the
+result does not depend on how the stream was cut, to the last bit. The sums of the batches are added with
+compensation (Neumaier 1974), so 10^9 samples lose no more digits than 10^3 do.
 
 The error is *measured - desired* throughout.
 """
@@ -11,7 +11,6 @@ The error is *measured - desired* throughout.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -33,35 +32,6 @@ SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a
 def comparable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
     """Return where a pair can be compared: both are numbers, and so small that their squares are too."""
     return (np.abs(desired) < LARGEST) & (np.abs(measured) < LARGEST)
-
-
-class Batches:
-    """Cut a stream of equally long columns into batches of one fixed length."""
-
-    def __init__(self, size: int = BATCH) -> None:
-        self._size = size
-        self._held: list[tuple[Floats, ...]] = []
-        self._count = 0
-
-    def add(self, *columns: Floats) -> Iterator[tuple[Floats, ...]]:
-        """Yield the batches that ``columns`` complete; what is left waits for the next call."""
-        self._held.append(columns)
-        self._count += len(columns[0])
-        if self._count < self._size:
-            return
-        [whole] = self.rest()
-        full = len(whole[0]) // self._size * self._size
-        if full < len(whole[0]):
-            self._held.append(tuple(column[full:] for column in whole))
-            self._count = len(whole[0]) - full
-        for start in range(0, full, self._size):
-            yield tuple(column[start : start + self._size] for column in whole)
-
-    def rest(self) -> Iterator[tuple[Floats, ...]]:
-        """Yield what has not filled a batch, as one; nothing where nothing is left."""
-        held, count, self._held, self._count = self._held, self._count, [], 0
-        if count:
-            yield held[0] if len(held) == 1 else tuple(map(np.concatenate, zip(*held, strict=True)))
 
 
 class DoublingBins:

@@ -18,8 +18,8 @@ from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import running_statistics
-from dbo_cli.reports.running_statistics import BATCH, Batches, DoublingBins, Floats, comparable
-from dbo_cli.reports.sample_pairs import row_numbers
+from dbo_cli.reports.running_statistics import BATCH, DoublingBins, Floats, comparable
+from dbo_cli.reports.sample_pairs import Batches, only, row_numbers
 
 WHOLE = 8192  # samples of a log that is kept as it is: some eight for every pixel of a figure
 BUCKETS = 2048  # stretches: at least one for every pixel, as they double from half of it
@@ -247,22 +247,19 @@ class FigureData:
 
     def add(self, block: SampleBlock) -> None:
         """Take one block of pairs."""
-        self.has_time = self.has_time or block.time is not None
-        self.has_drive = self.has_drive or "voltage" in block.values
-        time = row_numbers(block) if block.time is None else block.time
-        drive = block.values["voltage"] if "voltage" in block.values else np.zeros(len(block))
-        desired, measured = block.values["desired"], block.values["measured"]
-        columns: tuple[Floats, ...] = (time, desired, measured, drive)
-        finite = comparable(desired, measured) & comparable(drive, drive)
-        if not finite.all():
-            columns = tuple(column[finite] for column in columns)
-        for batch in self._batches.add(*columns):
-            self._take(*batch)
+        self.has_time = block.time is not None
+        self.has_drive = "voltage" in block.values
+        values = block.values
+        finite = comparable(values["desired"], values["measured"])
+        if "voltage" in values:
+            finite &= comparable(values["voltage"], values["voltage"])
+        for batch in self._batches.add(only(block, finite)):
+            self._take(batch)
 
     def finish(self, distribution: running_statistics.ErrorDistribution) -> None:
         """Take what is left, and the error's distribution."""
         for batch in self._batches.rest():
-            self._take(*batch)
+            self._take(batch)
         self.distribution = distribution
 
     def against_time(self, name: str) -> Curve | Band:
@@ -277,7 +274,10 @@ class FigureData:
             return Curve(self._whole[x], self._whole[y])
         return self._pixels[x, y].raster()
 
-    def _take(self, time: Floats, desired: Floats, measured: Floats, drive: Floats) -> None:
+    def _take(self, block: SampleBlock) -> None:
+        time = row_numbers(block) if block.time is None else block.time
+        desired, measured = block.values["desired"], block.values["measured"]
+        drive = block.values["voltage"] if self.has_drive else np.zeros(len(block))
         if self.samples == 0:
             self.start = float(time[0])
         self.samples += len(time)
