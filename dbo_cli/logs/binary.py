@@ -532,7 +532,11 @@ def open_tdms(request: Request) -> ColumnTable:
         stream = opened.enter_context(open(request.address.path, "rb"))
         with request.reading("TDMS"):  # npTDMS raises whatever the damaged bytes lead to
             file = nptdms.TdmsFile.open(stream)
-        groups = _groups(request, file)
+        all_groups, wanted = list(file.groups()), _wanted_part(request)
+        groups = [group for group in all_groups if wanted in ("", group.name)]
+        if wanted and not groups:
+            names = ", ".join(f"'{group.name}'" for group in all_groups) or "none"
+            raise InputError(f"{request.place}: there is no group '{wanted}': the groups are: {names}")
         channels = [(group, one) for group in groups for one in group.channels()]
         numeric = [(group, one) for group, one in channels if len(one) > 0 and one.dtype.kind in "fiubM"]
         several = len({group.name for group, _ in numeric}) > 1
@@ -544,15 +548,6 @@ def open_tdms(request: Request) -> ColumnTable:
         clock = next((found for level in levels if (found := _tdms_statements(level))), [])
         close = opened.pop_all().close
     return ColumnTable(request, "TDMS", sources, clock=clock, at_close=close, damaged=(Exception,))
-
-
-def _groups(request: Request, file: Any) -> list[Any]:
-    groups, wanted = list(file.groups()), _wanted_part(request)
-    found = [group for group in groups if group.name == wanted] if wanted else groups
-    if wanted and not found:
-        names = ", ".join(f"'{group.name}'" for group in groups) or "none"
-        raise InputError(f"{request.place}: there is no group '{wanted}': the groups are: {names}")
-    return found
 
 
 def _tdms_column(group: Any, channel: Any) -> ColumnSource:

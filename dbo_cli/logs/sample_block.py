@@ -150,7 +150,8 @@ class Table:
     place: str
     columns: list[ColumnInfo]
     notes: list[str]
-    found_time: Any = None  # what ``time_column.find_time_column`` found, where it looked already
+    others: Sequence[str] = ()  # the addresses of further files that were joined
+    found_time: Any = None  # what ``clock.find_time_column`` found, where it looked already
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""

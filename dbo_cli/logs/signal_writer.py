@@ -58,6 +58,9 @@ class TextWriter:
         """Write the header."""
         self._headers = unique_headers(self.columns)
         self._blanks = any(column.may_be_blank for column in self.columns)
+        self._own = (
+            self.behind and not self.flush and isinstance(self.stream, io.BufferedWriter)
+        )  # gzip's is none
         cells = [header_cell(header, self.delimiter) for header in self._headers]
         self.stream.write((self.comment + self.delimiter.join(cells) + "\n").encode())
         if self.flush:
@@ -99,7 +102,7 @@ class TextWriter:
             require_finite(self.columns, self._headers, arrays)
             for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
                 rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
-                write_rows(self.stream, rows, self.delimiter, blanks=self._blanks)
+                write_rows(self.stream, rows, self.delimiter, blanks=self._blanks, own_file=self._own)
 
 
 class _Keeper:
@@ -212,7 +215,12 @@ def shortest(value: float) -> str:
 
 
 def write_rows(
-    stream: IO[bytes], arrays: Sequence[ArrayLike], delimiter: str, *, blanks: bool = True
+    stream: IO[bytes],
+    arrays: Sequence[ArrayLike],
+    delimiter: str,
+    *,
+    blanks: bool = True,
+    own_file: bool = False,
 ) -> None:
     """Write columns as lines of delimited text; the bytes do not depend on which way is taken.
 
@@ -222,6 +230,9 @@ def write_rows(
         What is written where.
     blanks
         Whether a NaN may be among the numbers, which is an empty cell.
+    own_file
+        The stream is a file that nobody else knows: polars writes into it by itself, and no byte is copied.
+        It would do so to standard output, too, but there a closed pipe and Ctrl-C are Python's to hear of.
     """
     if "polars" not in sys.modules and len(arrays) * np.size(arrays[0]) < PLAIN_CELLS:
         stream.write(_plain_rows(arrays, delimiter))
@@ -229,9 +240,13 @@ def write_rows(
     names = map(str, range(len(arrays)))
     columns = map(np.ascontiguousarray, arrays, repeat(np.float64))
     table = import_polars().DataFrame(dict(zip(names, columns, strict=False)), nan_to_null=blanks)
-    buffer = io.BytesIO()
-    table.write_csv(buffer, include_header=False, separator=delimiter)
-    stream.write(buffer.getbuffer())
+    if own_file:
+        stream.flush()
+        table.write_csv(stream, include_header=False, separator=delimiter)
+    else:
+        buffer = io.BytesIO()
+        table.write_csv(buffer, include_header=False, separator=delimiter)
+        stream.write(buffer.getbuffer())
 
 
 def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:

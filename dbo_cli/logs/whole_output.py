@@ -97,24 +97,19 @@ def identity_of(address: Given, *, reading: bool = False) -> FileIdentity | None
     descriptor = (0 if reading else 1) if target.is_stream else descriptor_of(target.path)
     try:
         found = os.stat(target.path) if descriptor is None else os.fstat(descriptor)
-    except OSError:
-        return None if descriptor is not None else _identity_of_new(target.path)
     except ValueError:
         return None
+    except OSError:
+        folder, name = os.path.split(os.path.realpath(target.path))
+        if descriptor is not None or not os.path.isdir(folder):
+            return None  # what is not open, or in no folder, is refused elsewhere
+        found = os.stat(folder)
+        if _ignores_case(folder):
+            name = unicodedata.normalize("NFC", name).casefold()
+        return ("new", found.st_dev, found.st_ino, name)
     if stat.S_ISREG(found.st_mode) or (stat.S_ISFIFO(found.st_mode) and not reading):
         return ("file", found.st_dev, found.st_ino)
     return None
-
-
-def _identity_of_new(path: str) -> FileIdentity | None:
-    folder, name = os.path.split(os.path.realpath(path))
-    try:
-        found = os.stat(folder)
-    except OSError:
-        return None  # refused elsewhere: there is no such folder
-    if _ignores_case(folder):
-        name = unicodedata.normalize("NFC", name).casefold()
-    return ("new", found.st_dev, found.st_ino, name)
 
 
 def _ignores_case(folder: str) -> bool:

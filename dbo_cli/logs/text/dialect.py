@@ -59,6 +59,9 @@ class Dialect:
     stamps; ``header_block`` is what stands again before each segment of the data; ``sparse`` tells that every
     row leaves out a number that other rows have; ``labels`` are comments of names or units; ``remarks`` tells
     that a row may end in one cell of text more.
+
+    ``clock`` is what the header states of the sample rate, ``start`` the time (s) of the first row, ``notes``
+    are for the user, and ``end_mark`` is what the program writes behind the last row.
     """
 
     delimiter: str
@@ -74,6 +77,10 @@ class Dialect:
     sparse: bool = False
     labels: tuple[tuple[str, str], ...] = ()
     remarks: bool = False
+    clock: Sequence[Statement] = ()
+    start: float = 0.0
+    notes: tuple[str, ...] = ()
+    end_mark: bytes = b""
 
     def is_comment(self, line: str) -> bool:
         """Return whether a line is empty or a comment."""
@@ -102,31 +109,6 @@ class Dialect:
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         columns = counted(self.width, "column")
         return f"{columns} separated by {mark}, {sign}, {head}, data from line {self.first_line}"
-
-
-@dataclass(frozen=True)
-class InstrumentHeader:
-    """What the header of a text log states.
-
-    Attributes
-    ----------
-    dialect
-        How the log is written, by the maker's rules where it is known, else as it was detected.
-    clock
-        What is stated of the sample rate.
-    start
-        The time (s) of the first row.
-    remarks
-        Notes for the user.
-    end_mark
-        What the program writes behind the last row.
-    """
-
-    dialect: Dialect
-    clock: Sequence[Statement] = ()
-    start: float = 0.0
-    remarks: tuple[str, ...] = ()
-    end_mark: bytes = b""
 
 
 def cause_of(cell: str) -> str:

@@ -33,7 +33,7 @@ from dbo_cli.logs.sample_block import (
     are_measured,
     dropped_note,
 )
-from dbo_cli.logs.text.dialect import Dialect, InstrumentHeader, cause_of, detect, has_data
+from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
 from dbo_cli.logs.text.lines import LineBlocks, RepeatedHeader, complain, is_text, looks_cut, one_ahead
 from dbo_cli.records import dataclass
 
@@ -67,11 +67,10 @@ class TextTable(Table):
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
             head = self._lines.head(lambda text: live and has_data(text, options))
-            self._header = self._detected(head, options, live)
+            self.dialect = found = self._detected(head, options, live)
         except BaseException:
             self.source.close()
             raise
-        self.dialect = found = self._header.dialect
         units = found.units or ("",) * found.width
         writings = found.writings or ("numbers",) * found.width
         known = found.numeric | {number for number, how in enumerate(writings) if how != "numbers"}
@@ -84,7 +83,7 @@ class TextTable(Table):
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._ahead = self.source.is_regular and not (live or self._lines.ended)
 
-    def _detected(self, head: bytes | None, options: ReadingOptions, live: bool) -> InstrumentHeader:
+    def _detected(self, head: bytes | None, options: ReadingOptions, live: bool) -> Dialect:
         """Detect the dialect and what the instrument states above it, perhaps below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
@@ -94,7 +93,7 @@ class TextTable(Table):
             try:
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
                 if _PLAIN.fullmatch(complete):
-                    return InstrumentHeader(detect(self.place, complete, options))
+                    return detect(self.place, complete, options)
                 from dbo_cli.logs.text.instruments import read_instrument_header
 
                 return read_instrument_header(self.place, complete, options)
@@ -109,7 +108,7 @@ class TextTable(Table):
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
-        return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
+        return agreed_rate(self.place, self.dialect.clock, self.notes), self.dialect.start
 
     def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of about ``block_rows`` rows.
@@ -141,8 +140,8 @@ class TextTable(Table):
 
     def _data(self, parser: BlockParser) -> Iterator[bytes]:
         """Skip the lines above the data, and the instrument's mark of the end."""
-        self.notes.extend(f"{self.place}: {remark}" for remark in self._header.remarks)
-        mark = self._header.end_mark
+        self.notes.extend(f"{self.place}: {remark}" for remark in self.dialect.notes)
+        mark = self.dialect.end_mark
         parser.next_line += self._lines.empty_lines
         first = self.dialect.first_line + self._lines.empty_lines
         for block in self._lines:
@@ -301,8 +300,8 @@ class BlockParser:
         self.next_line += 1
         rows, lines = np.array(places, dtype=np.int64).reshape(-1, 2).T
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
-        columns = {role: np.ascontiguousarray(table[:, number]) for number, role in enumerate(self.picks)}
-        return SampleBlock(rows, lines, None, columns)
+        columns = np.ascontiguousarray(table.T)
+        return SampleBlock(rows, lines, None, dict(zip(self.picks, columns, strict=True)))
 
     def _refuse_other_columns(self, line: str) -> None:
         """Refuse a comment that names other columns than the one above the data (InputError)."""
