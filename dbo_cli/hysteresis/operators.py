@@ -321,6 +321,10 @@ class DiscreteBacklashOperator:
         self._size, self._buffer = kernel.state_words(self.n), kernel.buffer_words(self.n)  # in words
         self._gain = np.array(relaxation.gain if relaxation else (), dtype=np.float64)
 
+    def __repr__(self) -> str:
+        """Return a short description for debugging."""
+        return f"{type(self).__name__}(n={self.n}, x_range={self.x_range}, y_range={self.y_range})"
+
     def _at_rest(self, voltage: float) -> float:
         """Return what the relaxation terms add up to after a long rest at ``voltage``."""
         if self.relaxation is None:
@@ -532,6 +536,10 @@ class DiscretePointOperator:
             np.column_stack([starts[0][:-1], starts[1][:-1], heights / widths])
         )
         self.segments.flags.writeable = False
+
+    def __repr__(self) -> str:
+        """Return a short description for debugging."""
+        return f"{type(self).__name__}(m={self.m}, x_range={self.x_range}, y_range={self.y_range})"
 
     def inverse(self) -> DiscretePointOperator:
         """Return the inverse (17)-(18): ΔX and ΔY exchanged in every segment, and the origins."""
