@@ -148,9 +148,7 @@ class Bank:
         self.__dict__.update(state)
         live, self._live = self._live, None
         if live:
-            limits = self._bounds()
-            limits[3] = self._stand
-            self._live = self._make(limits)
+            self._begin(self._stand)
 
     def _go_on(self, applied: ArrayLike | None) -> None:
         """Go on in the kernel: from the plan, or from other voltages (of codes)."""
@@ -169,25 +167,22 @@ class Bank:
             self._codes.commit(volts)
         self._stand[:] = volts
 
-    def _begin(self) -> None:
-        """Put the channels that have begun into one bank of the kernel."""
-        limits = self._bounds()
-        self._live, self._stand = self._make(limits), limits[3].copy()
-        if self._codes is not None and self._live is not None:
+    def _begin(self, stand: Floats | None = None) -> None:
+        """Put channels that have begun into one bank of the kernel; what looks ahead, or lags, goes on alone.
+
+        ``stand`` are the voltages that stand, where the bank is made again.
+        """
+        parts = [one.begun for one in self._controllers]
+        begun = [one for one in parts if one is not None]
+        if len(begun) < len(parts):
+            return
+        limits = np.array([one.bounds for one in self._controllers]).T.copy()  # low, high, most and last
+        if stand is not None:
+            limits[3] = stand
+        elif self._codes is not None:
             self._codes.begin(limits)
-
-    def _bounds(self) -> Floats:
-        """Return rows low, high, most and last, a column of each channel."""
-        return np.ascontiguousarray(np.array([one.bounds for one in self._controllers]).T)
-
-    def _make(self, limits: Floats) -> Any:
-        """Return the bank of the kernel, or None where what looks ahead, or lags, goes on one by one."""
-        begun = [one.begun for one in self._controllers]
-        parts = [one for one in begun if one is not None]
-        if len(parts) < len(begun):
-            return None
-        steppers, before, after = zip(*parts, strict=True)
-        return make_bank(steppers, before, after, limits)
+        steppers, before, after = zip(*begun, strict=True)
+        self._live, self._stand = make_bank(steppers, before, after, limits), limits[3].copy()
 
     def _one_by_one(self, wanted: Floats) -> NDArray[Any]:
         planned = []

@@ -136,15 +136,10 @@ def _before(drive: Floats, last: float | None) -> Floats:
 
 def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
     """Return how many rows, the first ones, come from outside the range without going further out."""
-    bound = limits.v_max if last > limits.v_max else limits.v_min
-    sign = 1.0 if last > limits.v_max else -1.0
-    outside = sign * (drive - bound) > 0.0
-    if not outside.size:
-        return 0
-    count = int(np.argmin(outside)) if not outside.all() else drive.size
-    way = np.concatenate([[last], drive[:count]])
-    outwards = sign * np.diff(way) > 0.0
-    return int(np.argmax(outwards)) if outwards.any() else count
+    bound, sign = (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
+    outwards = sign * drive > sign * _before(drive, last)
+    coming = (sign * (drive - bound) > 0.0) & ~outwards
+    return drive.size if coming.all() else int(np.argmin(coming))
 
 
 @dataclass

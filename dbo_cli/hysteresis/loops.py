@@ -8,6 +8,7 @@ drive is the inverse's in that state, until it stays. So the forward model does 
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 import math
 from typing import NamedTuple
@@ -25,6 +26,7 @@ SETTLED = 1e-12  # of the drive's range, by which a settled drive changes from p
 
 
 FOR_EVER = 14.0  # of the longest time constant: what creeps is over to a millionth
+EVER = 2**62  # passes: the longest range that Python searches
 SPARE = 1.01  # a time that is found to 1 %, or an error of no more than 1 % above the least, will do
 SMALLEST_GAIN = 0.1  # of a frequency through a delay's interpolation, from which on it is undone
 
@@ -172,14 +174,13 @@ def settling(
         return first, int(abs(first) > within)
     effects = memory_effects(model, drive, step, before)
     parts = [abs(w * (own - held)) for w, own, held in zip(effects, rest, memory, strict=True)]
-    seconds, passes = drive.size * step, int(abs(first) > within)
-    low, high = passes, passes
-    while _left(parts, terms.tau, high * seconds) > within:
-        low, high = high, 2 * high + 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if _left(parts, terms.tau, middle * seconds) > within else (low, middle)
-    return first, high
+    seconds, fewest = drive.size * step, int(abs(first) > within)
+
+    def stays(passes: int) -> bool:
+        left = zip(parts, terms.tau, strict=True)
+        return not sum(part * math.exp(-passes * seconds / tau) for part, tau in left) > within
+
+    return first, fewest + bisect.bisect_left(range(fewest, EVER), True, key=stays)
 
 
 def memory_effects(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> list[float]:
@@ -253,10 +254,6 @@ def creep_rest(
         seconds = long
     level = rest(seconds)[0] + terms.reference
     return float(through(model.head_inverse, np.array([level]))[0]), seconds
-
-
-def _left(parts: list[float], tau: tuple[float, ...], seconds: float) -> float:
-    return sum(part * math.exp(-seconds / one) for part, one in zip(parts, tau, strict=True))
 
 
 def _memory_at(

@@ -40,8 +40,7 @@ class RelativeModel(ActuatorModel):
         plays = [k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator)]
         if len(plays) != 1:
             raise ModelError("stages: exactly one stage of plays must be among them")
-        self._check_dynamics()
-        self._check_delay()
+        self._take_apart(plays[0])
         for place, stage in enumerate(self.stages):
             if isinstance(stage, PlayOperator):
                 if stage.relaxation is not None and stage.inverted == (self.direction == "forward"):
@@ -52,15 +51,9 @@ class RelativeModel(ActuatorModel):
                 raise ModelError(f"stages[{place}]: gears and plays do not go together")
 
     @cached_property
-    def _place(self) -> int:
-        return next(k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator))
-
-    @cached_property
     def plays(self) -> PlayOperator:
         """The stage of plays."""
-        stage: object = self.stages[self._place]
-        assert isinstance(stage, PlayOperator)
-        return stage
+        return next(stage for stage in self.stages if isinstance(stage, PlayOperator))
 
     @property
     def backlash(self) -> NoReturn:
