@@ -278,7 +278,7 @@ FAULTS: list[Fault] = [
         ("min(self._range[0], float(desired.min()))", "float(desired.min())", "the range is that of all batches"),
     ),
     *_faults(
-        "reports/running_statistics.py",
+        "reports/accumulators.py",
         REPORTS,
         ("math.ceil(fraction * self.count)", "math.floor(fraction * self.count) + 1", "95 % of the samples, no more"),
         ("return self._sum + self._lost", "return self._sum", "long sums keep their digits"),
@@ -331,7 +331,7 @@ FAULTS: list[Fault] = [
         ('("=", "+", "@")', '("=", "+")', "no name is a formula to a spreadsheet"),
     ),
     *_faults(
-        "reports/thinned_curves.py",
+        "reports/accumulators.py",
         FIGURES,
         ("rows[:, 3].argmax(axis=2)", "rows[:, 3].argmin(axis=2)", "the greatest value of every stretch is kept"),
         ("self._last = (x[-1:], y[-1:])", "self._last = (x[:0], y[:0])", "a curve goes on from batch to batch"),

@@ -10,13 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trials import pairs
 
+from dbo_cli.reports.accumulators import CompensatedSum, ErrorDistribution
 from dbo_cli.reports.figures_of_merit import LoopWidth, PhaseLag, TrackingFigures, TrackingMetrics
-from dbo_cli.reports.running_statistics import (
-    BATCH,
-    CompensatedSum,
-    ErrorDistribution,
-)
-from dbo_cli.reports.sample_pairs import Batches
+from dbo_cli.reports.sample_pairs import BATCH, Batches
 
 
 def figures_of(desired, measured, chunk=None, **options) -> TrackingFigures:

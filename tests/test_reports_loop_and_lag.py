@@ -16,7 +16,7 @@ from dbo_cli.reports.figures_of_merit import (
     hold_length,
     monotone_ends,
 )
-from dbo_cli.reports.running_statistics import BATCH
+from dbo_cli.reports.sample_pairs import BATCH
 
 TRUE_LOOP = 0.5
 

@@ -12,8 +12,7 @@ import dbo_cli as dbo
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.reports.report import cycles, spans
-from dbo_cli.reports.running_statistics import BATCH
-from dbo_cli.reports.sample_pairs import batched, find_lag, lagged, rows_to_read, with_values
+from dbo_cli.reports.sample_pairs import BATCH, batched, find_lag, lagged, rows_to_read, with_values
 
 
 def blocks_of(desired, measured, chunk=7, time=None, first=1):

@@ -1,7 +1,7 @@
 """How well one signal follows another: the figures of merit of a log of any length, in constant memory.
 
 The error is *measured - desired* throughout. The result does not depend on how the stream was cut into
-blocks, to the last bit: see ``running_statistics``.
+blocks, to the last bit: see ``accumulators``.
 
 Among them are the loop and the lag that are left. A loop is a difference between up and down, so first:
 which way a signal is going, sample by sample, whatever noise, rounding and holding do to its steps.
@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
-from dbo_cli.reports import running_statistics
-from dbo_cli.reports.running_statistics import CompensatedSum, DoublingBins, Floats, comparable
-from dbo_cli.reports.sample_pairs import Batches, only
+from dbo_cli.reports.accumulators import CompensatedSum, DoublingBins, ErrorDistribution
+from dbo_cli.reports.sample_pairs import Batches, Floats, comparable, only
 
 # A turn must be larger than this many standard deviations of the noise: the greatest and the least of 10,000
 # normal samples lie 8 apart.
@@ -416,7 +415,7 @@ class TrackingMetrics:
         self._remove_offset, self._sample_rate = remove_offset, sample_rate
         self.rows: tuple[int, int] | None = None
         self._batches = Batches()
-        self.distribution = running_statistics.ErrorDistribution()
+        self.distribution = ErrorDistribution()
         self._loop = LoopWidth()
         self._phase = PhaseLag()
         self._hold: float | None = None

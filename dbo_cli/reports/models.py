@@ -21,7 +21,7 @@ from dbo_cli.reports import drawing as style
 from dbo_cli.reports import renderers
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head
-from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -26,12 +26,12 @@ from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
-from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
     import pandas
 
-    from dbo_cli.reports.thinned_curves import FigureData
+    from dbo_cli.reports.accumulators import FigureData
 
 MOST_SEGMENTS = 10_000  # more are no report, and take seconds
 RECORD = (
@@ -184,7 +184,7 @@ def evaluate(
     sample_rate : float, optional
         Samples a second, where the blocks carry no time.
     figure_data : Collector, optional
-        Sees every pair, lag taken out; see ``thinned_curves.FigureData``.
+        Sees every pair, lag taken out; see ``accumulators.FigureData``.
     score_rows : (int, int or None), optional
         First and last desired row that count, of the rows that come; reading ends behind the last one.
     count_sweep : bool

@@ -19,11 +19,18 @@ from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock, joined
 from dbo_cli.records import dataclass
-from dbo_cli.reports.running_statistics import BATCH, Floats, comparable
 
+Floats = NDArray[np.float64]
+BATCH = 32768  # samples: four columns of them fit into a cache of 1 MB
+LARGEST = 1e70  # its fourth power is still a number
 LAG_WINDOW = 1 << 18  # samples in which a lag is looked for: 26 s at 10,000 a second, 4 MB
 _AT_THE_END = 1e-6  # of a step: a stamp so little beyond the trajectory's last one is the same stamp
 SAME = 1e-9  # of the seconds of a dwell: what rounded time stamps may lack
+
+
+def comparable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
+    """Return where a pair can be compared: both are numbers, and so small that their squares are too."""
+    return (np.abs(desired) < LARGEST) & (np.abs(measured) < LARGEST)
 
 
 def row_numbers(block: SampleBlock) -> Floats:

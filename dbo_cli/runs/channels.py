@@ -30,7 +30,7 @@ from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
-from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish
+from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
 
 if TYPE_CHECKING:
@@ -281,7 +281,8 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
                     table.add(one.name, one.outputs)
                     summaries += _other_documents(one, destination)
             table.finish()
-            _write_summaries(summaries, destination)
+            if summaries and destination.summary is not None:
+                write_json(destination.summary, summaries)
     sum_up_remarks(remarks, pattern, outcome.remarks)
     return outcome
 
@@ -351,12 +352,6 @@ def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> No
     ) as writer:  # fmt: skip
         for row in range(0, len(signal.arrays[0]), max(rows, 1)):
             writer.write(*(array[row : row + rows] for array in signal.arrays))
-
-
-def _write_summaries(summaries: list[dict[str, Any]], destination: Destination) -> None:
-    if summaries and destination.summary is not None:
-        text = json.dumps(summaries, indent=2, ensure_ascii=False) + "\n"
-        whole_output.write_whole(destination.summary, text.encode())
 
 
 def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[str, Any]]:

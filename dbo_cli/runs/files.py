@@ -317,7 +317,11 @@ def summary_of_values(
 
 def write_summary(output: Address, done: Sequence[Mapping[str, Any]]) -> None:
     """Write a summary, or a list of them where there are several signals."""
-    content = done[0] if len(done) == 1 else done
+    write_json(output, done[0] if len(done) == 1 else done)
+
+
+def write_json(output: Address, content: object) -> None:
+    """Write plain values as JSON."""
     write_whole(output, (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
 
 

@@ -294,9 +294,9 @@ def compare_logs(
 ) -> Remarks:
     """Fit every model to the logs and write the table; ``asked.reading.rows`` are not the validation's."""
     from dbo_cli.relatives.judging import NAMES, compare
-    from dbo_cli.reports.drawing import save
+    from dbo_cli.reports.drawing import check_folder, save
     from dbo_cli.reports.models import ModelTable
-    from dbo_cli.runs.reporting import prepare_folder, report_form
+    from dbo_cli.runs.reporting import report_form
 
     form = report_form(output, options.form)
     inputs = [*asked.logs, *asked.validation]
@@ -304,7 +304,7 @@ def compare_logs(
     request.check_format(asked.reading.format, inputs)
     for folder in (options.figures, options.models_folder):
         if folder is not None:
-            prepare_folder(folder)
+            check_folder(folder)
     fitted, checks = asked.read(listener)
     recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
     rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)

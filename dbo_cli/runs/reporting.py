@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import LimitError, OutputError, UsageError
+from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs import request
@@ -23,11 +23,12 @@ from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows,
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
-from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports import renderers
-from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
+from dbo_cli.reports.accumulators import FigureData
+from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
 from dbo_cli.runs.channels import columns_of, models_by_channel, opened_readers, patterns_of, sum_up_remarks
@@ -37,8 +38,6 @@ from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     import pandas
-
-    from dbo_cli.reports.thinned_curves import FigureData
 
 Match = Literal["auto", "time", "rows"]
 
@@ -229,8 +228,6 @@ class TrackingRun:
         self._units.append((source.name, unit or source.columns["measured"].unit))
 
     def _new_figure_data(self, source: Source) -> FigureData:
-        from dbo_cli.reports.thinned_curves import FigureData
-
         drive = source.columns.get("voltage")
         self._figure_data.append(FigureData(None if drive is None else drive.unit))
         return self._figure_data[-1]
@@ -297,15 +294,10 @@ class TrackingReport:
 
     def to_html(self) -> str:
         """Return the report as one self-contained page with its figures."""
-        from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
-        from dbo_cli.reports.models import plots_of_model
-
+        of_logs, together, of_model = self._plots()
+        program = program_version_string()
         return renderers.to_html(
-            self.report,
-            [plots_of_log(self.report, log, figure_data) for log, figure_data in self._drawn()],
-            comparison_plots=plots_of_comparison(self.report, self.figure_data),
-            model_plots=() if self.model is None else plots_of_model(self.model),
-            program=program_version_string(),
+            self.report, of_logs, comparison_plots=together, model_plots=of_model, program=program
         )
 
     def rendered(self, form: str) -> bytes:
@@ -331,22 +323,25 @@ class TrackingReport:
         OutputError
             The folder cannot be written to.
         """
-        from dbo_cli.reports.drawing import check_folder, file_stems, save
+        target = check_folder(str(folder))
+        of_logs, together, of_model = self._plots()
+        stems = file_stems([log.name for log in self.report.logs])
+        for stem, log, plots in zip(stems, self.report.logs, of_logs, strict=True):
+            save(plots, target, stem, log.name)
+        save(together, target, "all-logs")
+        save(of_model, target, "model")
+
+    def _plots(self) -> tuple[list[list[Plot]], list[Plot], list[Plot]]:
+        """Return the figures of each log, of all together, and of the model."""
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
 
-        target = check_folder(str(folder))
-        stems = file_stems([log.name for log in self.report.logs])
-        for stem, (log, figure_data) in zip(stems, self._drawn(), strict=True):
-            save(plots_of_log(self.report, log, figure_data), target, stem, log.name)
-        save(plots_of_comparison(self.report, self.figure_data), target, "all-logs")
-        if self.model is not None:
-            save(plots_of_model(self.model), target, "model")
-
-    def _drawn(self) -> list[tuple[LogReport, FigureData]]:
-        if len(self.figure_data) != len(self.report.logs):
+        report, kept = self.report, self.figure_data
+        if len(kept) != len(report.logs):
             raise UsageError("nothing was kept to draw from: compare with `traced`")
-        return list(zip(self.report.logs, self.figure_data, strict=True))
+        of_logs = [plots_of_log(report, log, data) for log, data in zip(report.logs, kept, strict=True)]
+        of_model = [] if self.model is None else plots_of_model(self.model)
+        return of_logs, plots_of_comparison(report, kept), of_model
 
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
@@ -376,7 +371,7 @@ class ReportRun:
         inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)
         check_output(self.output, inputs)
         if self.figures is not None:
-            prepare_folder(self.figures)
+            check_folder(self.figures)
         return chosen, inputs
 
     def write(self, content: bytes, inputs: Sequence[Given]) -> None:
@@ -428,14 +423,6 @@ def report_form(output: Address, form: str | None) -> str:
     if form is not None and named not in (None, form):
         raise UsageError(f"{output.text}: `format` {form} contradicts this name: leave one of them out")
     return form or named or "text"
-
-
-def prepare_folder(folder: str) -> None:
-    """Make a folder for outputs where there is none, and refuse one that cannot be written to."""
-    refuse_picture(folder)
-    with contextlib.suppress(OutputError):  # check_folder has the better message
-        make_folder(folder)
-    check_folder(folder)
 
 
 def rows_to_score(
