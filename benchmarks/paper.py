@@ -27,14 +27,13 @@ from dbo_cli.logs.request import ReadingOptions, Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.drawing import Plot, check_folder, save
 from dbo_cli.reports.figures import plots_of_log
 from dbo_cli.reports.models import plots_of_model
 from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, evaluate
-from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.sample_pairs import rows_to_read, with_values
-from dbo_cli.reports.thinned_curves import FigureData
+from dbo_cli.reports.sample_pairs import Floats, rows_to_read, with_values
 from dbo_cli.version import program_version_string
 
 RATE = 200.0

@@ -278,7 +278,7 @@ FAULTS: list[Fault] = [
         ("min(self._range[0], float(desired.min()))", "float(desired.min())", "the range is that of all batches"),
     ),
     *_faults(
-        "reports/running_statistics.py",
+        "reports/accumulators.py",
         REPORTS,
         ("math.ceil(fraction * self.count)", "math.floor(fraction * self.count) + 1", "95 % of the samples, no more"),
         ("return self._sum + self._lost", "return self._sum", "long sums keep their digits"),
@@ -331,7 +331,7 @@ FAULTS: list[Fault] = [
         ('("=", "+", "@")', '("=", "+")', "no name is a formula to a spreadsheet"),
     ),
     *_faults(
-        "reports/thinned_curves.py",
+        "reports/accumulators.py",
         FIGURES,
         ("rows[:, 3].argmax(axis=2)", "rows[:, 3].argmin(axis=2)", "the greatest value of every stretch is kept"),
         ("self._last = (x[-1:], y[-1:])", "self._last = (x[:0], y[:0])", "a curve goes on from batch to batch"),
@@ -380,7 +380,7 @@ FAULTS: list[Fault] = [
          "a binary log that is written over while it is read"),
     ),
     *_faults(
-        "logs/hdf5/safety.py",
+        "logs/hdf5/reader.py",
         ("logs_changing_files",),
         ("    root.watch.add(target)\n", "", "a file behind a link is watched, too"),
         ("        watch.add(source)\n", "", "a source of a virtual dataset is watched, too"),
@@ -508,7 +508,7 @@ FAULTS: list[Fault] = [
     *_faults(
         "reports/sample_pairs.py",
         ("settling", "cli_shell"),
-        ("held = _only(block, ~new & (time - start", "held = _only(block, (time - start",
+        ("held = only(block, ~new & (time - start", "held = only(block, (time - start",
          "the first row of a level is not one at which it has been held"),
     ),
     *_faults(

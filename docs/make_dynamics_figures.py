@@ -17,7 +17,7 @@ from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import label_decades, mark_curves
-from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import Floats
 from dbo_cli.runs.api import Model
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePoint
 from dbo_cli.reports import drawing as style
 from dbo_cli.reports.drawing import Plot, draw
 from dbo_cli.reports.figures import mark_curves
-from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

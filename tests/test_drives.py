@@ -79,11 +79,11 @@ def test_the_gate_names_the_first_row_that_breaks_a_limit() -> None:
 
 def test_from_outside_its_range_a_drive_may_only_come_inwards() -> None:
     limits = DriveLimits(0.0, 10.0)
-    assert DriveGate(limits, last=14.0).violation(np.array([13.0, 12.0, 9.0, 8.0])) is None
+    assert DriveGate(limits, last=14.0).violation(np.array([13.0, 12.0, 9.0, 8.0])) == ""
     found = DriveGate(limits, last=14.0).violation(np.array([13.0, 13.5, 9.0]))
-    assert found is not None and (found.row, found.drive) == (1, 13.5)
-    found = DriveGate(limits, last=-3.0).violation(np.array([-1.0, 5.0, -0.5]))
-    assert found is not None and found.row == 2
+    assert found == "13.5 is outside 0 to 10"
+    bad = DriveGate(limits, last=-3.0).broken(np.array([-1.0, 5.0, -0.5]))
+    assert bad.tolist() == [False, False, True]
 
 
 def test_infinite_limits_switch_nothing_off() -> None:

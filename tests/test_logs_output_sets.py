@@ -25,6 +25,7 @@ from dbo_cli.logs.whole_output import (
     check_outputs,
     descriptor_of,
     identity_of,
+    make_folder,
     partial_path,
     remove_orphans,
     replacing,
@@ -55,9 +56,9 @@ def test_all_outputs_appear_together(tmp_path: Path) -> None:
 
 def test_a_failure_takes_everything_back(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_bytes(b"old")
-    with pytest.raises(RuntimeError), all_or_none() as outputs:
+    with pytest.raises(RuntimeError), all_or_none():
         write_whole(str(tmp_path / "a.json"), b"new")
-        outputs.make_folder(str(tmp_path / "figures" / "all"))
+        make_folder(str(tmp_path / "figures" / "all"))
         write_whole(str(tmp_path / "figures" / "all" / "one.png"), b"png")
         raise RuntimeError
     assert content(tmp_path) == {"a.json": b"old"}
@@ -104,10 +105,10 @@ def test_a_signal_takes_everything_back(tmp_path: Path, number: int) -> None:
     script = (
         "import sys, time\n"
         "from dbo_cli.cli.app import prepare_process\n"
-        "from dbo_cli.logs.whole_output import all_or_none, write_whole\n"
+        "from dbo_cli.logs.whole_output import all_or_none, make_folder, write_whole\n"
         "prepare_process()\n"
-        "with all_or_none() as outputs:\n"
-        "    outputs.make_folder('figures')\n"
+        "with all_or_none():\n"
+        "    make_folder('figures')\n"
         "    write_whole('figures/a.png', b'x')\n"
         "    write_whole('b.json', b'x')\n"
         "    print('written', flush=True)\n"

@@ -17,7 +17,7 @@ from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.text import text_table
 from dbo_cli.logs.text import text_table as parsing
-from dbo_cli.logs.text.dialect import Dialect, InstrumentHeader, detect
+from dbo_cli.logs.text.dialect import Dialect, detect
 from dbo_cli.logs.text.instruments import read_instrument_header
 from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.readable import READABLE, Shape
@@ -123,12 +123,11 @@ def test_what_is_taken_for_a_plain_log_has_no_instruments_header(tmp_path: Path)
     plain = [content for content in contents if text_table._PLAIN.fullmatch(content)]
     assert len(plain) > 10
 
-    def outcome(read: Callable[..., InstrumentHeader | Dialect], content: bytes) -> object:
+    def outcome(read: Callable[..., Dialect], content: bytes) -> Dialect | str:
         try:
-            found = read("log", content, ReadingOptions())
+            return read("log", content, ReadingOptions())
         except InputError as problem:
             return str(problem)
-        return InstrumentHeader(found) if isinstance(found, Dialect) else found
 
     for content in plain:
         assert outcome(read_instrument_header, content) == outcome(detect, content)

@@ -9,10 +9,10 @@ import pytest
 from headless import Browser, find_browser
 from trials import pairs
 
+from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.figures import plots_of_log
 from dbo_cli.reports.renderers import to_html
 from dbo_cli.reports.report import Report, ReportOptions, evaluate
-from dbo_cli.reports.thinned_curves import FigureData
 
 PROGRAM = find_browser()
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium or Chrome is installed")

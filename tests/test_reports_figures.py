@@ -20,19 +20,7 @@ from dbo_cli.hysteresis.model import ActuatorModel, PointStage, Quantity, ScaleS
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.reports import drawing
-from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
-from dbo_cli.reports.figures import (
-    label_decades,
-    plots_of_channels,
-    plots_of_comparison,
-    plots_of_log,
-    row_width,
-)
-from dbo_cli.reports.models import loop_of, plots_of_model
-from dbo_cli.reports.renderers import breakable, to_html
-from dbo_cli.reports.report import Report, ReportOptions, evaluate
-from dbo_cli.reports.running_statistics import BATCH
-from dbo_cli.reports.thinned_curves import (
+from dbo_cli.reports.accumulators import (
     BUCKETS,
     PIXELS,
     WHOLE,
@@ -44,6 +32,18 @@ from dbo_cli.reports.thinned_curves import (
     Raster,
     Spectrum,
 )
+from dbo_cli.reports.drawing import check_folder, draw, file_stems, save
+from dbo_cli.reports.figures import (
+    label_decades,
+    plots_of_channels,
+    plots_of_comparison,
+    plots_of_log,
+    row_width,
+)
+from dbo_cli.reports.models import loop_of, plots_of_model
+from dbo_cli.reports.renderers import breakable, to_html
+from dbo_cli.reports.report import Report, ReportOptions, evaluate
+from dbo_cli.reports.sample_pairs import BATCH
 
 
 def log_of(samples, chunk=65536, drive=True, spike=None, options=None, unit="um"):

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from trials import pairs
 
+from dbo_cli.reports.accumulators import CompensatedSum, ErrorDistribution
 from dbo_cli.reports.figures_of_merit import LoopWidth, PhaseLag, TrackingFigures, TrackingMetrics
-from dbo_cli.reports.running_statistics import (
-    BATCH,
-    Batches,
-    CompensatedSum,
-    ErrorDistribution,
-)
+from dbo_cli.reports.sample_pairs import BATCH, Batches
 
 
 def figures_of(desired, measured, chunk=None, **options) -> TrackingFigures:
@@ -23,7 +20,7 @@ def figures_of(desired, measured, chunk=None, **options) -> TrackingFigures:
     chunk = chunk or max(len(desired), 1)
     for start in range(0, len(desired), chunk):
         part = slice(start, start + chunk)
-        metrics.add(desired[part], measured[part], np.arange(1.0, len(desired) + 1.0)[part])
+        metrics.add(pairs(range(1, len(desired) + 1)[part], desired[part], measured[part]))
     result = metrics.result()
     assert result is not None
     return result
@@ -100,7 +97,7 @@ def test_no_scale_breaks_it(scale):
 @pytest.mark.parametrize("scale", [1e71, 1e308, np.inf])
 def test_beyond_what_can_be_squared_counts_as_no_number(scale):
     metrics = TrackingMetrics()
-    metrics.add(np.array([1.0, scale, 2.0]), np.array([1.0, 1.0, -scale]), np.arange(1.0, 4.0))
+    metrics.add(pairs(range(1, 4), np.array([1.0, scale, 2.0]), np.array([1.0, 1.0, -scale])))
     figures = metrics.result()
     assert figures is not None
     assert (figures.samples, figures.not_finite, metrics.missing) == (1, 2, [1, 1])
@@ -108,7 +105,7 @@ def test_beyond_what_can_be_squared_counts_as_no_number(scale):
 
 def test_no_number_at_all():
     metrics = TrackingMetrics()
-    metrics.add(np.arange(5.0), np.full(5, np.nan), np.arange(1.0, 6.0))
+    metrics.add(pairs(range(1, 6), np.arange(5.0), np.full(5, np.nan)))
     assert metrics.result() is None
     assert metrics.missing == [0, 5]
     assert TrackingMetrics().result() is None
@@ -123,7 +120,7 @@ def test_time_of_the_largest_error_and_sample_period():
     metrics = TrackingMetrics()
     time = np.arange(50) * 0.005
     error = np.where(np.arange(50) == 31, -7.0, 0.1)
-    metrics.add(np.arange(50.0), np.arange(50.0) + error, row=np.arange(100.0, 150.0), time=time)
+    metrics.add(pairs(range(100, 150), np.arange(50.0), np.arange(50.0) + error, time))
     figures = metrics.result()
     assert figures is not None
     assert (figures.max_abs_row, figures.max_abs_time) == (131, 31 * 0.005)
@@ -253,15 +250,17 @@ def test_batches_keep_every_sample_in_order(lengths, size):
     seen, start = [], 0
     for length in lengths:
         part = stream[start : start + length]
-        seen += [(a.copy(), b.copy()) for a, b in batches.add(part, -part)]
+        rows = range(start + 1, start + length + 1)
+        seen += list(batches.add(pairs(rows, part, -part)))
         start += length
-    assert all(len(a) == size for a, _ in seen)
+    assert all(len(one) == size for one in seen)
     rest = list(batches.rest())
-    assert len(rest) <= 1 and all(0 < len(a) < size for a, _ in rest)
+    assert len(rest) <= 1 and all(0 < len(one) < size for one in rest)
     assert list(batches.rest()) == []
     empty = np.empty(0)
-    assert np.array_equal(np.concatenate([empty, *(x for x, _ in [*seen, *rest])]), stream)
-    assert np.array_equal(np.concatenate([empty, *(x for _, x in [*seen, *rest])]), -stream)
+    for role, values in (("desired", stream), ("measured", -stream)):
+        assert np.array_equal(np.concatenate([empty, *(x.values[role] for x in [*seen, *rest])]), values)
+    assert np.array_equal(np.concatenate([empty, *(x.rows for x in [*seen, *rest])]), stream + 1.0)
 
 
 def test_compensated_sum_keeps_what_rounding_takes():
@@ -275,7 +274,7 @@ def test_the_range_is_that_of_all_batches():
     desired = np.zeros(3 * BATCH)
     desired[[5, 7]] = -4.0, 6.0
     metrics = TrackingMetrics()
-    metrics.add(desired, desired + 1.0, np.arange(1.0, len(desired) + 1.0))
+    metrics.add(pairs(range(1, len(desired) + 1), desired, desired + 1.0))
     figures = metrics.result()
     assert figures is not None
     assert (figures.desired_min, figures.desired_max, figures.nrmse_percent) == (-4.0, 6.0, 10.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from trials import pairs
 
 from dbo_cli.reports.figures_of_merit import (
     DirectionTracker,
@@ -15,7 +16,7 @@ from dbo_cli.reports.figures_of_merit import (
     hold_length,
     monotone_ends,
 )
-from dbo_cli.reports.running_statistics import BATCH
+from dbo_cli.reports.sample_pairs import BATCH
 
 TRUE_LOOP = 0.5
 
@@ -25,7 +26,7 @@ def figures_of(desired, measured, chunk=None) -> TrackingFigures:
     chunk = chunk or len(desired)
     for start in range(0, len(desired), chunk):
         part = slice(start, start + chunk)
-        metrics.add(desired[part], measured[part], np.arange(1.0, len(desired) + 1.0)[part])
+        metrics.add(pairs(range(1, len(desired) + 1)[part], desired[part], measured[part]))
     result = metrics.result()
     assert result is not None
     return result
@@ -236,9 +237,8 @@ def test_a_value_held_from_one_batch_into_the_next_counts_once():
     desired = np.sin(phase)[np.arange(count) // hold * hold]
     measured = np.sin(phase - 0.2)
     held, new = TrackingMetrics(), TrackingMetrics()
-    rows = np.arange(1.0, len(desired) + 1.0)
-    held.add(desired, measured, rows)
-    new.add(desired[::hold], measured[::hold], rows[: len(desired[::hold])])
+    held.add(pairs(range(count), desired, measured))
+    new.add(pairs(range(len(desired[::hold])), desired[::hold], measured[::hold]))
     first, second = held.result(), new.result()
     assert first is not None and second is not None
     assert first.phase_left == pytest.approx(second.phase_left, rel=1e-9)

@@ -15,6 +15,7 @@ from trials import pairs
 
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.reports import report as report_module
+from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.renderers import digits, headline, to_csv, to_json, to_text
 from dbo_cli.reports.report import (
     Report,
@@ -24,7 +25,6 @@ from dbo_cli.reports.report import (
     evaluate,
 )
 from dbo_cli.reports.sample_pairs import rows_to_read
-from dbo_cli.reports.thinned_curves import FigureData
 
 PAPER = Path(os.environ.get("DBO_PAPER_DATA", Path(__file__).parents[2] / "shared" / "data" / "paper"))
 

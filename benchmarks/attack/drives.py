@@ -172,7 +172,7 @@ def planned(pick: Random, model: ActuatorModel, rate: float, tally: Counter[str]
         return ""
     done = model.compensate(wanted, state, limits=limits, time_step=steps)
     found = broken(done.y, steps, limits, last)
-    if not found and gate.violation(done.y, steps) is not None:
+    if not found and gate.violation(done.y, steps):
         found = "the gate refuses what is right"
     tally["planner written"] += 1
     return found

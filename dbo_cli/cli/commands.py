@@ -406,12 +406,9 @@ def report(given: Given) -> None:
     from dbo_cli.runs.reporting import ReportRun, TrackingOptions
 
     tracking = TrackingOptions(**given.of([*options.TRACKING, *options.REPORT_COLUMNS]))
-    asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures)
-    written = reported(asked, _work(given), Progress(given.reporter, "compared"))
-    given.reporter.remarks(written.remarks)
-    if written.form != "text":
-        given.reporter.notes(written.report.notes)
-    written.check(given.of(options.LIMITS))
+    limits = given.of(options.LIMITS)
+    asked = ReportRun(given.log, given.output, given.reading, tracking, given.format, given.figures, limits)
+    _finish(given, reported(asked, _work(given), Progress(given.reporter, "compared")))
 
 
 def excite(given: Given) -> None:
@@ -584,6 +581,7 @@ def _work(given: Given) -> Work:
 def _finish(given: Given, outcome: Outcome) -> None:
     """Print what is to be said of many runs, and end with their error, if there is one."""
     given.reporter.remarks(outcome.remarks)
+    given.reporter.notes(outcome.last)
     if outcome.failure is not None:
         raise outcome.failure
 

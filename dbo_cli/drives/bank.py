@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drives.controller import Controller
-from dbo_cli.drives.gate import GateError
+from dbo_cli.drives.gate import Floats, GateError
 from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import Coupling
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.stepper import ROUNDING, make_bank
-
-Floats = NDArray[np.float64]
 
 
 class Bank:
@@ -83,7 +81,13 @@ class Bank:
         if self._coupling is not None and np.isfinite(wanted).all():
             wanted = self._coupling.apart(wanted)
         if self._live is None:
-            self.planned = self._one_by_one(wanted)
+            planned = []
+            for channel, one, value in zip(self.channels, self._controllers, wanted.tolist(), strict=True):
+                try:
+                    planned.append(one.plan(value))
+                except DboError as problem:
+                    raise type(problem)(f"channel {channel}: {problem}") from None
+            self.planned = np.array(planned)
             return self.planned
         bad = self._live.plan(wanted, self._volts, self._clipped_now, self._codes is None)
         if bad >= 0:
@@ -125,7 +129,7 @@ class Bank:
             self.clipped[:] = [one.clipped for one in self._controllers]
             self._begin()
         else:
-            self._go_on(None if applied is None else self._frame(applied, "what was applied"))
+            self._go_on(applied)
             self.clipped += self._clipped_now
         self._clipped_now[:] = 0
         self.planned = None
@@ -150,19 +154,18 @@ class Bank:
         self.__dict__.update(state)
         live, self._live = self._live, None
         if live:
-            limits = self._bounds()
-            limits[3] = self._stand
-            self._live = self._make(limits)
+            self._begin(self._stand)
 
-    def _go_on(self, applied: Floats | None) -> None:
+    def _go_on(self, applied: ArrayLike | None) -> None:
         """Go on in the kernel: from the plan, or from other voltages (of codes)."""
+        volts = self._volts
         if applied is None and self._codes is None:
             self._live.commit()
-            self._stand[:] = self._volts
+            self._stand[:] = volts
             return
-        volts = self._volts if applied is None else applied
-        if self._codes is not None and applied is not None:
-            volts = self._codes.volts_of(applied, self.channels)
+        if applied is not None:
+            volts = self._frame(applied, "what was applied")
+            volts = volts if self._codes is None else self._codes.volts_of(volts, self.channels)
         bad = self._live.apply(volts)
         if bad >= 0:
             raise InputError(f"channel {self.channels[bad]}: what was applied is not a finite number")
@@ -170,34 +173,22 @@ class Bank:
             self._codes.commit(volts)
         self._stand[:] = volts
 
-    def _begin(self) -> None:
-        """Put the channels that have begun into one bank of the kernel."""
-        limits = self._bounds()
-        self._live, self._stand = self._make(limits), limits[3].copy()
-        if self._codes is not None and self._live is not None:
+    def _begin(self, stand: Floats | None = None) -> None:
+        """Put channels that have begun into one bank of the kernel; what looks ahead, or lags, goes on alone.
+
+        ``stand`` are the voltages that stand, where the bank is made again.
+        """
+        parts = [one.begun for one in self._controllers]
+        begun = [one for one in parts if one is not None]
+        if len(begun) < len(parts):
+            return
+        limits = np.array([one.bounds for one in self._controllers]).T.copy()  # low, high, most and last
+        if stand is not None:
+            limits[3] = stand
+        elif self._codes is not None:
             self._codes.begin(limits)
-
-    def _bounds(self) -> Floats:
-        """Return rows low, high, most and last, a column of each channel."""
-        return np.ascontiguousarray(np.array([one.bounds for one in self._controllers]).T)
-
-    def _make(self, limits: Floats) -> Any:
-        """Return the bank of the kernel, or None where what looks ahead, or lags, goes on one by one."""
-        begun = [one.begun for one in self._controllers]
-        parts = [one for one in begun if one is not None]
-        if len(parts) < len(begun):
-            return None
-        steppers, before, after = zip(*parts, strict=True)
-        return make_bank(steppers, before, after, limits)
-
-    def _one_by_one(self, wanted: Floats) -> NDArray[Any]:
-        planned = []
-        for channel, controller, value in zip(self.channels, self._controllers, wanted.tolist(), strict=True):
-            try:
-                planned.append(controller.plan(value))
-            except DboError as problem:
-                raise type(problem)(f"channel {channel}: {problem}") from None
-        return np.array(planned)
+        steppers, before, after = zip(*begun, strict=True)
+        self._live, self._stand = make_bank(steppers, before, after, limits), limits[3].copy()
 
     def _frame(self, values: ArrayLike, what: str) -> Floats:
         try:

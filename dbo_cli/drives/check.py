@@ -96,7 +96,7 @@ def check_drive(
         checked.problems.append(_problem(place, bad, reason))
     if loop:
         seam = gate.violation(drive[:1], None if waits is None else waits[:1])
-        problem = f"from the last row to the first: {seam.reason}" if seam else _open_seam(drive, suffix)
+        problem = f"from the last row to the first: {seam}" if seam else _open_seam(drive, suffix)
         checked.problems += [problem] if problem else []
     return checked
 

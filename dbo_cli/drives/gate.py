@@ -8,7 +8,6 @@ nothing is written. ``dbo check`` asks the same gate about drives of other progr
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +23,6 @@ Bools = NDArray[np.bool_]
 
 class GateError(DboError):
     """The program computed a drive that breaks its own limits: exit 1, nothing written."""
-
-
-class Violation(NamedTuple):
-    """A row that breaks a limit: where it stands, its drive, and why, in words."""
-
-    row: int
-    drive: float
-    reason: str
 
 
 class DriveGate:
@@ -77,15 +68,14 @@ class DriveGate:
             self.last = float(drive[-1])
         return bad
 
-    def violation(self, drive: Floats, time_step: float | Floats | None = None) -> Violation | None:
-        """Return the first row that breaks a limit, or None; see ``broken``."""
+    def violation(self, drive: Floats, time_step: float | Floats | None = None) -> str:
+        """Say why the first row that breaks a limit does so, nothing where none does; see ``broken``."""
         last = self.last
         bad = self.broken(drive, time_step)
         if not bad.any():
-            return None
-        before = _before(drive, last)
+            return ""
         row = int(np.argmax(bad))
-        return Violation(row, float(drive[row]), self.reason(float(drive[row]), float(before[row])))
+        return self.reason(float(drive[row]), float(_before(drive, last)[row]))
 
     def reason(self, drive: float, before: float) -> str:
         """Say why a row behind another one breaks a limit."""
@@ -105,11 +95,10 @@ class DriveGate:
         GateError
             A row breaks a limit.
         """
-        found = self.violation(drive, time_step)
-        if found is not None:
+        if reason := self.violation(drive, time_step):
             raise GateError(
-                f"this program computed a drive that breaks its limits: {found.reason}; nothing more is "
-                "written (please report it)"
+                f"this program computed a drive that breaks its limits: {reason}; nothing more is written "
+                "(please report it)"
             )
 
     def require_start(self, time_step: float | None, first: float | None = None) -> None:
@@ -147,15 +136,10 @@ def _before(drive: Floats, last: float | None) -> Floats:
 
 def _inwards(drive: Floats, last: float, limits: DriveLimits) -> int:
     """Return how many rows, the first ones, come from outside the range without going further out."""
-    bound = limits.v_max if last > limits.v_max else limits.v_min
-    sign = 1.0 if last > limits.v_max else -1.0
-    outside = sign * (drive - bound) > 0.0
-    if not outside.size:
-        return 0
-    count = int(np.argmin(outside)) if not outside.all() else drive.size
-    way = np.concatenate([[last], drive[:count]])
-    outwards = sign * np.diff(way) > 0.0
-    return int(np.argmax(outwards)) if outwards.any() else count
+    bound, sign = (limits.v_max, 1.0) if last > limits.v_max else (limits.v_min, -1.0)
+    outwards = sign * drive > sign * _before(drive, last)
+    coming = (sign * (drive - bound) > 0.0) & ~outwards
+    return drive.size if coming.all() else int(np.argmin(coming))
 
 
 @dataclass

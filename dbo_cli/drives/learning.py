@@ -25,6 +25,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.loops import settled_output
 from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.move_error import rms
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
@@ -194,7 +195,7 @@ class RepeatedMove:
         remarks = Remarks(warnings=self._jumps(name, error))
         error = error - zero
         digest = hashlib.sha256(np.ascontiguousarray(passes[0].voltage).tobytes()).hexdigest()
-        passed = PassRecord(digest, _rms(error))
+        passed = PassRecord(digest, rms(error))
         drives = [one.drive_sha256 for one in history]
         if passed.drive_sha256 in drives:  # learned from before: what came of it is forgotten
             history = history[: drives.index(passed.drive_sha256)]
@@ -210,7 +211,7 @@ class RepeatedMove:
         percent = 100.0 * passed.rmse / float(np.ptp(desired))
         remarks.notes.append(
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move{of}), "
-            f"{_rms(update):.3g}{unit} of it below {cutoff:.4g} Hz, which this pass takes off"
+            f"{rms(update):.3g}{unit} of it below {cutoff:.4g} Hz, which this pass takes off"
         )
         learned = before + update
         if not absolute:
@@ -259,7 +260,7 @@ class RepeatedMove:
 
     def _require_same_drive(self, recordings: Sequence[Tracked], passes: Sequence[_Pass]) -> None:
         for recording, one in zip(recordings, passes, strict=True):
-            if _rms(one.voltage - passes[0].voltage) > SAME_DRIVE * self.model.input.span:
+            if rms(one.voltage - passes[0].voltage) > SAME_DRIVE * self.model.input.span:
                 raise InputError(
                     f"{recording.name}: was driven otherwise than {recordings[0].name}; only recordings of "
                     "one drive can be averaged"
@@ -271,12 +272,12 @@ class RepeatedMove:
         square = float(np.dot(wanted, wanted))
         size = max(float(np.dot(asked, wanted)) / square, 0.0) if square else 1.0
         mean = 0.0 if self.options.absolute else float(believed.mean() - self.desired.mean())
-        away = math.hypot(_rms(asked - size * wanted), mean)
-        if away > ANOTHER_MOVE * _rms(wanted):
+        away = math.hypot(rms(asked - size * wanted), mean)
+        if away > ANOTHER_MOVE * rms(wanted):
             raise InputError(
                 f"{name}: its drive belongs to another trajectory: by the model it asks for something "
                 f"{away:.3g}{self.unit} away from this one in shape (RMS; the move has "
-                f"{_rms(wanted):.3g}{self.unit})"
+                f"{rms(wanted):.3g}{self.unit})"
             )
 
     def _refuse_growth(
@@ -288,12 +289,12 @@ class RepeatedMove:
         the sensor's noise is larger still, nothing can be said without a history.
         """
         frequency, rows = np.fft.rfftfreq(update.size, self.step), update.size
-        least = LEARNED_BEFORE * _rms(self.desired - self.desired.mean())
+        least = LEARNED_BEFORE * rms(self.desired - self.desired.mean())
         beyond = np.abs(np.fft.rfft(error)[frequency > 2.0 * cutoff]) ** 2
         density = float(np.median(beyond)) / math.log(2.0) if beyond.size else 0.0  # of Gaussian noise
         half = frequency < 0.5 * cutoff
         for part, where in ((half, "below"), (~half, "above")):
-            this, before = (_rms(np.fft.irfft(np.fft.rfft(x) * part, rows)) for x in (update, learned))
+            this, before = (rms(np.fft.irfft(np.fft.rfft(x) * part, rows)) for x in (update, learned))
             noise = math.sqrt(2.0 * density * np.count_nonzero(part & (frequency <= cutoff))) / rows
             if before > least and this > max(GROWTH * before, BEYOND_NOISE * noise):
                 raise InputError(
@@ -415,7 +416,3 @@ def _trusted_by_bands(name: str, believed: FloatArray, measured: FloatArray, ste
             "(check columns, units and delay, or give `bandwidth` HZ)"
         )
     return float(frequency[1] * 2.0 ** ((good + 1) / 3.0))
-
-
-def _rms(x: FloatArray) -> float:
-    return math.sqrt(float(np.mean(x * x)))

@@ -11,7 +11,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,19 +20,10 @@ from dbo_cli.drives.model_run import Response, Tally
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, SHORTEST_WAY, Before, ramp, require_rows, rest_samples, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.hysteresis import loops
 from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
-from dbo_cli.hysteresis.loops import (
-    Settled,
-    creep_rest,
-    looped_state,
-    settled_drive,
-    settled_run,
-    settling,
-    shifted,
-    slow_output,
-    undone_loop,
-)
+from dbo_cli.hysteresis.loops import Settled
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
@@ -59,14 +49,8 @@ where the run-in reaches about as far as the loop, so that the two push each oth
 reaches less far or further."""
 
 
-class Led(NamedTuple):
-    """What is played before a loop, what the run-in follows and is, the loop, and the state before it."""
-
-    before: Before
-    desired: FloatArray
-    run_in: FloatArray
-    settled: Settled
-    begun: ModelState | None
+Led = tuple[Before, FloatArray, FloatArray, Settled, ModelState | None]
+"""What is played before a loop, what the run-in follows and is, the loop, and the state before it."""
 
 
 @dataclass
@@ -111,11 +95,10 @@ class LoopCompensation(Compensation):
             self.inputs.note_rounding(request, asked)
         desired = request if self.lesson is None else self.lesson.desired
         _require_closed(self.whole.name, desired)
-        self.period = undone_loop(self.model, asked, step)
+        self.period = loops.undone_loop(self.model, asked, step)
         if passes:
             require_rows(f"`passes` {passes}: the run-in", passes * asked.size, step)
-        led = self._led_to_loop(asked)
-        before, run_in, settled, begun = led.before, led.run_in, led.settled, led.begun
+        before, followed, run_in, settled, begun = self._led_to_loop(asked)
         played = before.voltage.size
         count, zero = played + run_in.size, 0.0 if block.time is None else float(block.time[0])
         times = np.asarray(zero - step * np.arange(count, 0, -1.0), dtype=np.float64)
@@ -124,7 +107,7 @@ class LoopCompensation(Compensation):
         if played:
             yield self._response(times[:played], before.expected, before.voltage, step)
         if run_in.size:
-            yield self._response(times[played:], led.desired, run_in, step)
+            yield self._response(times[played:], followed, run_in, step)
             self.remarks_before.notes.append(
                 f"{self.source.name}: before the first period stand {count:,} rows, {step * count:.3g} s, "
                 f"{passes} pass{'es' if passes > 1 else ''} of run-in among them"
@@ -135,7 +118,7 @@ class LoopCompensation(Compensation):
             begun = self.model.start(float(drive[0]), self.start)
         self._require_loop(settled, begun)
         self.move.see(desired, None)
-        end = settled_run(self.model, drive, step, settled.before).state.dynamics
+        end = loops.settled_run(self.model, drive, step, settled.before).state.dynamics
         time = None if block.time is None else float(block.time[-1])
         self.state = dataclasses.replace(settled.done.state, dynamics=end, time=time)
         response = self._response(zero + step * np.arange(float(drive.size)), desired, drive, step)
@@ -148,7 +131,7 @@ class LoopCompensation(Compensation):
         self.beyond.add(done.outside_count, done.first_outside, block)
         self._clip(done, block)
         if done.clipped_count:
-            self._miss(self.period - slow_output(self.model, done.y, self.step, settled.before))
+            self._miss(self.period - loops.slow_output(self.model, done.y, self.step, settled.before))
         seam, inside = abs(float(done.y[0] - done.y[-1])), float(np.abs(np.diff(done.y)).max())
         self.remarks_before.notes.append(
             f"{self.source.name}: the drive's step at the loop's seam is {seam:.3g}{unit}, the largest "
@@ -167,25 +150,27 @@ class LoopCompensation(Compensation):
         elif not settled.converged:
             why = "the drive still changes from pass to pass within its limits"
         else:
-            self.remarks_before.notes.append(self._settling(settled, begun))
+            self._note_settling(settled, begun)
             return
         text = f"{self.source.name}: the loop does not settle: {why}"
         if self.options.on_limit == "error":
             raise LimitError(f"{text} (`on_limit` clip writes it all the same)")
         self.remarks_before.warn(text)
 
-    def _settling(self, settled: Settled, begun: ModelState) -> str:
+    def _note_settling(self, settled: Settled, begun: ModelState) -> None:
         """Say how many passes and seconds the mean of a pass takes to come within the expected error."""
-        drive, unit, name = settled.done.y, self.input.suffix, self.source.name
+        drive, unit = settled.done.y, self.input.suffix
         within, what = self._stated()
-        what += f", {within:.3g}{unit}"
-        first, passes = settling(self.model, drive, self.step, begun, settled.before, within)
-        if not passes:
-            return f"{name}: by the model the loop is settled from its first pass on: within {what}"
-        count = f"{passes:,} pass{'es' if passes > 1 else ''}"
-        return (
-            f"{name}: by the model the loop settles in {count}, {passes * (self.step * drive.size):.3g} s: "
-            f"the mean of the first is {first:.3g}{unit} off, then within {what}"
+        first, passes = loops.settling(self.model, drive, self.step, begun, settled.before, within)
+        how = "is settled from its first pass on: within"
+        if passes:
+            how = (
+                f"settles in {passes:,} pass{'es' if passes > 1 else ''}, "
+                f"{passes * (self.step * drive.size):.3g} s: the mean of the first is {first:.3g}{unit} off, "
+                "then within"
+            )
+        self.remarks_before.notes.append(
+            f"{self.source.name}: by the model the loop {how} {what}, {within:.3g}{unit}"
         )
 
     # --- what stands before the period ---
@@ -199,10 +184,10 @@ class LoopCompensation(Compensation):
         settled = self._settled(before.state or self._begun(float(self.period[0])))
         if passes:
             desired = np.concatenate([before.desired, self._approached(asked, float(asked[0]))])
-            return Led(before, desired, *self._run_in(desired, asked, before.state, settled))
+            return before, desired, *self._run_in(desired, asked, before.state, settled)
         if before.state is None:
             before, settled = self._of_its_own_start(settled)
-        return Led(before, NOTHING, NOTHING, settled, before.state)
+        return before, NOTHING, NOTHING, settled, before.state
 
     def _run_in_from_rest(self, asked: FloatArray) -> Led:
         """Return the loop, and before it the rest and the run-in.
@@ -217,7 +202,7 @@ class LoopCompensation(Compensation):
             desired = self._approached(asked, float(before.expected[-1]))
             assert before.state is not None
             run_in, settled, begun = self._run_in(desired, asked, before.state, self._settled(before.state))
-            off, _ = settling(self.model, settled.done.y, self.step, begun, settled.before, within)
+            off, _ = loops.settling(self.model, settled.done.y, self.step, begun, settled.before, within)
             if abs(off) <= 0.5 * within:
                 break
             if start is None:  # what an unknown start leaves crossed jumps with it: the next rests start here
@@ -230,7 +215,7 @@ class LoopCompensation(Compensation):
             f"{self.source.name}: for the creep the drive rests {self.step * rows:.3g} s at "
             f"{before.voltage[-1]:.6g}{self.output.suffix} before the run-in"
         )
-        return Led(before, desired, run_in, settled, begun)
+        return before, desired, run_in, settled, begun
 
     def _approached(self, asked: FloatArray, first: float) -> FloatArray:
         """Return the passes of a run-in, which fade in from a rest."""
@@ -251,7 +236,7 @@ class LoopCompensation(Compensation):
         fade = _fade(passes * count, passes * count, (1.0, 1.0 / passes))
         rise = 1.0 - (1.0 - _rise(count, passes)) * (1.0 - fade)
         for _ in range(REST_PLANS):
-            level, seconds = creep_rest(model, settled, step, memory, rise, within, between, bias)
+            level, seconds = loops.creep_rest(model, settled, step, memory, rise, within, between, bias)
             voltage, begun = np.array([level]), known
             if last is not None:
                 voltage = ramp("approach", last, level, step, swing, self.limits)
@@ -298,7 +283,7 @@ class LoopCompensation(Compensation):
 
     def _settled(self, state: ModelState) -> Settled:
         """Return the loop that settles from a state: gears that it does not reach stay as they were."""
-        return settled_drive(self.model, self.period, self.step, state, self.limits)
+        return loops.settled_drive(self.model, self.period, self.step, state, self.limits)
 
     def _of_its_own_start(self, settled: Settled) -> tuple[Before, Settled]:
         """Return the loop whose first row's own start (``auto``, ``settled``) leads to it, and rows before.
@@ -355,9 +340,9 @@ class LoopCompensation(Compensation):
     def _away(self, settled: Settled, begun: ModelState) -> float:
         """Return how far off the model repeats a settled drive that is begun in a state."""
         model, drive, step = self.model, settled.done.y, self.step
-        ends = slow_output(model, drive, step, looped_state(model, drive, step, begun))
+        ends = loops.slow_output(model, drive, step, loops.looped_state(model, drive, step, begun))
         clipped = settled.done.clipped_count
-        aim = slow_output(model, drive, step, settled.before) if clipped else self.period
+        aim = loops.slow_output(model, drive, step, settled.before) if clipped else self.period
         return float(np.abs(ends - aim).max())
 
     def _run_in(
@@ -371,8 +356,7 @@ class LoopCompensation(Compensation):
         model, limits = self.model, self.limits
         signal = self._undone_before(desired, asked, begun)
         start = begun or model.start_compensation(float(signal[0]), self.start, limits)
-        time_step = self.step if model.needs_time or limits.max_slew is not None else None
-        followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=time_step)
+        followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=self.step)
         self.rows += followed.y.size
         self.rows_before += followed.y.size
         self._clip(followed, None)
@@ -387,8 +371,8 @@ class LoopCompensation(Compensation):
                 if drive[-1] != closed[-1]:
                     off = min(off, abs(float(drive[-1] - closed[-1])))
                     break
-                state = model.simulate(drive, forward, time_step=time_step).state
-                aim = settled_drive(model, self.period, self.step, state, limits)
+                state = model.simulate(drive, forward, time_step=self.step).state
+                aim = loops.settled_drive(model, self.period, self.step, state, limits)
                 found = drive, target, state
                 if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:
                     return found
@@ -404,7 +388,7 @@ class LoopCompensation(Compensation):
         model, step = self.model, self.step
         inverter = None if model.dynamics is None else model.dynamics.inverter(step)
         ahead = int(np.ceil(model.delay_seconds / step)) + 1 + (0 if inverter is None else inverter.ahead)
-        signal = shifted(np.concatenate([desired, np.resize(asked, ahead)]), model.delay_seconds / step)
+        signal = loops.shifted(np.concatenate([desired, np.resize(asked, ahead)]), model.delay_seconds / step)
         if inverter is not None:
             memory = None if begun is None or begun.dynamics is None else inverter.memory_of(begun.dynamics)
             ((_, signal, _),) = undone([(None, signal)], inverter, memory)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis import kernel, model_state
 from dbo_cli.hysteresis.cascade import read_ahead
 from dbo_cli.hysteresis.dynamics import (
     DynamicsInverter,
@@ -23,14 +23,7 @@ from dbo_cli.hysteresis.dynamics import (
     undone,
 )
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import (
-    START_NAMES,
-    ModelState,
-    OutsideError,
-    Quantity,
-    Simulated,
-    StartName,
-)
+from dbo_cli.hysteresis.model_state import ModelState, Quantity, Simulated, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import GAP_STEPS, JITTER, FloatArray, SampleBlock, require_even
 from dbo_cli.logs.sources import Source, remarks_of
@@ -481,7 +474,7 @@ class ModelRun:
             self.state = self._begun(float(x[0]))
         try:
             done = self._run(x, self.state, time_step=steps)
-        except OutsideError as problem:
+        except model_state.OutsideError as problem:
             raise InputError(
                 f"{block.place(self.source.name, problem.index)}: {x[problem.index]:.6g} is outside the "
                 f"range of the model ({self._range()}) (`outside` extend or hold)"
@@ -573,7 +566,7 @@ def found_start(model: ActuatorModel, name: str, first: float) -> StartName | No
     for log in logs:
         known = log if isinstance(log, dict) else {}
         named = name == known.get("name") or name.endswith(f"/{known.get('name')}")
-        for start in START_NAMES:
+        for start in model_state.START_NAMES:
             if named and known.get("begins_at") == first and known.get("start") == start:
                 return start
     return None

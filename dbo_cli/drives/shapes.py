@@ -126,9 +126,8 @@ class TrajectoryOptions:
         """About how long the move takes, in s."""
         each = (self.dwell or 0.0) + 1.0 / (self.bandwidth or self.rate) if self.steps else 0.0
         count = (self.lines or self.turns or self.cycles or 1) * (2 if self.one_way else 1)
-        return 2.0 * ((self.steps or 0) * each + self.rest) + (
-            count / self.frequency if self.frequency else 0.0
-        )
+        moving = count / self.frequency if self.frequency else 0.0
+        return 2.0 * ((self.steps or 0) * each + self.rest) + moving
 
     @property
     def turn(self) -> int:
@@ -273,13 +272,11 @@ def _raster(options: TrajectoryOptions) -> Move:
     slow = np.concatenate([np.full(lead + 1, levels[0]), blocks.ravel(), np.full(flat + lead, levels[-1])])
     rate, line = options.rate, flat + turn
     each = f", {options.pixels} pixels of {inside // pixels} rows" if options.pixels else ""
-    return Move(
-        (fast, slow),
-        [
-            f"{lines} lines, one in {line / rate * (2 if options.one_way else 1):.6g} s; of a line's "
-            f"{line / rate:.6g} s {100.0 * inside / line:.3g} % are linear and inside the range{each}"
-        ],
+    note = (
+        f"{lines} lines, one in {line / rate * (2 if options.one_way else 1):.6g} s; of a line's "
+        f"{line / rate:.6g} s {100.0 * inside / line:.3g} % are linear and inside the range{each}"
     )
+    return Move((fast, slow), [note])
 
 
 def _triangle(options: TrajectoryOptions) -> Move:
@@ -313,11 +310,9 @@ def _spiral(options: TrajectoryOptions) -> Move:
     turns = options.turns or 1
     phase = eased(options.period, turns)
     angle, radius = 2.0 * math.pi * phase, 0.5 * phase / turns
-    first, second = 0.5 + radius * np.cos(angle), 0.5 + radius * np.sin(angle)
-    note = f"{turns} turns, one in {options.period / options.rate:.6g} s"
-    return Move(
-        (_between(options.range, first), _between(options.slow_range or options.range, second)), [note]
-    )
+    first = _between(options.range, 0.5 + radius * np.cos(angle))
+    second = _between(options.slow_range or options.range, 0.5 + radius * np.sin(angle))
+    return Move((first, second), [f"{turns} turns, one in {options.period / options.rate:.6g} s"])
 
 
 def _staircase(options: TrajectoryOptions) -> Move:

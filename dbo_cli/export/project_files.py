@@ -267,20 +267,15 @@ def _library_suffix() -> str:
     return {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
-def _compiler() -> str:
-    """Return the C compiler: the environment's CC, else the usual names."""
-    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
-        if name and shutil.which(name):
-            return name
-    raise OutputError(
-        "no C compiler (cc, gcc, clang, or the one CC names) is here for `shared` and `fmu`:"
-        " install one, or export the sources alone"
-    )
-
-
 def _compile(sources: Mapping[str, str]) -> bytes:
-    """Return sources as a shared library of this computer."""
-    command = _compiler()
+    """Return sources as a shared library of this computer, by the environment's CC or a usual compiler."""
+    names = (os.environ.get("CC", ""), "cc", "gcc", "clang")
+    command = next((name for name in names if name and shutil.which(name)), None)
+    if command is None:
+        raise OutputError(
+            "no C compiler (cc, gcc, clang, or the one CC names) is here for `shared` and `fmu`:"
+            " install one, or export the sources alone"
+        )
     with tempfile.TemporaryDirectory() as folder:
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")

@@ -148,9 +148,9 @@ def axes_of(plan: CascadePlan) -> Axes:
     )  # fmt: skip
 
 
-def shift_for(largest: float, most: int = 62) -> int:
-    """Return the shift that brings a factor just below 2^31, as a whole number."""
-    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), most) if largest > 0.0 else 30
+def shift_for(largest: float) -> int:
+    """Return the shift, 62 at most, that brings a factor just below 2^31, as a whole number."""
+    return min(math.floor(math.log2((2.0**31 - 1.0) / largest)), 62) if largest > 0.0 else 30
 
 
 def segments_of(folded: Folded, q31: bool, x: tuple[float, float], y: tuple[float, float]) -> Segments:

@@ -14,15 +14,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.hysteresis import kernel
+from dbo_cli.hysteresis import kernel, operators
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.kernel import Floats
-from dbo_cli.hysteresis.operators import (
-    BacklashState,
-    DiscreteBacklashOperator,
-    DiscretePointOperator,
-    Relaxation,
-)
+from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.records import dataclass
 
 Payload = TypeVar("Payload")
@@ -193,7 +188,7 @@ class OtherHysteresis(ABC):
     """A stage with another hysteresis than that of gears; its room runs the models it stands in."""
 
     inverted: bool
-    relaxation: Relaxation | None
+    relaxation: operators.Relaxation | None
 
     @abstractmethod
     def inverse(self) -> OtherHysteresis:

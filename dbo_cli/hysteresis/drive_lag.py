@@ -19,11 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import MemoryFree, least_slope, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, SectionStates
-from dbo_cli.hysteresis.kernel import window
+from dbo_cli.hysteresis.kernel import Floats, window
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Counts, DiscreteBacklashOperator, Outside
 
-Floats = NDArray[np.float64]
 Steps = float | Floats
 
 FIRST_CHUNK = 16
@@ -80,6 +79,8 @@ class Block(NamedTuple):
 class Prompt(Protocol):
     """What is behind the lag: the same model for a drive that has passed it."""
 
+    has_gears: bool
+
     def simulate(
         self,
         x: ArrayLike,
@@ -102,10 +103,6 @@ class Prompt(Protocol):
 
     def uncovered(self, x: Floats) -> NDArray[np.bool_]:
         """See ``ActuatorModel.uncovered``."""
-
-    @property
-    def has_gears(self) -> bool:
-        """See ``ActuatorModel.has_gears``."""
 
     @property
     def drive(self) -> Quantity:

@@ -8,6 +8,7 @@ drive is the inverse's in that state, until it stays. So the forward model does 
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 import math
 from typing import NamedTuple
@@ -25,6 +26,7 @@ SETTLED = 1e-12  # of the drive's range, by which a settled drive changes from p
 
 
 FOR_EVER = 14.0  # of the longest time constant: what creeps is over to a millionth
+EVER = 2**62  # passes: the longest range that Python searches
 SPARE = 1.01  # a time that is found to 1 %, or an error of no more than 1 % above the least, will do
 SMALLEST_GAIN = 0.1  # of a frequency through a delay's interpolation, from which on it is undone
 
@@ -84,13 +86,12 @@ def settled_drive(
         Of the drive.
     """
     inverse = model.inverse()
-    time_step = step if model.needs_time or limits.max_slew is not None else None
-    before, done = state, inverse.simulate(undone, state, time_step=time_step, limits=limits)
+    before, done = state, inverse.simulate(undone, state, time_step=step, limits=limits)
     for _ in range(MOST_PASSES):
         before = looped_state(model, done.y, step, state)
-        again = inverse.simulate(undone, before, time_step=time_step, limits=limits)
+        again = inverse.simulate(undone, before, time_step=step, limits=limits)
         if model.drive_lag is not None:  # gears that change at the seam ask a lag for a spike: not the loop's
-            again = inverse.simulate(undone, again.state, time_step=time_step, limits=limits)
+            again = inverse.simulate(undone, again.state, time_step=step, limits=limits)
         away = float(np.abs(again.y - done.y).max())
         done = again
         if away <= SETTLED * model.input.span:
@@ -100,38 +101,31 @@ def settled_drive(
 
 def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> ModelState:
     """Return the state before a pass, of gears, memory and drive lag, when a drive was repeated for ever."""
-    inner = slow_model(model)
+    inner, seconds = slow_model(model), drive.size * step
     begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
     for lagging in (None, model.drive_lag):  # a pass for what reaches further at first, one for the loop
         if lagging is not None:
             begun = dataclasses.replace(begun, drive_lag=lagging.loop(drive, step)[1])
-        done = inner.simulate(drive, begun, time_step=step if inner.needs_time else None)
-        begun = _periodic(inner, begun, done.state, drive.size * step)
+        done = inner.simulate(drive, begun, time_step=step)
+        begun, held, terms = done.state, begun.backlash.memory, inner.backlash.relaxation
+        if begun.backlash.memory is not None and terms is not None and held is not None:
+            memory = tuple(  # that further passes of the same drive would lead to
+                (end - math.exp(-seconds / tau) * start) / -math.expm1(-seconds / tau)
+                for start, end, tau in zip(held, begun.backlash.memory, terms.tau, strict=True)
+            )
+            begun = dataclasses.replace(begun, backlash=BacklashState(begun.backlash.bits, memory))
     return begun
 
 
 def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> Floats:
     """Return what gears, points and creep make of one period, without dynamics and delay behind them."""
     inner = slow_model(model)
-    return inner.simulate(drive, before, time_step=step if inner.needs_time else None).y
+    return inner.simulate(drive, before, time_step=step).y
 
 
 def slow_model(model: ActuatorModel) -> ActuatorModel:
     """Return a model without what lies behind its gears and points in time."""
     return model.without(model.dynamics, model.delay)
-
-
-def _periodic(model: ActuatorModel, before: ModelState, after: ModelState, seconds: float) -> ModelState:
-    """Return the state after a pass, with the memory that further passes of the same drive would lead to."""
-    memory, begun, terms = after.backlash.memory, before.backlash.memory, model.backlash.relaxation
-    if memory is None:
-        return after  # no relaxation
-    if terms is not None and begun is not None:
-        memory = tuple(
-            (end - math.exp(-seconds / tau) * start) / -math.expm1(-seconds / tau)
-            for start, end, tau in zip(begun, memory, terms.tau, strict=True)
-        )
-    return dataclasses.replace(after, backlash=BacklashState(after.backlash.bits, memory))
 
 
 def settled_output(
@@ -144,11 +138,10 @@ def settled_output(
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
     """Return the settled period of a repeated drive, and the state at its end."""
     inner, lagging = model.without_lag, None
-    time_step = step if inner.needs_time else None
     begun = dataclasses.replace(looped_state(model, drive, step, state), drive_lag=None)
     if model.drive_lag is not None:
         drive, lagging = model.drive_lag.loop(drive, step)
-    done = inner.simulate(drive, begun, time_step=time_step)
+    done = inner.simulate(drive, begun, time_step=step)
     y, sections = done.y, None
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)
@@ -179,14 +172,13 @@ def settling(
         return first, int(abs(first) > within)
     effects = memory_effects(model, drive, step, before)
     parts = [abs(w * (own - held)) for w, own, held in zip(effects, rest, memory, strict=True)]
-    seconds, passes = drive.size * step, int(abs(first) > within)
-    low, high = passes, passes
-    while _left(parts, terms.tau, high * seconds) > within:
-        low, high = high, 2 * high + 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if _left(parts, terms.tau, middle * seconds) > within else (low, middle)
-    return first, high
+    seconds, fewest = drive.size * step, int(abs(first) > within)
+
+    def stays(passes: int) -> bool:
+        left = zip(parts, terms.tau, strict=True)
+        return not sum(part * math.exp(-passes * seconds / tau) for part, tau in left) > within
+
+    return first, fewest + bisect.bisect_left(range(fewest, EVER), True, key=stays)
 
 
 def memory_effects(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> list[float]:
@@ -260,10 +252,6 @@ def creep_rest(
         seconds = long
     level = rest(seconds)[0] + terms.reference
     return float(through(model.head_inverse, np.array([level]))[0]), seconds
-
-
-def _left(parts: list[float], tau: tuple[float, ...], seconds: float) -> float:
-    return sum(part * math.exp(-seconds / one) for part, one in zip(parts, tau, strict=True))
 
 
 def _memory_at(

@@ -20,27 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis import cascade, drive_lag, model_state
-from dbo_cli.hysteresis.cascade import (
-    DelayStage,
-    OtherHysteresis,
-    ScaleStage,
-    Stage,
-    slow_output_range,
-    through,
-)
+from dbo_cli.hysteresis import cascade, drive_lag, model_state, operators
+from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, slow_output_range, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model_state import NEGLIGIBLE, DriveLimits, ModelState, Quantity, Simulated, StartName
-from dbo_cli.hysteresis.operators import (
-    Axis,
-    BacklashState,
-    Counts,
-    DiscreteBacklashOperator,
-    DiscretePointOperator,
-    OutputLimits,
-    Outside,
-    Relaxation,
-)
+from dbo_cli.hysteresis.operators import Counts, DiscreteBacklashOperator, OutputLimits, Outside, Relaxation
 from dbo_cli.records import dataclass
 
 __all__ = [
@@ -64,7 +48,7 @@ Floats = NDArray[np.float64]
 Steps = float | Floats  # seconds since the sample before: one number, or one for each
 Direction = Literal["forward", "inverse"]
 BacklashStage = DiscreteBacklashOperator
-PointStage = DiscretePointOperator
+PointStage = operators.DiscretePointOperator
 
 
 @dataclass(frozen=True)
@@ -84,6 +68,15 @@ class ActuatorModel:
     fit, provenance : mapping
         Figures of the identification and where the model comes from; carried along.
 
+    Attributes
+    ----------
+    head, tail : tuple of points and scales
+        Before the gears, and behind them.
+    drive_lag, dynamics : DynamicsStage, or None
+        The lag on the drive's side of the gears, and the dynamics on the other, as they stand in this model.
+    delay : DelayStage, or None
+        The delay as it stands in this model.
+
     Raises
     ------
     ModelError
@@ -96,6 +89,14 @@ class ActuatorModel:
     stages: tuple[Stage, ...]
     fit: Mapping[str, object] = field(default_factory=dict)
     provenance: Mapping[str, object] = field(default_factory=dict)
+    head: cascade.MemoryFree = field(init=False, repr=False, compare=False)
+    tail: cascade.MemoryFree = field(init=False, repr=False, compare=False)
+    drive_lag: DynamicsStage | None = field(init=False, repr=False, compare=False)
+    dynamics: DynamicsStage | None = field(init=False, repr=False, compare=False)
+    delay: DelayStage | None = field(init=False, repr=False, compare=False)
+
+    has_gears = True
+    """Whether its hysteresis is that of gears."""
 
     def __post_init__(self) -> None:
         """Check the order of the stages."""
@@ -107,23 +108,36 @@ class ActuatorModel:
             raise ModelError(f"stages[{gears[1]}]: only one backlash stage is possible")
         backlash = self.stages[gears[0]]
         assert isinstance(backlash, DiscreteBacklashOperator)
-        axis: Axis = "input" if forward else "output"
+        axis: operators.Axis = "input" if forward else "output"
         if backlash.memory_on != axis:
             if backlash.relaxation is not None:
                 raise ModelError(f"stages[{gears[0]}].relaxation.on: must be {axis!r} in this direction")
             # Without relaxation a file does not say which axis is the drive's; the direction does.
             drawn = DiscreteBacklashOperator(backlash.dx, backlash.dy, backlash.x0, backlash.y0, None, axis)
             self._put(backlash, drawn)
-        self._check_dynamics()
-        self._check_delay()
+        self._take_apart(gears[0])
 
-    def _check_dynamics(self) -> None:
+    def _take_apart(self, hysteresis: int) -> None:
+        """Check what stands beside the hysteresis, and name it."""
+        self._check_dynamics(hysteresis)
+        self._check_delay()
+        before, behind = self.stages[:hysteresis], self.stages[hysteresis + 1 :]
+        near, far = (before, behind) if self.direction == "forward" else (behind, before)
+        self.__dict__.update(
+            head=cascade.memory_free(before),
+            tail=cascade.memory_free(behind),
+            drive_lag=next((stage for stage in near if isinstance(stage, DynamicsStage)), None),
+            dynamics=next((stage for stage in far if isinstance(stage, DynamicsStage)), None),
+            delay=next((stage for stage in self.stages if isinstance(stage, DelayStage)), None),
+        )
+
+    def _check_dynamics(self, hysteresis: int) -> None:
         """Refuse dynamics in another place than theirs; the direction tells how they act."""
         forward = self.direction == "forward"
         for place, stage in enumerate(self.stages):
             if not isinstance(stage, DynamicsStage):
                 continue
-            if (place < self._place) == forward:
+            if (place < hysteresis) == forward:
                 end = "first" if forward else "last"
                 if place != (0 if forward else len(self.stages) - 1):
                     raise ModelError(f"stages[{place}]: dynamics on the drive's side stand {end}, and once")
@@ -147,7 +161,7 @@ class ActuatorModel:
                 if (stage.seconds < 0.0) if forward else (stage.seconds > 0.0):
                     raise ModelError(f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign here")
 
-    def _turn(self, stage: DynamicsStage | OtherHysteresis) -> None:
+    def _turn(self, stage: DynamicsStage | cascade.OtherHysteresis) -> None:
         """Let a stage act, or be undone, as the direction tells."""
         if stage.inverted == (self.direction == "forward"):
             self._put(stage, stage.inverse())
@@ -171,15 +185,9 @@ class ActuatorModel:
         return type(self)(direction, self.output, self.input, stages, self.fit, self.provenance)
 
     @cached_property
-    def _place(self) -> int:
-        return next(k for k, stage in enumerate(self.stages) if isinstance(stage, DiscreteBacklashOperator))
-
-    @cached_property
     def backlash(self) -> DiscreteBacklashOperator:
         """The backlash stage as it stands in this model."""
-        stage = self.stages[self._place]
-        assert isinstance(stage, DiscreteBacklashOperator)
-        return stage
+        return next(stage for stage in self.stages if isinstance(stage, DiscreteBacklashOperator))
 
     @cached_property
     def forward_backlash(self) -> DiscreteBacklashOperator:
@@ -194,11 +202,6 @@ class ActuatorModel:
         return cascade.covered_gears(self.forward_backlash, float(ends.min()), float(ends.max()))
 
     @cached_property
-    def head(self) -> cascade.MemoryFree:
-        """Points and scales before the gears."""
-        return cascade.memory_free(self.stages[: self._place])
-
-    @cached_property
     def head_inverse(self) -> cascade.MemoryFree:
         """What undoes ``head``."""
         return tuple(stage.inverse() for stage in reversed(self.head))
@@ -207,26 +210,6 @@ class ActuatorModel:
     def tail_inverse(self) -> cascade.MemoryFree:
         """What undoes ``tail``."""
         return tuple(stage.inverse() for stage in reversed(self.tail))
-
-    @cached_property
-    def tail(self) -> cascade.MemoryFree:
-        """Points and scales behind the gears."""
-        return cascade.memory_free(self.stages[self._place :])
-
-    @cached_property
-    def dynamics(self) -> DynamicsStage | None:
-        """The dynamics behind the gears (of a forward model) as they stand in this model, or None."""
-        return self._dynamics_beside(behind=True)
-
-    @cached_property
-    def drive_lag(self) -> DynamicsStage | None:
-        """The lag on the drive's side of the gears as it stands in this model, or None."""
-        return self._dynamics_beside(behind=False)
-
-    def _dynamics_beside(self, behind: bool) -> DynamicsStage | None:
-        later = behind == (self.direction == "forward")
-        side = self.stages[self._place :] if later else self.stages[: self._place]
-        return next((stage for stage in side if isinstance(stage, DynamicsStage)), None)
 
     @cached_property
     def without_drive_lag(self) -> ActuatorModel:
@@ -259,11 +242,6 @@ class ActuatorModel:
         voltage = self.inverted.outer_drive(state.drive)
         return float(slow.simulate([voltage], held, time_step=0.0).y[0])
 
-    @cached_property
-    def delay(self) -> DelayStage | None:
-        """The delay as it stands in this model, or None."""
-        return next((stage for stage in self.stages if isinstance(stage, DelayStage)), None)
-
     @property
     def delay_seconds(self) -> float:
         """Seconds by which the output lags; an inverse model must read its input that far ahead."""
@@ -276,16 +254,11 @@ class ActuatorModel:
         return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
 
     @property
-    def has_gears(self) -> bool:
-        """Whether its hysteresis is that of gears."""
-        return True
-
-    @property
     def size(self) -> str:
         """How large the hysteresis operator is, in words."""
         return f"{self.backlash.n} gears"
 
-    def state_values(self, state: BacklashState) -> dict[str, Any]:
+    def state_values(self, state: operators.BacklashState) -> dict[str, Any]:
         """Return what the hysteresis remembers as the state file has it: key and values."""
         return {"backlash": {"gears": self.backlash.n, **state.to_json_dict()}}
 

@@ -22,10 +22,9 @@ from dbo_cli.hysteresis.cascade import DelayStage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import Node, read_relaxation, read_stages, stage_values
-from dbo_cli.hysteresis.operators import Relaxation
+from dbo_cli.hysteresis.operators import Floats, Relaxation
 from dbo_cli.records import dataclass
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SMALLEST_TURN = 0.02  # a reversal smaller than this share of the drive's range is noise, not a turn; chosen
@@ -251,7 +250,7 @@ def _straight(model: ActuatorModel, drive: Floats) -> Floats:
     still = model.without_lag
     way = np.linspace(model.input.minimum, model.input.maximum, 101)
     loop = np.concatenate((way, way[::-1]))
-    gain, offset = np.polyfit(loop, played(still, loop, 1e9 if still.needs_time else None), 1)
+    gain, offset = np.polyfit(loop, played(still, loop, 1e9), 1)
     line: Floats = gain * drive + offset
     return line
 

@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage
+from dbo_cli.hysteresis.kernel import Floats, Words
 from dbo_cli.hysteresis.operators import BacklashState, DiscreteBacklashOperator, OutputLimits
-
-Floats = NDArray[np.float64]
-Words = NDArray[np.uint64]
 
 ROUNDING = 8.0 * 2.0**-52
 """Of the larger voltage: the last digits of a step between two rows, each rounded once or twice on its way

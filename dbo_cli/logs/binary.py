@@ -89,7 +89,12 @@ def open_npz(request: Request) -> ColumnTable:
         np.load(stream, allow_pickle=False) as archive,
     ):
         for name in archive.files:
-            arrays[name] = _member(archive, name)
+            try:
+                arrays[name] = archive[name]
+            except ValueError as problem:
+                if "allow_pickle" not in str(problem):
+                    raise
+                arrays[name] = None  # pickled objects are left out, as text is
     readable = {name: array for name, array in arrays.items() if array is not None}
     sources = without_scalars(
         [one for name, array in readable.items() for one in _array_columns(name, array)]
@@ -98,16 +103,6 @@ def open_npz(request: Request) -> ColumnTable:
     stated = {name: value for name, value in single.items() if is_clock_name(name) or isinstance(value, str)}
     held = (f"{name} ({_array_shape(array)})" for name, array in arrays.items())
     return ColumnTable(request, "NumPy archive", sources, clock=statements_in(stated), held=held)
-
-
-def _member(archive: Any, name: str) -> Any:
-    """Read one array; None for pickled objects, which are left out as text is."""
-    try:
-        return archive[name]
-    except ValueError as problem:
-        if "allow_pickle" in str(problem):
-            return None
-        raise
 
 
 def _array_columns(name: str, array: Any) -> list[ColumnSource]:
@@ -537,7 +532,11 @@ def open_tdms(request: Request) -> ColumnTable:
         stream = opened.enter_context(open(request.address.path, "rb"))
         with request.reading("TDMS"):  # npTDMS raises whatever the damaged bytes lead to
             file = nptdms.TdmsFile.open(stream)
-        groups = _groups(request, file)
+        all_groups, wanted = list(file.groups()), _wanted_part(request)
+        groups = [group for group in all_groups if wanted in ("", group.name)]
+        if wanted and not groups:
+            names = ", ".join(f"'{group.name}'" for group in all_groups) or "none"
+            raise InputError(f"{request.place}: there is no group '{wanted}': the groups are: {names}")
         channels = [(group, one) for group in groups for one in group.channels()]
         numeric = [(group, one) for group, one in channels if len(one) > 0 and one.dtype.kind in "fiubM"]
         several = len({group.name for group, _ in numeric}) > 1
@@ -549,15 +548,6 @@ def open_tdms(request: Request) -> ColumnTable:
         clock = next((found for level in levels if (found := _tdms_statements(level))), [])
         close = opened.pop_all().close
     return ColumnTable(request, "TDMS", sources, clock=clock, at_close=close, damaged=(Exception,))
-
-
-def _groups(request: Request, file: Any) -> list[Any]:
-    groups, wanted = list(file.groups()), _wanted_part(request)
-    found = [group for group in groups if group.name == wanted] if wanted else groups
-    if wanted and not found:
-        names = ", ".join(f"'{group.name}'" for group in groups) or "none"
-        raise InputError(f"{request.place}: there is no group '{wanted}': the groups are: {names}")
-    return found
 
 
 def _tdms_column(group: Any, channel: Any) -> ColumnSource:

@@ -216,6 +216,7 @@ class ChannelReader:
             self.channels = channels_of(self._table.place, columns, self.patterns, times)
             named = [column for one in self.channels.values() for column in one.values()]
             self._time = find_time_column(self._table.place, columns, self.options, named)
+            self._timed = {} if self._time.clock is None else self._time.clock.picks
         except BaseException:
             self._table.close()
             raise
@@ -259,12 +260,10 @@ class ChannelReader:
 
     def _read(self, channels: Sequence[str]) -> dict[str, HeldTable | None]:
         """Return what channels hold; None for each where any of their rows is bad."""
-        table, clock = self._table, self._time.clock
         picked = {column.number: column for one in channels for column in self.channels[one].values()}
         picks = {str(number): column for number, column in picked.items()}
-        picks |= {} if clock is None else clock.picks
         try:
-            parts = list(table.blocks(picks))
+            parts = list(self._table.blocks(picks | self._timed))
         except InputError:
             if self.address.is_stream:
                 raise
@@ -272,14 +271,15 @@ class ChannelReader:
         if not parts:
             return dict.fromkeys(channels)
         block = joined(parts)
-        timed = {} if clock is None else clock.picks
-        held = dict(block.values) | {str(one.number): block.values[role] for role, one in timed.items()}
+        times = {str(one.number): block.values[role] for role, one in self._timed.items()}
+        held = dict(block.values) | times
         return {channel: self._table_of(channel, replace(block, values=held)) for channel in channels}
 
     def _table_of(self, channel: str, block: SampleBlock) -> HeldTable:
         """Return the columns of one channel, and the time, as a table."""
-        time = {} if self._time.clock is None else self._time.clock.picks
-        own = [*time.values(), *self.channels[channel].values()]
+        if self._sha256 is None and self.digest:
+            self._sha256 = self._table.sha256 or file_sha256(self.address.path)
+        own = [*self._timed.values(), *self.channels[channel].values()]
         values = {str(one.number): block.values[str(one.number)] for one in own}
         return HeldTable(
             place=self._table.place,
@@ -288,7 +288,7 @@ class ChannelReader:
             block=replace(block, values=values),
             found_time=self._time,
             clock=self._clock(channel),
-            digest=self._hashed(),
+            digest=self._sha256,
             remarks=tuple(self._table.notes),
         )
 
@@ -299,8 +299,3 @@ class ChannelReader:
             return self._table.even_clock(self.channels[channel].values())
         except InputError as problem:
             return problem
-
-    def _hashed(self) -> str | None:
-        if self._sha256 is None and self.digest:
-            self._sha256 = self._table.sha256 or file_sha256(self.address.path)
-        return self._sha256

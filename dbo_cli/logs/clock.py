@@ -427,7 +427,12 @@ class TimeColumn:
         """Take the time out of a block's columns and return it in seconds."""
         raw, dates = values.pop(TIME), values.pop(DATE, None)
         if dates is not None:
-            return raw + (dates if self.part is None else self._part_of_second(dates))
+            if self.part is not None and self.date is not None:
+                dates = self.part.apply(dates)
+                inside = bool(((dates >= 0.0) & (dates < 1.0)).all())
+                odd = f"has a part of a second in '{self.date.name}', which holds more than one"
+                self._require(inside, odd)
+            return raw + dates
         if self.column.written in _PERIODS:
             return self._unrolled(raw, *_PERIODS[self.column.written])
         if self.column.written != "numbers" or not len(raw):
@@ -441,13 +446,6 @@ class TimeColumn:
         if self._calendar is not None:
             return self._calendar.factor.apply(raw) + self._calendar.offset
         return self.stated.factor.apply(raw)
-
-    def _part_of_second(self, counts: FloatArray) -> FloatArray:
-        assert self.part is not None and self.date is not None
-        parts = self.part.apply(counts)
-        inside = bool(((parts >= 0.0) & (parts < 1.0)).all())
-        self._require(inside, f"has a part of a second in '{self.date.name}', which holds more than one")
-        return parts
 
     def _require(self, right: bool, problem: str) -> None:
         """Refuse figures that are not what the header states (InputError)."""

@@ -35,8 +35,8 @@ def shortened(text: str) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return so many of something: ``1 cell``, ``3 cells``."""
-    return f"{count} {noun}{'s' if count != 1 else ''}"
+    """Return so many of something: ``1 cell``, ``3 cells``, ``-1 sample``."""
+    return f"{count} {noun}{'' if abs(count) == 1 else 's'}"
 
 
 def decoded(data: bytes) -> str:

@@ -150,7 +150,8 @@ class Table:
     place: str
     columns: list[ColumnInfo]
     notes: list[str]
-    found_time: Any = None  # what ``time_column.find_time_column`` found, where it looked already
+    others: Sequence[str] = ()  # the addresses of further files that were joined
+    found_time: Any = None  # what ``clock.find_time_column`` found, where it looked already
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Find the sample rate (Hz) that the file states for these columns, and the first row's time (s)."""
@@ -394,7 +395,12 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
             remedy = "`time` COLUMN or `sample_rate` HZ"
             raise InputError(f"{place}: there is no time to resample along ({remedy})")
         start = float(piece.time[0]) if start is None else start
-        _require_rising(place, piece, piece.time)
+        stuck = np.flatnonzero(np.diff(piece.time) <= 0.0)
+        if len(stuck):
+            index = int(stuck[0]) + 1
+            jump = f"from {_stamp(piece.time[index - 1])} s to {_stamp(piece.time[index])} s"
+            cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
+            raise InputError(f"{place}: time does not advance at {piece.where(index)} ({jump}), {cannot}")
         carried = [piece.part(len(piece) - 1, len(piece))]
         read += len(block)
         reached = int(np.floor((float(piece.time[-1]) - start) * rate * (1.0 + 1e-12))) + 1
@@ -407,12 +413,3 @@ def resampled(place: str, blocks: Iterator[SampleBlock], rate: float) -> Iterato
             values = {role: np.interp(time, piece.time, known) for role, known in piece.values.items()}
             yield SampleBlock(range(first + 1, first + len(time) + 1), None, time, values)
         done = max(done, reached)
-
-
-def _require_rising(place: str, block: SampleBlock, time: FloatArray) -> None:
-    stuck = np.flatnonzero(np.diff(time) <= 0.0)
-    if len(stuck):
-        index = int(stuck[0]) + 1
-        jump = f"from {_stamp(time[index - 1])} s to {_stamp(time[index])} s"
-        cannot = "so it cannot be resampled (cut the log with `rows` A:B)"
-        raise InputError(f"{place}: time does not advance at {block.where(index)} ({jump}), {cannot}")

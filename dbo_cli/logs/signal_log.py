@@ -190,6 +190,7 @@ class _JoinedTable(Table):
         address, selector = named
         if address not in self.files:
             there = replace(self._options, format=None, time=None)
+            self.others = [*self.others, address]
             self.files[address] = _File(open_table(Request(parse_address(address), there, [selector])), {})
         file = self.files[address]
         self._append(file, find_column(file.table.place, file.table.columns, selector, wish.option))
@@ -371,14 +372,9 @@ class SignalLog(Source):
     warns_of_units = True
 
     def __init__(
-        self,
-        address: Address,
-        table: Table,
-        want: Mapping[str, ColumnWish],
-        options: ReadingOptions,
-        others: Sequence[str] = (),
+        self, address: Address, table: Table, want: Mapping[str, ColumnWish], options: ReadingOptions
     ) -> None:
-        """Choose columns and clock of an opened table; ``others`` are the addresses of files joined to it."""
+        """Choose columns and clock of an opened table."""
         place, there = table.place, table.columns
         chosen = [one for one in want.values() if one.selector is not None]
         named = [find_column(place, there, one.selector or "", one.option) for one in chosen]
@@ -399,7 +395,7 @@ class SignalLog(Source):
         table.notes.extend(found.notes)
         self.notes = table.notes
         self.warnings = [text for one in picks.values() if (text := _doubtful_unit(self.name, one))]
-        self._address, self._others, self._options = address, others, options
+        self._address, self._options = address, options
         self._table, self._picks, self._clock, self._start_time = table, picks, clock, start
         self.time = None if clock is None else clock.column
         self.sample_rate = rate
@@ -459,7 +455,7 @@ class SignalLog(Source):
         rate, seconds = self._rate_and_seconds()
         columns = []
         for role, column, unit in self._used():
-            name = without_folder(column.name) if self._others else column.name
+            name = without_folder(column.name) if self._table.others else column.name
             found = {"column": name, "unit": unit, "scale": self._scale_text(role)}
             columns.append((role, {key: value for key, value in found.items() if value is not None}))
         time = None if self._clock is None else columns.pop(0)[1]
@@ -502,7 +498,7 @@ class SignalLog(Source):
 
     def record(self) -> dict[str, Any]:
         """Record this log for a model's provenance, once it has been read (a stream: with ``digest``)."""
-        return input_record(self._address, self.rows_read, self._table.sha256, self._others)
+        return input_record(self._address, self.rows_read, self._table.sha256, self._table.others)
 
     def _as_recorded(self) -> Iterator[SampleBlock]:
         clock = self._clock
@@ -603,16 +599,14 @@ def open_log(
         target = parse_address(address, options.format)
     table = open_table(Request(target, options, named, live, digest))
     try:
-        others: list[str] = []
         if any("::" in one for one in selectors):
             first, table = table, (joint := _JoinedTable(table, options))
             want = {role: replace(wish, selector=joint.number_of(wish)) for role, wish in want.items()}
             if options.time is not None:
                 options = replace(options, time=joint.number_of(ColumnWish(options.time, option="time")))
             joint.find_clocks(options)
-            others = [address for address in joint.files if address]
-            table = joint if others else first
-        return SignalLog(target, table, want, options, others)
+            table = joint if joint.others else first
+        return SignalLog(target, table, want, options)
     except BaseException:
         table.close()
         raise

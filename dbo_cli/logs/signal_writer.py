@@ -41,8 +41,8 @@ class SignalWriter(Protocol):
 class TextWriter:
     """Appends rows of delimited text to a binary stream.
 
-    With ``behind``, formatting and writing go on in a thread while the caller works on the next rows; the
-    arrays must not change after they were handed in.
+    With ``behind``, where nothing is to be flushed, formatting and writing go on in a thread while the caller
+    works on the next rows; the arrays must not change after they were handed in.
     """
 
     stream: IO[bytes]
@@ -57,10 +57,10 @@ class TextWriter:
     def __post_init__(self) -> None:
         """Write the header."""
         self._headers = unique_headers(self.columns)
-        self._how = {
-            "blanks": any(column.may_be_blank for column in self.columns),
-            "own_file": self.behind and isinstance(self.stream, io.BufferedWriter),  # gzip's is none
-        }
+        self._blanks = any(column.may_be_blank for column in self.columns)
+        self._own = (
+            self.behind and not self.flush and isinstance(self.stream, io.BufferedWriter)
+        )  # gzip's is none
         cells = [header_cell(header, self.delimiter) for header in self._headers]
         self.stream.write((self.comment + self.delimiter.join(cells) + "\n").encode())
         if self.flush:
@@ -69,7 +69,7 @@ class TextWriter:
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows, one float64 array a column; flushed at once where that was asked for."""
         self.finish()
-        if self.behind and np.size(arrays[0]) >= _WORTH_A_THREAD:
+        if self.behind and not self.flush and np.size(arrays[0]) >= _WORTH_A_THREAD:
             if self._pool is None:
                 from concurrent.futures import ThreadPoolExecutor
 
@@ -102,7 +102,7 @@ class TextWriter:
             require_finite(self.columns, self._headers, arrays)
             for start in range(0, np.size(arrays[0]), BLOCK_ROWS):
                 rows = [np.asarray(array)[start : start + BLOCK_ROWS] for array in arrays]
-                write_rows(self.stream, rows, self.delimiter, **self._how)
+                write_rows(self.stream, rows, self.delimiter, blanks=self._blanks, own_file=self._own)
 
 
 class _Keeper:
@@ -161,24 +161,24 @@ def signal_writer(
         It cannot be written.
     """
     target = parse_output(address, format)
-    kept = KEPT.get()
-    if kept is not None:
+    if (kept := KEPT.get()) is not None:
         keeper = _Keeper(columns)
         yield keeper
         kept.signals.append(KeptSignal(target, columns, format, attributes(), keeper.arrays(), commented))
         return
     check_output(target, protect)
     if target.kind == "hdf5":
-        with _hdf5(target, columns, attributes()) as hdf5:
+        from dbo_cli.logs.hdf5.store import hdf5_writer
+
+        with hdf5_writer(target, columns, attributes()) as hdf5:
             yield hdf5
         return
     with opened(target.path, 1 << 20) as file, _packed(file, target) as stream:
-        behind = not flush and is_replaceable(target.path)
         comment = ""
         if commented:  # where the output comes from
             stated = (f"{key}: {value}" for key, value in attributes().items())
             comment = f"# {cleaned('; '.join([program_version_string(), *stated]))}\n"
-        writer = TextWriter(stream, columns, target.delimiter, flush, behind, comment)
+        writer = TextWriter(stream, columns, target.delimiter, flush, is_replaceable(target.path), comment)
         try:
             yield writer
             writer.finish()
@@ -254,22 +254,6 @@ def _plain_rows(arrays: Sequence[ArrayLike], delimiter: str) -> bytes:
     columns = [[shortest(value) for value in column] for column in numbers]
     lines = [delimiter.join(cells) for cells in zip(*columns, strict=True)]
     return ("\n".join(lines) + "\n").encode() if lines else b""
-
-
-@contextlib.contextmanager
-def _hdf5(
-    target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
-) -> Iterator[SignalWriter]:
-    from dbo_cli.logs.hdf5.store import Hdf5Writer, store_output
-
-    with store_output(target) as (path, group):
-        writer = Hdf5Writer(path, group, columns, attributes)
-        try:
-            yield writer
-            writer.finish()
-        except BaseException:
-            writer.abandon()
-            raise
 
 
 def _packed(file: IO[bytes], target: Address) -> AbstractContextManager[IO[bytes]]:

@@ -97,24 +97,19 @@ def identity_of(address: Given, *, reading: bool = False) -> FileIdentity | None
     descriptor = (0 if reading else 1) if target.is_stream else descriptor_of(target.path)
     try:
         found = os.stat(target.path) if descriptor is None else os.fstat(descriptor)
-    except OSError:
-        return None if descriptor is not None else _identity_of_new(target.path)
     except ValueError:
         return None
+    except OSError:
+        folder, name = os.path.split(os.path.realpath(target.path))
+        if descriptor is not None or not os.path.isdir(folder):
+            return None  # what is not open, or in no folder, is refused elsewhere
+        found = os.stat(folder)
+        if _ignores_case(folder):
+            name = unicodedata.normalize("NFC", name).casefold()
+        return ("new", found.st_dev, found.st_ino, name)
     if stat.S_ISREG(found.st_mode) or (stat.S_ISFIFO(found.st_mode) and not reading):
         return ("file", found.st_dev, found.st_ino)
     return None
-
-
-def _identity_of_new(path: str) -> FileIdentity | None:
-    folder, name = os.path.split(os.path.realpath(path))
-    try:
-        found = os.stat(folder)
-    except OSError:
-        return None  # refused elsewhere: there is no such folder
-    if _ignores_case(folder):
-        name = unicodedata.normalize("NFC", name).casefold()
-    return ("new", found.st_dev, found.st_ino, name)
 
 
 def _ignores_case(folder: str) -> bool:
@@ -315,6 +310,7 @@ class _Pending:
     target: str
     temporary: str
     prepare: Prepare
+    exclusive: bool = False  # no file of its name may be there
     backup: str | None = None
     renamed: bool = False
 
@@ -331,56 +327,8 @@ class OutputSet:
     """The outputs of one command, collected under temporary names; see :func:`all_or_none`."""
 
     def __init__(self) -> None:
-        self._pending: list[_Pending] = []
-        self._folders: list[str] = []
-
-    def make_folder(self, path: str) -> None:
-        """Make a folder and what is missing above it; removed again where the outputs are given up.
-
-        Raises
-        ------
-        OutputError
-            It cannot be made.
-        """
-        missing = []
-        here = os.path.abspath(path)
-        while not os.path.isdir(here) and os.path.dirname(here) != here:
-            missing.append(here)
-            here = os.path.dirname(here)
-        for folder in reversed(missing):
-            with _telling(path):
-                try:
-                    os.mkdir(folder)
-                except FileExistsError:
-                    if not os.path.isdir(folder):
-                        raise
-                else:
-                    self._folders.append(folder)
-
-    @contextlib.contextmanager
-    def replacing(self, path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
-        """Give a temporary name to write ``path`` under; it is renamed with the others.
-
-        Where ``prepare`` found no file called ``path`` and there is one after all, it is called again.
-
-        Raises
-        ------
-        OutputError
-            Writing failed, or another output of the set has this name.
-        """
-        target = os.path.realpath(path)  # through a symbolic link, its target is replaced
-        which = identity_of(target)
-        if which is not None and any(identity_of(one.target) == which for one in self._pending):
-            raise OutputError(f"{path}: two outputs go there: give each a file of its own")
-        remove_orphans(os.path.dirname(target))
-        pending = _Pending(path, target, partial_path(target), prepare)
-        with _telling(path):
-            try:
-                yield pending.temporary
-            except BaseException:
-                _remove(pending.temporary)
-                raise
-        self._pending.append(pending)
+        self.pending: list[_Pending] = []
+        self.folders: list[str] = []
 
     def commit(self) -> None:
         """Rename everything to its own name; where that fails, everything is as it was before.
@@ -390,40 +338,38 @@ class OutputSet:
         OutputError
             A rename failed, or ``prepare`` refused.
         """
-        with contextlib.ExitStack() as prepared:
-            while not self._renamed([self._made_ready(one, prepared) for one in self._pending]):
-                prepared.close()
-        for one in self._pending:
+        done = False
+        while not done:
+            with contextlib.ExitStack() as prepared:
+                for one in self.pending:
+                    with _telling(one.path):
+                        one.exclusive = prepared.enter_context(one.prepare(one.temporary))
+                        _bring_to_disk(one.temporary, os.O_RDWR)  # else a power failure leaves an empty file
+                        with contextlib.suppress(OSError):  # the permissions of the file that it replaces
+                            os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))
+                done = self._renamed()
+        for one in self.pending:
             _remove(one.backup)
-        for folder in {os.path.dirname(one.target) for one in self._pending}:
+        for folder in {os.path.dirname(one.target) for one in self.pending}:
             with contextlib.suppress(OSError):  # Windows, some network drives
                 _bring_to_disk(folder, os.O_RDONLY)
 
     def give_up(self) -> None:
         """Remove everything that was written and not renamed, and the folders made for it."""
-        for one in self._pending:
+        for one in self.pending:
             _remove(one.temporary)
             _remove(one.backup)  # a signal came when everything was renamed
-        for folder in reversed(self._folders):
+        for folder in reversed(self.folders):
             with contextlib.suppress(OSError):
                 os.rmdir(folder)
 
-    def _made_ready(self, one: _Pending, prepared: contextlib.ExitStack) -> bool:
-        """Prepare an output and bring it to the disk: no rename shows an empty file after a power failure."""
-        with _telling(one.path):
-            alone = prepared.enter_context(one.prepare(one.temporary))
-            _bring_to_disk(one.temporary, os.O_RDWR)
-            with contextlib.suppress(OSError):  # the permissions of the file that it replaces
-                os.chmod(one.temporary, stat.S_IMODE(os.stat(one.target).st_mode))
-        return alone
-
-    def _renamed(self, alone: Sequence[bool]) -> bool:
+    def _renamed(self) -> bool:
         """Rename everything; False where a file appeared meanwhile and it must be tried again."""
         with host().signals_held():
             try:
-                for one, exclusive in zip(self._pending, alone, strict=True):
+                for one in self.pending:
                     with _telling(one.path):
-                        self._rename(one, exclusive)
+                        self._rename(one)
             except BaseException as problem:
                 self._take_back()
                 if isinstance(problem, _AppearedMeanwhile):
@@ -431,8 +377,8 @@ class OutputSet:
                 raise
         return True
 
-    def _rename(self, one: _Pending, exclusive: bool) -> None:
-        if exclusive:
+    def _rename(self, one: _Pending) -> None:
+        if one.exclusive:
             try:
                 os.link(one.temporary, one.target)
                 _remove(one.temporary)
@@ -441,7 +387,7 @@ class OutputSet:
             except OSError:  # a file system without hard links: the best that it can do
                 os.replace(one.temporary, one.target)
         else:
-            if len(self._pending) > 1 and os.path.exists(one.target):
+            if len(self.pending) > 1 and os.path.exists(one.target):
                 backup = partial_path(one.target)
                 if WINDOWS:  # a link to a file that is open could not be removed again
                     os.replace(one.target, backup)
@@ -455,7 +401,7 @@ class OutputSet:
 
     def _take_back(self) -> None:
         """Undo the renames done so far: the new files go under their temporary names again."""
-        for one in self._pending:
+        for one in self.pending:
             with contextlib.suppress(OSError):
                 if one.renamed:
                     os.replace(one.target, one.temporary)
@@ -503,7 +449,7 @@ def kept_outputs() -> Iterator[KeptOutputs]:
 
 
 @contextlib.contextmanager
-def all_or_none() -> Iterator[OutputSet]:
+def all_or_none() -> Iterator[None]:
     """Let all outputs written inside the block appear together at its end, or none of them.
 
     :func:`replacing`, :func:`write_whole` and ``signal_writer`` join by themselves, however deep below they
@@ -521,7 +467,7 @@ def all_or_none() -> Iterator[OutputSet]:
     with _current_or_new() as outputs:
         token = _CURRENT.set(outputs)
         try:
-            yield outputs
+            yield
         finally:
             _CURRENT.reset(token)
 
@@ -547,30 +493,55 @@ def replacing(path: str, prepare: Prepare = _unprepared) -> Iterator[str]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` at the end, or remove it.
 
     Inside :func:`all_or_none` the rename waits for the other outputs. A device or named pipe cannot be
-    replaced and is given as it is; so is a path such as ``/dev/fd/3``.
+    replaced and is given as it is; so is a path such as ``/dev/fd/3``. Where ``prepare`` found no file called
+    ``path`` and there is one after all, it is called again.
 
     Raises
     ------
     OutputError
-        Writing failed (disk full, folder gone, no permission).
+        Writing failed (disk full, folder gone, no permission), or another output has this name.
     """
     if not is_replaceable(path):
         with _telling(path):
             yield path
         return
-    with _current_or_new() as outputs, outputs.replacing(path, prepare) as temporary:
-        yield temporary
+    target = os.path.realpath(path)  # through a symbolic link, its target is replaced
+    with _current_or_new() as outputs:
+        which = identity_of(target)
+        if which is not None and any(identity_of(one.target) == which for one in outputs.pending):
+            raise OutputError(f"{path}: two outputs go there: give each a file of its own")
+        remove_orphans(os.path.dirname(target))
+        pending = _Pending(path, target, partial_path(target), prepare)
+        with _telling(path):
+            try:
+                yield pending.temporary
+            except BaseException:
+                _remove(pending.temporary)
+                raise
+        outputs.pending.append(pending)
 
 
 def make_folder(path: str) -> None:
-    """Make a folder for outputs; inside :func:`all_or_none` it goes again where they are given up.
+    """Make a folder and what is missing above; inside :func:`all_or_none` it goes where outputs are given up.
 
     Raises
     ------
     OutputError
         It cannot be made.
     """
-    (_CURRENT.get() or OutputSet()).make_folder(path)
+    outputs, missing, here = _CURRENT.get() or OutputSet(), [], os.path.abspath(path)
+    while not os.path.isdir(here) and os.path.dirname(here) != here:
+        missing.append(here)
+        here = os.path.dirname(here)
+    for folder in reversed(missing):
+        with _telling(path):
+            try:
+                os.mkdir(folder)
+            except FileExistsError:
+                if not os.path.isdir(folder):
+                    raise
+            else:
+                outputs.folders.append(folder)
 
 
 @contextlib.contextmanager

@@ -18,25 +18,11 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError, ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage
-from dbo_cli.hysteresis.identification import normal_equations
+from dbo_cli.hysteresis.identification import normal_equations, search, statistics
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Recording
-from dbo_cli.hysteresis.identification.search import (
-    FINE_INDIFFERENCE,
-    LONGEST_DELAY,
-    ROWS_PER_SLOPE,
-    sample_period,
-)
-from dbo_cli.hysteresis.identification.statistics import (
-    Basis,
-    FoldProducts,
-    PreparedLog,
-    Score,
-    fewer_rows,
-    hat_functions,
-    simplest_of,
-)
+from dbo_cli.hysteresis.identification.statistics import PreparedLog, Score
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
 from dbo_cli.records import dataclass
@@ -176,7 +162,7 @@ def delayed_rows(seconds: Floats | None, samples: int, delay: float) -> tuple[ND
 
 
 @dataclass(frozen=True, kw_only=True)
-class Products(FoldProducts):
+class Products(statistics.FoldProducts):
     """The products of one design: columns of its slopes, its knots, and of ``drift``, in that order."""
 
     design: Design
@@ -210,7 +196,7 @@ def gather(logs: Sequence[PreparedLog], design: Design) -> Products:
         picked = np.r_[0:shared, begin:end, size - 1]
         for rows, columns in rows_of(log, design):
             output, fold = log.output[rows], log.fold[rows]
-            hats = -hat_functions(output, design.segments)
+            hats = -statistics.hat_functions(output, design.segments)
             table = np.hstack((columns, hats, log.drift[rows], output[:, None]))
             for k in np.unique(fold[fold >= 0]):
                 part = table[fold == k]
@@ -314,10 +300,8 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
     The groups are those of the DBO's own expectation; its other part, how far models that explain the logs as
     well go apart, is not looked for here.
     """
-    from dbo_cli.hysteresis.identification import statistics as own
-
     worst = cycles**2
-    for _, grouped in own.groupings(logs, Basis(1, design.low, design.high)):
+    for _, grouped in statistics.groupings(logs, statistics.Basis(1, design.low, design.high)):
         products = gather(grouped, design)
         squares, rows = 0.0, 0
         for group in range(1, len(products.grams)):
@@ -325,7 +309,7 @@ def _held_out(logs: Sequence[PreparedLog], design: Design, cycles: float) -> flo
             others = sum(products.rows) - mine
             if mine < FEWEST_ROWS or others < max(FEWEST_ROWS, mine / 5):
                 continue
-            squares += min(products.left_out(group), mine * (own.MAX_RATIO * cycles) ** 2)
+            squares += min(products.left_out(group), mine * (statistics.MAX_RATIO * cycles) ** 2)
             rows += mine
         worst = max(worst, squares / rows if rows else 0.0)
     return float(np.sqrt(worst))
@@ -375,13 +359,13 @@ def fit(
     FitError
         It cannot be fitted to these logs; the message says why.
     """
-    logs = fewer_rows(prepared.logs)
+    logs = statistics.fewer_rows(prepared.logs)
     plays = USUAL_PLAYS if USUAL_PLAYS in relative.plays else relative.plays[0]
     design = Design(relative.kind, plays, prepared.low, prepared.high, segments=relative.segments[-1])
     if relative.kind == "rate-plays":
         design = replace(design, fastest=_fastest(logs, design))
     falls = (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
-    period, longest = sample_period(prepared.logs) or 1.0, LONGEST_DELAY * (cycle or 0.0)
+    period, longest = search.sample_period(prepared.logs) or 1.0, search.LONGEST_DELAY * (cycle or 0.0)
     trials = [step for step in DELAY_TRIALS if step * period <= longest]  # without a clock 0 alone
     ways = [(*best_delay(logs, replace(design, falling=fall), trials, period), fall) for fall in falls]
     delay, _, falling = min(ways, key=lambda way: way[1])
@@ -391,7 +375,8 @@ def fit(
         design = replace(design, delay=best_delay(prepared.logs, design, near, period)[0])
     design = _simplest(logs, [replace(design, segments=count) for count in relative.segments])
     usable = sum(int(log.used.sum()) for log in logs)
-    counts = [count for count in relative.plays if count * ROWS_PER_SLOPE <= usable] or relative.plays[:1]
+    counts = [count for count in relative.plays if count * search.ROWS_PER_SLOPE <= usable]
+    counts = counts or list(relative.plays[:1])
     design = _simplest(logs, [replace(design, plays=count) for count in counts])
     products = gather(logs, design)
     error = max(float(np.sqrt(products.fitted()[1] / sum(products.rows))), NOTHING_LEFT)
@@ -417,7 +402,7 @@ def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
             if not scores:
                 raise
             break
-    return designs[simplest_of(scores, FINE_INDIFFERENCE, max_standard_error=0.0)]
+    return designs[statistics.simplest_of(scores, search.FINE_INDIFFERENCE, max_standard_error=0.0)]
 
 
 def _fastest(logs: Sequence[PreparedLog], design: Design) -> float:

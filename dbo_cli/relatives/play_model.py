@@ -19,17 +19,10 @@ import numpy as np
 from dbo_cli.errors import ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
-from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, Steps
+from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, PointStage, Steps
 from dbo_cli.hysteresis.model_file import Node, read_relaxation
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
-from dbo_cli.hysteresis.operators import (
-    BacklashState,
-    Counts,
-    DiscretePointOperator,
-    Floats,
-    OutputLimits,
-    Outside,
-)
+from dbo_cli.hysteresis.operators import BacklashState, Counts, Floats, OutputLimits, Outside
 from dbo_cli.relatives.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
 
 
@@ -42,32 +35,27 @@ class RelativeModel(ActuatorModel):
         The cascade is not of that form; the message begins with the key.
     """
 
+    has_gears = False
+
     def __post_init__(self) -> None:
         """Check the order of the stages; the direction tells how the plays act."""
         plays = [k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator)]
         if len(plays) != 1:
             raise ModelError("stages: exactly one stage of plays must be among them")
-        self._check_dynamics()
-        self._check_delay()
+        self._take_apart(plays[0])
         for place, stage in enumerate(self.stages):
             if isinstance(stage, PlayOperator):
                 if stage.relaxation is not None and stage.inverted == (self.direction == "forward"):
                     axis = "input" if stage.inverted else "output"
                     raise ModelError(f"stages[{place}].relaxation.on: must be {axis!r} in this direction")
                 self._turn(stage)
-            elif not isinstance(stage, ScaleStage | DiscretePointOperator | DynamicsStage | DelayStage):
+            elif not isinstance(stage, ScaleStage | PointStage | DynamicsStage | DelayStage):
                 raise ModelError(f"stages[{place}]: gears and plays do not go together")
-
-    @cached_property
-    def _place(self) -> int:
-        return next(k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator))
 
     @cached_property
     def plays(self) -> PlayOperator:
         """The stage of plays."""
-        stage: object = self.stages[self._place]
-        assert isinstance(stage, PlayOperator)
-        return stage
+        return next(stage for stage in self.stages if isinstance(stage, PlayOperator))
 
     @property
     def backlash(self) -> NoReturn:
@@ -78,11 +66,6 @@ class RelativeModel(ActuatorModel):
         )
 
     forward_backlash = backlash
-
-    @property
-    def has_gears(self) -> bool:
-        """Whether its hysteresis is that of gears."""
-        return False
 
     @property
     def size(self) -> str:
@@ -160,7 +143,7 @@ class RelativeModel(ActuatorModel):
 
     def inner_limits(self, limits: DriveLimits) -> DriveLimits:
         """Return limits on the drive as the plays of an inverse model give it."""
-        if any(isinstance(stage, DiscretePointOperator) for stage in self.tail):
+        if any(isinstance(stage, PointStage) for stage in self.tail):
             return super().inner_limits(limits)
         ends = through(self.tail_inverse, np.array([limits.v_min, limits.v_max]))
         per_volt = abs(float(ends[1] - ends[0])) / (limits.v_max - limits.v_min)

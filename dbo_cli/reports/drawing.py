@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.whole_output import write_whole
+from dbo_cli.logs.whole_output import make_folder, write_whole
 from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
@@ -173,20 +173,17 @@ def _saved(figure: Figure, kind: Kind) -> bytes:
 _PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".eps")
 
 
-def refuse_picture(folder: str) -> None:
-    """Refuse the name of one picture where a folder for several is meant (UsageError)."""
-    path = Path(folder)
-    if path.suffix.lower() in _PICTURES and not path.is_dir():
-        raise UsageError(f"{folder}: there are several figures: name a folder (`figures` {path.stem})")
-
-
 def check_folder(folder: str) -> Path:
     """Make the folder for figures and prove that files can be written there, before any long work.
 
-    Raises OutputError with the folder's name.
+    It goes again where all outputs of a run are given up. Raises OutputError with the folder's name, and
+    UsageError for the name of one picture where a folder for several is meant.
     """
-    refuse_picture(folder)
     path = Path(folder)
+    if path.suffix.lower() in _PICTURES and not path.is_dir():
+        raise UsageError(f"{folder}: there are several figures: name a folder (`figures` {path.stem})")
+    with contextlib.suppress(OutputError):  # what follows has the better message
+        make_folder(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):

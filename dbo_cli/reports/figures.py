@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.reports import drawing as style
+from dbo_cli.reports.accumulators import Band, Curve, FigureData, Raster
 from dbo_cli.reports.drawing import Plot, short_name
 from dbo_cli.reports.renderers import digits, shown_unit
 from dbo_cli.reports.report import LogReport, Report
-from dbo_cli.reports.running_statistics import Floats
-from dbo_cli.reports.thinned_curves import Band, Curve, FigureData, Raster
+from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

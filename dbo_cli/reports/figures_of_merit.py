@@ -1,7 +1,7 @@
 """How well one signal follows another: the figures of merit of a log of any length, in constant memory.
 
 The error is *measured - desired* throughout. The result does not depend on how the stream was cut into
-blocks, to the last bit: see ``running_statistics``.
+blocks, to the last bit: see ``accumulators``.
 
 Among them are the loop and the lag that are left. A loop is a difference between up and down, so first:
 which way a signal is going, sample by sample, whatever noise, rounding and holding do to its steps.
@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
-from dbo_cli.reports import running_statistics
-from dbo_cli.reports.running_statistics import Batches, CompensatedSum, DoublingBins, Floats, comparable
+from dbo_cli.reports.accumulators import CompensatedSum, DoublingBins, ErrorDistribution
+from dbo_cli.reports.sample_pairs import Batches, Floats, comparable, only
 
 # A turn must be larger than this many standard deviations of the noise: the greatest and the least of 10,000
 # normal samples lie 8 apart.
@@ -414,27 +415,25 @@ class TrackingMetrics:
         self._remove_offset, self._sample_rate = remove_offset, sample_rate
         self.rows: tuple[int, int] | None = None
         self._batches = Batches()
-        self.distribution = running_statistics.ErrorDistribution()
+        self.distribution = ErrorDistribution()
         self._loop = LoopWidth()
         self._phase = PhaseLag()
         self._hold: float | None = None
         self._last_desired = math.nan
         self._sums = (CompensatedSum(), CompensatedSum())
-        self._extremes: list[tuple[float, float, float]] = []  # least and greatest error: value, row, time
+        self._extremes: list[tuple[float, int, float]] = []  # least and greatest error: value, row, time
         self._range = (math.inf, -math.inf)
         self._not_finite = 0
         self.missing = [0, 0]
         self._times: tuple[float, float] | None = None
 
-    def add(self, desired: Floats, measured: Floats, row: Floats, time: Floats | None = None) -> None:
-        """Take one block of equally long arrays; ``row`` counts from 1, ``time`` is in seconds."""
-        if not len(row):
+    def add(self, pairs: SampleBlock) -> None:
+        """Take one block."""
+        if not len(pairs):
             return
-        self.rows = (int(row[0]) if self.rows is None else self.rows[0], int(row[-1]))
-        if time is None:
-            time = np.full(len(desired), np.nan)
-        for batch in self._batches.add(desired, measured, row, time):
-            self._take(*batch)
+        self.rows = (int(pairs.rows[0]) if self.rows is None else self.rows[0], int(pairs.rows[-1]))
+        for batch in self._batches.add(pairs):
+            self._take(batch)
 
     def result(self) -> TrackingFigures | None:
         """Return the figures of everything taken so far; None where no sample was a number.
@@ -442,7 +441,7 @@ class TrackingMetrics:
         The accumulator is spent by this call.
         """
         for batch in self._batches.rest():
-            self._take(*batch)
+            self._take(batch)
         n = self.distribution.count
         if n == 0:
             return None
@@ -466,7 +465,7 @@ class TrackingMetrics:
             nrmse_percent=percent_of(rmse, span),
             mean=mean - offset,
             max_abs=abs(largest[0] - offset),
-            max_abs_row=int(largest[1]),
+            max_abs_row=largest[1],
             max_abs_time=None if math.isnan(largest[2]) else largest[2],
             p95_abs=self.distribution.quantile_abs(0.95, offset),
             loop_width=loop.width if loop else None,
@@ -488,17 +487,21 @@ class TrackingMetrics:
             return period
         return None if self._sample_rate is None else 1.0 / self._sample_rate
 
-    def _take(self, desired: Floats, measured: Floats, row: Floats, time: Floats) -> None:
-        first = self._times[0] if self._times else float(time[0])
-        self._times = (first, float(time[-1]))
+    def _take(self, pairs: SampleBlock) -> None:
+        if pairs.time is not None:
+            first = self._times[0] if self._times else float(pairs.time[0])
+            self._times = (first, float(pairs.time[-1]))
+        desired, measured = pairs.values["desired"], pairs.values["measured"]
         finite = comparable(desired, measured)
         if not finite.all():
             self._not_finite += int(len(finite) - np.count_nonzero(finite))
             for which, column in enumerate((desired, measured)):
                 self.missing[which] += int(len(column) - np.count_nonzero(comparable(column, column)))
-            desired, measured, row, time = (array[finite] for array in (desired, measured, row, time))
+            pairs = only(pairs, finite)
+            desired, measured = desired[finite], measured[finite]
         if len(desired) == 0:
             return
+        time = np.full(len(pairs), np.nan) if pairs.time is None else pairs.time
         error = measured - desired
         self._range = (min(self._range[0], float(desired.min())), max(self._range[1], float(desired.max())))
         self.distribution.add(error)
@@ -506,7 +509,7 @@ class TrackingMetrics:
         self._sums[0].add(float(np.add.reduce(shifted)))
         self._sums[1].add(float(np.add.reduce(shifted * shifted)))
         places = int(error.argmin()), int(error.argmax())
-        found = [*self._extremes, *((float(error[k]), float(row[k]), float(time[k])) for k in places)]
+        found = [*self._extremes, *((float(error[k]), int(pairs.rows[k]), float(time[k])) for k in places)]
         self._extremes = [end(found, key=lambda extreme: extreme[0]) for end in (min, max)]
         self._take_motion(desired, measured)
 

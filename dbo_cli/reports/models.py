@@ -18,22 +18,10 @@ from dbo_cli.hysteresis.model import ActuatorModel, Quantity
 from dbo_cli.hysteresis.operators import DiscreteBacklashOperator, DiscretePointOperator
 from dbo_cli.records import dataclass
 from dbo_cli.reports import drawing as style
+from dbo_cli.reports import renderers
 from dbo_cli.reports.drawing import Plot
 from dbo_cli.reports.figures import axis_label, finish, label_decades, legend_head
-from dbo_cli.reports.renderers import (
-    csv_text,
-    digits,
-    drawn_figures,
-    filled,
-    html_table,
-    json_text,
-    no_formula,
-    page_of,
-    shown_unit,
-    text_table,
-    wrapped,
-)
-from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -235,10 +223,10 @@ class ModelTable:
             content = {"format": "dbo-compare", "version": JSON_VERSION, "unit": self.unit}
             content |= {"logs": list(self.logs), "validation": list(self.validation)}
             content |= {"models": [record(row) for row in self.rows], "provenance": dict(provenance)}
-            text = json_text(content)
+            text = renderers.json_text(content)
         elif form == "csv":
-            unit = {"unit": self.unit and no_formula(self.unit)}
-            text = csv_text([record(row) | unit for row in self.rows])
+            unit = {"unit": self.unit and renderers.no_formula(self.unit)}
+            text = renderers.csv_text([record(row) | unit for row in self.rows])
         elif form == "html":
             text = self._page(program)
         else:
@@ -253,16 +241,16 @@ class ModelTable:
     def _text(self) -> str:
         head = ["model", "fit", "expected", "valid.", "numbers", "fit s", "ns fwd", "ns inv", "trip"]
         rows = [_cells(row, row.name, "{:.0e}") for row in self.rows if row.refused is None]
-        parts = ["\n".join(wrapped(self._heading()))]
+        parts = ["\n".join(renderers.wrapped(self._heading()))]
         if rows:
-            parts.append(text_table(head, rows))
+            parts.append(renderers.text_table(head, rows))
         remarks = [f"{row.name}: {row.refused}" for row in self.rows if row.refused is not None]
         remarks += [f"{row.name}: {said}" for row in self.rows if (said := remark(row))]
-        parts += ["\n".join(wrapped(line)) for line in remarks]
+        parts += ["\n".join(renderers.wrapped(line)) for line in remarks]
         return "\n\n".join(parts) + "\n"
 
     def _page(self, program: str) -> str:
-        unit = f" ({shown_unit(self.unit)})" if self.unit else ""
+        unit = f" ({renderers.shown_unit(self.unit)})" if self.unit else ""
         head = ["Model", f"Fit{unit}", f"Expected{unit}", f"Validation{unit}", "Numbers", "s to fit"]
         head += ["ns forward", "ns inverse", f"Round trip{unit}", "Remark"]
         rows = []
@@ -270,11 +258,11 @@ class ModelTable:
             rows.append([*_cells(row, row.words, "{:.1e}"), row.refused or remark(row)])
         parts = [
             f"<p>{escape(self._heading())}.</p>",
-            html_table(head, rows, chief=3 if self.validation else 1),
-            filled("glossary_models.html"),
-            drawn_figures(self.plots(), "models"),
+            renderers.html_table(head, rows, chief=3 if self.validation else 1),
+            renderers.filled("glossary_models.html"),
+            renderers.drawn_figures(self.plots(), "models"),
         ]
-        return page_of("Models side by side", parts, program)
+        return renderers.page_of("Models side by side", parts, program)
 
     def plots(self) -> list[Plot]:
         """Return the figures: error against cost where that was measured, and the loops."""
@@ -313,9 +301,9 @@ def remark(row: Row) -> str:
 
 def _cells(row: Row, name: str, trip: str) -> list[str]:
     cells = [name]
-    cells += [digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)]
+    cells += [renderers.digits(value) for value in (row.rmse, row.expected_rmse, row.validation_rmse)]
     cells.append("-" if row.parameters is None else str(row.parameters))
-    cells += [digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)]
+    cells += [renderers.digits(value, 3) for value in (row.fit_seconds, row.forward_ns, row.inverse_ns)]
     return [*cells, "-" if row.round_trip is None else trip.format(row.round_trip)]
 
 

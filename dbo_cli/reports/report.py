@@ -20,18 +20,18 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.logs.plain_text import cleaned
+from dbo_cli.logs.plain_text import cleaned, counted
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
 from dbo_cli.reports import sample_pairs
 from dbo_cli.reports.figures_of_merit import TrackingFigures, TrackingMetrics, monotone_ends
-from dbo_cli.reports.running_statistics import Floats
+from dbo_cli.reports.sample_pairs import Floats
 
 if TYPE_CHECKING:
     import pandas
 
-    from dbo_cli.reports.thinned_curves import FigureData
+    from dbo_cli.reports.accumulators import FigureData
 
 MOST_SEGMENTS = 10_000  # more are no report, and take seconds
 RECORD = (
@@ -184,7 +184,7 @@ def evaluate(
     sample_rate : float, optional
         Samples a second, where the blocks carry no time.
     figure_data : Collector, optional
-        Sees every pair, lag taken out; see ``thinned_curves.FigureData``.
+        Sees every pair, lag taken out; see ``accumulators.FigureData``.
     score_rows : (int, int or None), optional
         First and last desired row that count, of the rows that come; reading ends behind the last one.
     count_sweep : bool
@@ -210,9 +210,8 @@ def evaluate(
     if not parts.found:
         return log
     log = evaluation.run(parts.after())
-    note = (
-        f"{evaluation.name}: {_counted(parts.count, 'row')} before time 0, on the way to the move, left out"
-    )
+    count = counted(parts.count, "row")
+    note = f"{evaluation.name}: {count} before time 0, on the way to the move, left out"
     return replace(log, notes=(note, *log.notes))
 
 
@@ -279,9 +278,9 @@ class _Evaluation:
                 segments += self._closed(current, len(segments) + 1)
                 current = self._metrics()
                 continue
-            signals = part.values["desired"], part.values["measured"]
-            for metrics in (whole, current) if options.segment is not None else (whole,):
-                metrics.add(*signals, row=sample_pairs.row_numbers(part), time=part.time)
+            whole.add(part)
+            if options.segment is not None:
+                current.add(part)
             if figure_data is not None:
                 figure_data.add(part)
         figures = whole.result()
@@ -307,7 +306,7 @@ class _Evaluation:
             if rows is not None:  # the lag of the rows that count, from these rows alone
                 blocks, rows = sample_pairs.scored(blocks, rows), None
             lag, blocks = sample_pairs.find_lag(self.name, blocks)
-            notes = [f"{self.name}: measured follows best at a lag of {_counted(lag, 'sample')}"]
+            notes = [f"{self.name}: measured follows best at a lag of {counted(lag, 'sample')}"]
         pairs = sample_pairs.lagged(self.name, blocks, lag)
         return (pairs if rows is None else sample_pairs.scored(pairs, rows)), lag, notes
 
@@ -444,12 +443,8 @@ def _nothing(name: str, labels: tuple[str, str], missing: list[int]) -> str:
 def _notes(name: str, labels: tuple[str, str], figures: TrackingFigures) -> list[str]:
     notes = []
     if figures.not_finite:
-        count = _counted(figures.not_finite, "sample")
+        count = counted(figures.not_finite, "sample")
         notes.append(f"{name}: {count} without a number in {labels[0]} or {labels[1]} left out")
     if figures.nrmse_percent is None:
         notes.append(f"{name}: {labels[0]} never changes, so NRMSE, loop width and lag are undefined")
     return notes
-
-
-def _counted(count: int, thing: str) -> str:
-    return f"{count} {thing}" if abs(count) == 1 else f"{count} {thing}s"

@@ -19,11 +19,18 @@ from dbo_cli.hysteresis.cascade import interpolated
 from dbo_cli.logs.request import Rows
 from dbo_cli.logs.sample_block import SampleBlock, joined
 from dbo_cli.records import dataclass
-from dbo_cli.reports.running_statistics import BATCH, Floats, comparable
 
+Floats = NDArray[np.float64]
+BATCH = 32768  # samples: four columns of them fit into a cache of 1 MB
+LARGEST = 1e70  # its fourth power is still a number
 LAG_WINDOW = 1 << 18  # samples in which a lag is looked for: 26 s at 10,000 a second, 4 MB
 _AT_THE_END = 1e-6  # of a step: a stamp so little beyond the trajectory's last one is the same stamp
 SAME = 1e-9  # of the seconds of a dwell: what rounded time stamps may lack
+
+
+def comparable(desired: Floats, measured: Floats) -> NDArray[np.bool_]:
+    """Return where a pair can be compared: both are numbers, and so small that their squares are too."""
+    return (np.abs(desired) < LARGEST) & (np.abs(measured) < LARGEST)
 
 
 def row_numbers(block: SampleBlock) -> Floats:
@@ -33,7 +40,7 @@ def row_numbers(block: SampleBlock) -> Floats:
     return block.rows.astype(np.float64)
 
 
-def _only(block: SampleBlock, kept: NDArray[np.bool_]) -> SampleBlock:
+def only(block: SampleBlock, kept: NDArray[np.bool_]) -> SampleBlock:
     """Return the samples that are kept, as rows without lines."""
     if kept.all():
         return block
@@ -199,7 +206,7 @@ class TrajectoryMatch:
             self.left_out += int(len(block) - np.count_nonzero(inside))
             if inside.any():
                 desired, _ = interpolated(times, values, block.time)
-                yield _only(with_values(block, desired=desired), inside)
+                yield only(with_values(block, desired=desired), inside)
             # two stay: the one to interpolate from, and one more, whose step tells where the end is
             keep = max(int(np.searchsorted(times, reached, side="right")) - 2, 0)
             times, values = times[keep:], values[keep:]
@@ -288,21 +295,38 @@ def find_lag(name: str, blocks: Iterable[SampleBlock]) -> tuple[int, Iterator[Sa
     return _best_lag(desired / scale, measured / scale), chain(window, source)
 
 
-def batched(blocks: Iterable[SampleBlock], size: int = BATCH) -> Iterator[SampleBlock]:
-    """Yield the same samples in blocks of one fixed length, the last one shorter.
+class Batches:
+    """Cut a stream of blocks into batches of one fixed length, the last one shorter.
 
     Whatever works on these gives the same result for any block length of the reader.
     """
-    held: list[SampleBlock] = []
-    count = 0
+
+    def __init__(self, size: int = BATCH) -> None:
+        self._size = size
+        self._held: list[SampleBlock] = []
+        self._count = 0
+
+    def add(self, block: SampleBlock) -> Iterator[SampleBlock]:
+        """Yield the batches that a block completes; what is left waits for the next call."""
+        self._held.append(block)
+        self._count += len(block)
+        while self._count >= self._size:
+            self._count -= self._size
+            yield joined(list(released(self._held, self._size)))
+
+    def rest(self) -> Iterator[SampleBlock]:
+        """Yield what has not filled a batch, as one; nothing where nothing is left."""
+        if self._count:
+            yield joined(self._held)
+        self._held, self._count = [], 0
+
+
+def batched(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+    """Yield the same samples in batches."""
+    batches = Batches()
     for block in blocks:
-        held.append(block)
-        count += len(block)
-        while count >= size:
-            yield joined(list(released(held, size)))
-            count -= size
-    if count:
-        yield joined(held)
+        yield from batches.add(block)
+    yield from batches.rest()
 
 
 def released(held: list[SampleBlock], count: int) -> Iterator[SampleBlock]:
@@ -388,7 +412,7 @@ class Dwells:
             new = desired != np.concatenate([[level], desired[:-1]])  # a blank is never held
             begun = np.maximum.accumulate(np.where(new, np.arange(len(block)), -1))
             start = np.where(begun >= 0, time[begun], since)
-            held = _only(block, ~new & (time - start >= self._seconds * (1.0 - SAME)))
+            held = only(block, ~new & (time - start >= self._seconds * (1.0 - SAME)))
             level, since = float(desired[-1]), float(start[-1])
             self.read += len(block)
             self.kept += len(held)

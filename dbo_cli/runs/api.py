@@ -21,17 +21,10 @@ from dbo_cli.hysteresis.model_set import Coupling, is_set, read_set, set_to_byte
 from dbo_cli.hysteresis.model_set import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
+from dbo_cli.logs import request
 from dbo_cli.logs.channels import is_pattern
 from dbo_cli.logs.columns import wish
-from dbo_cli.logs.request import (
-    ALL_ROWS,
-    Address,
-    ReadingOptions,
-    Rows,
-    check_document,
-    parse_address,
-    parse_rows,
-)
+from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
 from dbo_cli.logs.whole_output import write_whole
@@ -153,7 +146,7 @@ class Model:
         OutputError
             It cannot be written.
         """
-        check_document(path, "a model", "json")
+        request.check_document(path, "a model", "json")
         write_whole(path, self.to_json())
 
     def save_state(self, state: ModelState, path: str | os.PathLike[str]) -> None:
@@ -164,7 +157,7 @@ class Model:
         state, path
             What a run returned or ``Controller.state`` holds, and where to, ``state.json``.
         """
-        check_document(path, "a state", "json")
+        request.check_document(path, "a state", "json")
         write_whole(path, state_to_bytes(state, self.actuator))
 
     def read_state(self, path: str | os.PathLike[str]) -> ModelState:
@@ -371,7 +364,7 @@ def require_known(record: type[DataclassInstance], given: Mapping[str, Any], wha
 
 def _rows_of(rows: str | None, ahead: bool) -> tuple[Rows, int | None]:
     """Return the rows to read and the last one to answer, where those after it are read ahead."""
-    taken = ALL_ROWS if rows is None else parse_rows(rows)
+    taken = ALL_ROWS if rows is None else request.parse_rows(rows)
     return ((taken[0], None), taken[1]) if ahead else (taken, None)
 
 
@@ -467,7 +460,7 @@ class ModelSet(Mapping[str, Model]):
         OutputError
             It cannot be written.
         """
-        check_document(os.fspath(path), "a model", "json")
+        request.check_document(os.fspath(path), "a model", "json")
         write_whole(os.fspath(path), self.to_json())
 
     def simulate(self, x: ArrayLike, **options: Any) -> Floats:
@@ -877,7 +870,7 @@ def _tracking_options(
     if asked.get("trajectory") is not None:
         if not logs or not all(isinstance(one, Address) for one in logs):
             raise UsageError("`trajectory` belongs to a log in a file; of arrays, give both signals")
-        asked["trajectory"] = parse_address(asked["trajectory"])
+        asked["trajectory"] = request.parse_address(asked["trajectory"])
     for role, given in {"voltage": voltage, "time": time}.items():
         if logs and not isinstance(given, str | int | None):
             raise UsageError(f"`{role}`: beside tables and files give the name or number of their column")
@@ -894,7 +887,7 @@ def _model(model: Model | str | os.PathLike[str]) -> Model:
 
 
 def _reading(time: str | None, rows: str | None, options: dict[str, Any]) -> ReadingOptions:
-    given = options | {"time": time, "rows": ALL_ROWS if rows is None else parse_rows(rows)}
+    given = options | {"time": time, "rows": ALL_ROWS if rows is None else request.parse_rows(rows)}
     return record_of(ReadingOptions, given, "says nothing about reading a log")
 
 
@@ -906,4 +899,4 @@ def _logs(given: Any) -> list[Any]:
 
 def _addressed(logs: Any) -> list[Any]:
     """Return logs, one or a list of them, the names of files taken apart."""
-    return [parse_address(one) if is_file(one) else one for one in ([logs] if is_log(logs) else logs)]
+    return [request.parse_address(one) if is_file(one) else one for one in ([logs] if is_log(logs) else logs)]

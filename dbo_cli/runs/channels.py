@@ -19,6 +19,7 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
+from dbo_cli.logs import whole_output
 from dbo_cli.logs.channels import PLACE, ChannelReader, channels_of, column_of, is_matrix, is_pattern
 from dbo_cli.logs.columns import TIME_NAMES, OutColumn, column_info
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, parse_address, parse_output
@@ -26,17 +27,10 @@ from dbo_cli.logs.sample_block import FloatArray, joined
 from dbo_cli.logs.signal_log import open_log
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import TABLE, is_file, is_table
-from dbo_cli.logs.whole_output import (
-    KeptOutputs,
-    KeptSignal,
-    all_or_none,
-    check_outputs,
-    make_folder,
-    write_whole,
-)
+from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import Listener, Remarks
-from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish
+from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
 
 if TYPE_CHECKING:
@@ -166,7 +160,7 @@ def make_folder_of(output: Address) -> None:
     """Make the folder that files of channels go to; it goes again where they are given up."""
     folder = output.path.rpartition("/")[0]
     if folder and CHANNEL not in folder:
-        make_folder(folder)
+        whole_output.make_folder(folder)
 
 
 def common_rows(times: Sequence[FloatArray | None]) -> tuple[FloatArray, list[tuple[int, int]]] | None:
@@ -230,7 +224,7 @@ def export_models(
         )
     if CHANNEL not in folder:
         return export_set(models, folder, name=name, **options)
-    with all_or_none():
+    with whole_output.all_or_none():
         make_folder_of(parse_address(folder))
         return {
             channel: export_model(model, in_name(folder, channel), name=f"{name}_{channel}", **options)
@@ -273,7 +267,7 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
                 )  # fmt: skip
                 yield channel, own.run
 
-        with all_or_none():
+        with whole_output.all_or_none():
             table = ChannelTable(destination, channels, pattern)
             if each_own:
                 make_folder_of(destination.output)
@@ -287,7 +281,8 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
                     table.add(one.name, one.outputs)
                     summaries += _other_documents(one, destination)
             table.finish()
-            _write_summaries(summaries, destination)
+            if summaries and destination.summary is not None:
+                write_json(destination.summary, summaries)
     sum_up_remarks(remarks, pattern, outcome.remarks)
     return outcome
 
@@ -304,7 +299,7 @@ def _check_asked(asked: SignalRun) -> None:
         raise UsageError(
             f"`save_state` {destination.save_state.text}: each channel has its own (put {CHANNEL} into it)"
         )
-    check_outputs([destination.output], destination.protect)
+    whole_output.check_outputs([destination.output], destination.protect)
 
 
 def _together(
@@ -346,7 +341,7 @@ def write_kept(outputs: KeptOutputs, protect: Sequence[Given]) -> None:
     for one in outputs.signals:
         _write_signal(one, protect, len(one.arrays[0]))
     for name, data in outputs.documents:
-        write_whole(name, data, protect=protect)
+        whole_output.write_whole(name, data, protect=protect)
 
 
 def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> None:
@@ -359,12 +354,6 @@ def _write_signal(signal: KeptSignal, protect: Sequence[Given], rows: int) -> No
             writer.write(*(array[row : row + rows] for array in signal.arrays))
 
 
-def _write_summaries(summaries: list[dict[str, Any]], destination: Destination) -> None:
-    if summaries and destination.summary is not None:
-        text = json.dumps(summaries, indent=2, ensure_ascii=False) + "\n"
-        write_whole(destination.summary, text.encode())
-
-
 def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[str, Any]]:
     """Write a channel's state; return its summary, which goes into one list with the others'."""
     found = []
@@ -372,7 +361,7 @@ def _other_documents(one: Done[Remarks], destination: Destination) -> list[dict[
         if destination.summary is not None and name == destination.summary.text:
             found.append({"channel": one.name, **json.loads(data)})
         else:
-            write_whole(name, data, protect=destination.protect)
+            whole_output.write_whole(name, data, protect=destination.protect)
     return found
 
 

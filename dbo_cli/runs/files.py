@@ -23,20 +23,10 @@ from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_b
 from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
+from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, OutColumn, split_header, wish
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.request import (
-    ALL_ROWS,
-    Address,
-    Given,
-    ReadingOptions,
-    Rows,
-    check_document,
-    check_format,
-    other_file,
-    parse_output,
-    selected_files,
-)
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.signal_writer import signal_writer
@@ -71,7 +61,7 @@ class Destination(NamedTuple):
 
     def beside(self, *selectors: str | None) -> Destination:
         """Protect the files that columns are taken from (``FILE::COLUMN``), too."""
-        return self._replace(protect=[*self.protect, *selected_files(*selectors)])
+        return self._replace(protect=[*self.protect, *request.selected_files(*selectors)])
 
     def placed(self, put: Callable[[Address], Address]) -> Destination:
         """Put the name of a channel or a file into every output's."""
@@ -82,13 +72,13 @@ class Destination(NamedTuple):
         """Refuse outputs that cannot be written, or that are inputs or each other, before the long work."""
         if sum(one == "-" or (isinstance(one, Address) and one.is_stream) for one in self.protect) > 1:
             raise UsageError("standard input can be read once only: give the model or the signal as a file")
-        parse_output(self.output)
+        request.parse_output(self.output)
         outputs = (self.output, self.save_state, self.summary)
         check_outputs([one for one in outputs if one is not None], self.protect)
         if self.summary is not None:
-            check_document(self.summary, "a summary", "json")
+            request.check_document(self.summary, "a summary", "json")
         if self.save_state is not None:
-            check_document(self.save_state, "a state", "json")
+            request.check_document(self.save_state, "a state", "json")
 
 
 @dataclass(frozen=True)
@@ -134,10 +124,10 @@ class SignalRun:
         destination = destination.beside(self.column, self.voltage, self.measured, self.reading.time)
         destination.check()
         if self.drive is not None and self.drive.history is not None:
-            check_document(self.drive.history, "a history", "json")
+            request.check_document(self.drive.history, "a history", "json")
             check_outputs([destination.output, self.drive.history], destination.protect)
         check_order(model_file, self.log.text)
-        check_format(self.reading.format, [self.log, destination.output])
+        request.check_format(self.reading.format, [self.log, destination.output])
         asked, model = dataclasses.replace(self, destination=destination), read_model(model_file)
         if self.drive is None:
             return asked._simulated(model, listener)
@@ -238,7 +228,7 @@ class SignalRun:
 
 def invert_model(model_file: str, output: Address) -> ActuatorModel:
     """Write the exact inverse of a model."""
-    check_document(output, "a model", "json")
+    request.check_document(output, "a model", "json")
     inverse = read_model(model_file).inverse()
     write_whole(output, model_to_bytes(inverse), protect=[model_file])
     return inverse
@@ -259,7 +249,7 @@ def write_excitation(
     limits = DriveLimits(excitation.v_min, excitation.v_max, excitation.max_slew)
     for one in drives.values():
         DriveGate(limits).admit(one, 1.0 / excitation.sample_rate)
-    check_format(form, [output])
+    request.check_format(form, [output])
     columns = [OutColumn("time", "s"), *(OutColumn(name, "V") for name in drives)]
     rate = excitation.sample_rate
     with signal_writer(output.or_format(form), columns, attributes=lambda: {"sample_rate": rate}) as writer:
@@ -327,7 +317,11 @@ def summary_of_values(
 
 def write_summary(output: Address, done: Sequence[Mapping[str, Any]]) -> None:
     """Write a summary, or a list of them where there are several signals."""
-    content = done[0] if len(done) == 1 else done
+    write_json(output, done[0] if len(done) == 1 else done)
+
+
+def write_json(output: Address, content: object) -> None:
+    """Write plain values as JSON."""
     write_whole(output, (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
 
 
@@ -335,7 +329,7 @@ def _column_of(log: SignalLog, taken: Quantity) -> OutColumn:
     """Return the input column under its own name."""
     column = log.columns[taken.quantity]
     stated = split_header(column.name)[1]
-    named = other_file(column.name)  # the column of another file goes by its own name
+    named = request.other_file(column.name)  # the column of another file goes by its own name
     name = (named[1] if named else column.name) if column.quantity else taken.quantity
     if stated is not None and stated != column.unit:
         name = column.quantity  # converted: the unit in its name is no longer its own

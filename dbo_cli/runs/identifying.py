@@ -17,17 +17,10 @@ from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.logs import request
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned
-from dbo_cli.logs.request import (
-    ALL_ROWS,
-    Address,
-    ReadingOptions,
-    check_document,
-    check_format,
-    selected_files,
-    without_folder,
-)
+from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions
 from dbo_cli.logs.sample_block import joined
 from dbo_cli.logs.signal_log import SignalLog
 from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
@@ -202,7 +195,7 @@ class IdentifyRun:
             several = isinstance(value, tuple) and value and all(isinstance(one, str) for one in value)
             for one in value if several else [value]:
                 words += ["--" + name.replace("_", "-"), *([] if one is True else [_word(one)])]
-        return [cleaned(without_folder(word)) for word in words]
+        return [cleaned(request.without_folder(word)) for word in words]
 
     def read(self, listener: Listener = SILENT, prior: str | ActuatorModel | None = None) -> Recordings:
         """Read what is fitted and what is judged on, in the units of a prior, else of the first log."""
@@ -240,12 +233,12 @@ class IdentifyRun:
 
     def run(self, output: Address, listener: Listener = SILENT) -> Identified:
         """Identify a model of one actuator from logs and write it."""
-        check_document(output, "a model", "json")
-        beside = selected_files(self.voltage, self.displacement, self.reading.time)
+        request.check_document(output, "a model", "json")
+        beside = request.selected_files(self.voltage, self.displacement, self.reading.time)
         known = [] if self.prior is None else [self.prior]
         inputs = [*self.logs, *self.validation]
         check_output(output, [*inputs, *beside, *known])
-        check_format(self.reading.format, inputs)
+        request.check_format(self.reading.format, inputs)
         kept = None if self.prior is None else read_model(self.prior)
         fitted, checks = self.read(listener, kept)
         columns = {"voltage": self.voltage, "displacement": self.displacement}
@@ -301,17 +294,17 @@ def compare_logs(
 ) -> Remarks:
     """Fit every model to the logs and write the table; ``asked.reading.rows`` are not the validation's."""
     from dbo_cli.relatives.judging import NAMES, compare
-    from dbo_cli.reports.drawing import save
+    from dbo_cli.reports.drawing import check_folder, save
     from dbo_cli.reports.models import ModelTable
-    from dbo_cli.runs.reporting import prepare_folder, report_form
+    from dbo_cli.runs.reporting import report_form
 
     form = report_form(output, options.form)
     inputs = [*asked.logs, *asked.validation]
     check_output(output, inputs)
-    check_format(asked.reading.format, inputs)
+    request.check_format(asked.reading.format, inputs)
     for folder in (options.figures, options.models_folder):
         if folder is not None:
-            prepare_folder(folder)
+            check_folder(folder)
     fitted, checks = asked.read(listener)
     recordings, others = [one.recording for one in fitted], [one.recording for one in checks]
     rows = compare(recordings, others, options.names or NAMES, options.skip_seconds, options.timed)

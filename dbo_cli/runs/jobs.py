@@ -72,10 +72,14 @@ class Failed:
 
 @dataclass
 class Outcome:
-    """What is to be said of all jobs, and the error to end with once their outputs are written."""
+    """What is to be said of a run or of all jobs, and the error to end with once the outputs are written.
+
+    ``last``: notes that come after all others.
+    """
 
     remarks: Remarks = field(default_factory=Remarks)
     failure: DboError | None = None
+    last: list[str] = field(default_factory=list)
 
     def good(
         self,

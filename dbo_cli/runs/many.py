@@ -16,7 +16,7 @@ from dbo_cli.runs.jobs import FILE, Outcome, Work, check_names, each_file, of_fi
 
 if TYPE_CHECKING:
     from dbo_cli.runs.identifying import IdentifyRun
-    from dbo_cli.runs.reporting import ReportRun, Written
+    from dbo_cli.runs.reporting import ReportRun
 
 _PLACES = ("{}", "{channel}", FILE)
 _WORTH_POLARS = 32  # files of 1,000 rows: importing polars (0.1 s) costs less than formatting them in Python
@@ -106,7 +106,7 @@ def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listen
     return Outcome(Remarks([*remarks.notes, *found.summary], remarks.warnings, read))
 
 
-def reported(asked: ReportRun, work: Work, listener: Listener) -> Written:
+def reported(asked: ReportRun, work: Work, listener: Listener) -> Outcome:
     """Report on logs side by side, or on the channels that a pattern names."""
     from dbo_cli.runs.reporting import report_channels, report_logs
 

@@ -14,27 +14,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import DboError, OutputError, UsageError
+from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
+from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, wish
-from dbo_cli.logs.request import (
-    ALL_ROWS,
-    Address,
-    Given,
-    ReadingOptions,
-    Rows,
-    check_document,
-    selected_files,
-)
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
-from dbo_cli.logs.whole_output import all_or_none, check_output, make_folder, write_whole
+from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports import renderers
-from dbo_cli.reports.drawing import Plot, check_folder, refuse_picture, save
+from dbo_cli.reports.accumulators import FigureData
+from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
 from dbo_cli.runs.channels import columns_of, models_by_channel, opened_readers, patterns_of, sum_up_remarks
@@ -44,8 +38,6 @@ from dbo_cli.version import program_version_string
 
 if TYPE_CHECKING:
     import pandas
-
-    from dbo_cli.reports.thinned_curves import FigureData
 
 Match = Literal["auto", "time", "rows"]
 
@@ -236,8 +228,6 @@ class TrackingRun:
         self._units.append((source.name, unit or source.columns["measured"].unit))
 
     def _new_figure_data(self, source: Source) -> FigureData:
-        from dbo_cli.reports.thinned_curves import FigureData
-
         drive = source.columns.get("voltage")
         self._figure_data.append(FigureData(None if drive is None else drive.unit))
         return self._figure_data[-1]
@@ -304,15 +294,10 @@ class TrackingReport:
 
     def to_html(self) -> str:
         """Return the report as one self-contained page with its figures."""
-        from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
-        from dbo_cli.reports.models import plots_of_model
-
+        of_logs, together, of_model = self._plots()
+        program = program_version_string()
         return renderers.to_html(
-            self.report,
-            [plots_of_log(self.report, log, figure_data) for log, figure_data in self._drawn()],
-            comparison_plots=plots_of_comparison(self.report, self.figure_data),
-            model_plots=() if self.model is None else plots_of_model(self.model),
-            program=program_version_string(),
+            self.report, of_logs, comparison_plots=together, model_plots=of_model, program=program
         )
 
     def rendered(self, form: str) -> bytes:
@@ -338,67 +323,55 @@ class TrackingReport:
         OutputError
             The folder cannot be written to.
         """
-        from dbo_cli.reports.drawing import check_folder, file_stems, save
+        target = check_folder(str(folder))
+        of_logs, together, of_model = self._plots()
+        stems = file_stems([log.name for log in self.report.logs])
+        for stem, log, plots in zip(stems, self.report.logs, of_logs, strict=True):
+            save(plots, target, stem, log.name)
+        save(together, target, "all-logs")
+        save(of_model, target, "model")
+
+    def _plots(self) -> tuple[list[list[Plot]], list[Plot], list[Plot]]:
+        """Return the figures of each log, of all together, and of the model."""
         from dbo_cli.reports.figures import plots_of_comparison, plots_of_log
         from dbo_cli.reports.models import plots_of_model
 
-        target = check_folder(str(folder))
-        stems = file_stems([log.name for log in self.report.logs])
-        for stem, (log, figure_data) in zip(stems, self._drawn(), strict=True):
-            save(plots_of_log(self.report, log, figure_data), target, stem, log.name)
-        save(plots_of_comparison(self.report, self.figure_data), target, "all-logs")
-        if self.model is not None:
-            save(plots_of_model(self.model), target, "model")
-
-    def _drawn(self) -> list[tuple[LogReport, FigureData]]:
-        if len(self.figure_data) != len(self.report.logs):
+        report, kept = self.report, self.figure_data
+        if len(kept) != len(report.logs):
             raise UsageError("nothing was kept to draw from: compare with `traced`")
-        return list(zip(self.report.logs, self.figure_data, strict=True))
+        of_logs = [plots_of_log(report, log, data) for log, data in zip(report.logs, kept, strict=True)]
+        of_model = [] if self.model is None else plots_of_model(self.model)
+        return of_logs, plots_of_comparison(report, kept), of_model
 
 
 ENDINGS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 
 
 @dataclass(frozen=True)
-class Written:
-    """A report that was written."""
-
-    report: Report
-    form: str
-    remarks: Remarks
-    failure: DboError | None = None
-
-    def check(self, limits: Mapping[str, float | None]) -> None:
-        """Raise LimitError for the first log that misses a limit of ``check_limits``; the others are counted.
-
-        A ``failure`` of channels that are not in the report is raised before.
-        """
-        if self.failure is not None:
-            raise self.failure
-        check_limits(self.report, **limits)
-
-
-@dataclass(frozen=True)
 class ReportRun:
-    """What is asked of ``report``: logs, the report's file and form, and a folder for ``figures``."""
+    """What is asked of ``report``: logs, the report's file and form, a folder for ``figures``, and limits.
+
+    ``limits`` are the parameters of ``check_limits``.
+    """
 
     logs: Sequence[Address]
     output: Address
     reading: ReadingOptions
     options: TrackingOptions
-    form: str | None = None
-    figures: str | None = None
+    form: str | None
+    figures: str | None
+    limits: Mapping[str, float | None]
 
     def prepared(self) -> tuple[str, list[Given]]:
         """Return the report's form and the inputs; what cannot be written is refused before the long work."""
         options, chosen = self.options, report_form(self.output, self.form)
-        check_document(self.output, "a report", chosen)
+        request.check_document(self.output, "a report", chosen)
         files = [name for name in (options.model, options.trajectory) if name is not None]
         inputs: list[Given] = [*self.logs, *files]
         inputs += selected_files(options.desired, options.measured, options.voltage, self.reading.time)
         check_output(self.output, inputs)
         if self.figures is not None:
-            prepare_folder(self.figures)
+            check_folder(self.figures)
         return chosen, inputs
 
     def write(self, content: bytes, inputs: Sequence[Given]) -> None:
@@ -409,9 +382,18 @@ class ReportRun:
             if self.figures is None:
                 raise
 
+    def judged(self, report: Report, form: str, outcome: Outcome) -> Outcome:
+        """Add what the report notes, and the first limit that a log misses, unless a channel failed."""
+        outcome.last = [] if form == "text" else report.notes
+        try:
+            check_limits(report, **self.limits)
+        except LimitError as missed:
+            outcome.failure = outcome.failure or missed
+        return outcome
+
 
 @all_or_none()
-def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
+def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Outcome:
     """Compare logs and write the report, by default in the form of the output's ending, else text."""
     options, figures = asked.options, asked.figures
     scoring = options.scoring(options.model is not None)
@@ -426,7 +408,7 @@ def report_logs(asked: ReportRun, listener: Listener = SILENT) -> Written:
     if figures is not None:
         result.figures(figures)
     asked.write(result.rendered(chosen), inputs)
-    return Written(result.report, chosen, result.remarks)
+    return asked.judged(result.report, chosen, Outcome(result.remarks))
 
 
 def report_form(output: Address, form: str | None) -> str:
@@ -441,14 +423,6 @@ def report_form(output: Address, form: str | None) -> str:
     if form is not None and named not in (None, form):
         raise UsageError(f"{output.text}: `format` {form} contradicts this name: leave one of them out")
     return form or named or "text"
-
-
-def prepare_folder(folder: str) -> None:
-    """Make a folder for outputs where there is none, and refuse one that cannot be written to."""
-    refuse_picture(folder)
-    with contextlib.suppress(OutputError):  # check_folder has the better message
-        make_folder(folder)
-    check_folder(folder)
 
 
 def rows_to_score(
@@ -498,7 +472,7 @@ def open_trajectory(address: Address, desired: str | None, reading: ReadingOptio
 
 
 @all_or_none()
-def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written:
+def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Outcome:
     """Report on each channel of logs, a line each, and say how the channels' errors are spread."""
     logs, options = asked.logs, asked.options
     if options.trajectory is not None:
@@ -543,7 +517,7 @@ def report_channels(asked: ReportRun, work: Work, listener: Listener) -> Written
     sum_up_remarks(texts, patterns["measured"], outcome.remarks)
     drawn = asked.figures is not None or chosen == "html"
     outcome.remarks.notes += _summary(merits, patterns if drawn and len(logs) == 1 else None)
-    return Written(report, chosen, outcome.remarks, outcome.failure)
+    return asked.judged(report, chosen, outcome)
 
 
 def _summary(merits: Sequence[LogReport], drawn: Mapping[str, str] | None) -> Iterator[str]:

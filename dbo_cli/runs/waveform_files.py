@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dbo_cli import waveforms
 from dbo_cli.drives.check import TOLERANCE, check_drive
 from dbo_cli.drives.gate import DriveGate, Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in
@@ -22,17 +23,7 @@ from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.remarks import Remarks
 from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
-from dbo_cli.waveforms import (
-    FORMATS,
-    Coding,
-    Points,
-    Signals,
-    Values,
-    at_points,
-    check_name,
-    whole_rate,
-    written,
-)
+from dbo_cli.waveforms import FORMATS, Points, Values
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
 _REMEDIES = {
@@ -118,7 +109,7 @@ def write_waveform(
         What was written, read back, breaks a limit: this program's fault; nothing is left behind.
     """
     output, summary = destination.output, destination.summary
-    check_name("-" if output.is_stream else output.path, options.to)
+    waveforms.check_name("-" if output.is_stream else output.path, options.to)
     check_outputs([one for one in (output, summary) if one is not None], drives)
     if summary is not None:
         check_document(summary, "a summary", "json")
@@ -134,7 +125,7 @@ def write_waveform(
         if one.size != values[0].size or abs(step / steps[0] - 1.0) > SAME_RATE:
             raise InputError(f"{name}: has other rows or another rate than {names[0]}: play them apart")
     drive = np.stack(values)
-    played = at_points(drive, 1.0 / steps[0], options.points, options.rate, options.loop)
+    played = waveforms.at_points(drive, 1.0 / steps[0], options.points, options.rate, options.loop)
     most = TOLERANCE * float(np.ptp(drive))
     if options.tolerance is not None:
         most = in_unit("tolerance", options.tolerance, "V")
@@ -212,7 +203,7 @@ def _encoded(
             f"(`points` {min(max(count, form.points[0]), form.points[1]):g})"
         )
     if options.to == "wav":
-        rate = whole_rate(rate)
+        rate = waveforms.whole_rate(rate)
     ends = options.volts or (float(volts.min()), float(volts.max()))
     if volts.min() < ends[0] or volts.max() > ends[1]:
         raise LimitError(
@@ -224,7 +215,7 @@ def _encoded(
     within = (limits.v_min / options.gain, limits.v_max / options.gain)
     within = within if options.gain > 0.0 else within[::-1]
     content, back, coarse = _rounded(volts, ends, within, options)
-    data = written(options.to, Signals(content, rate, ends))
+    data = waveforms.written(options.to, waveforms.Signals(content, rate, ends))
     slew = None if limits.max_slew is None else limits.max_slew / abs(options.gain) + coarse * rate
     for one in back:
         gate = DriveGate(DriveLimits(*within, slew))
@@ -253,7 +244,7 @@ def _rounded(
         part = np.clip((volts - ends[0]) / half - 1.0, -1.0, 1.0)
         return part, np.clip(ends[0] + (part + 1.0) * half, *ends), 0.0
     codes = options.codes or form.codes
-    coding = Coding((int(codes[0]), int(codes[1])), ends)
+    coding = waveforms.Coding((int(codes[0]), int(codes[1])), ends)
     content = coding.encode(volts, within)
     return content, coding.decode(content), coding.step
 

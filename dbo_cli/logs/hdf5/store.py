@@ -49,34 +49,12 @@ _ZLIB_HEADER = b"\x78\x01"  # RFC 1950: deflate, window of 32 kB, fastest
 _LAST_BLOCK = b"\x03\x00"  # an empty block that ends the stream
 
 
-def group_path(group: str | None) -> str:
-    """Return the absolute path of a group, ``/`` for none; ``//a/./b/`` is ``/a/b``."""
-    parts = [part for part in (group or "").split("/") if part not in ("", ".")]
-    if ".." in parts:
-        raise UsageError(f"::{group}: '..' is no group of an HDF5 file: give its path from the root, ::/NAME")
-    return "/" + "/".join(cleaned(part) for part in parts)
-
-
 @dataclass(frozen=True)
 class StoreOutput:
     """An output into an HDF5 file: the whole file (``group`` is ``/``) or a group of it."""
 
     path: str
     group: str
-
-    def check(self) -> None:
-        """Refuse, before the work, a file that is in use or a place that holds what others wrote.
-
-        Raises
-        ------
-        OutputError
-            The file is open in another program, or is no HDF5 file to which a group could be added, or the
-            place is a dataset, or holds what this program did not write.
-        """
-        if os.path.isfile(self.path):
-            with _locked(self.path):
-                pass  # not held while the file is looked at: that takes time, and others wait
-            self._refuse_foreign()
 
     @contextlib.contextmanager
     def publishing(self, temporary: str) -> Iterator[bool]:
@@ -87,13 +65,13 @@ class StoreOutput:
         Raises
         ------
         OutputError
-            As for ``check``.
+            As for ``refuse_foreign``, or the file is open in another program.
         """
         if not os.path.exists(self.path):
             yield True
             return
         with _locked(self.path):
-            self._refuse_foreign()
+            self.refuse_foreign()
             if self.group != "/":
                 self._merge(temporary)
             yield False
@@ -118,7 +96,14 @@ class StoreOutput:
                 os.unlink(merged)
             raise
 
-    def _refuse_foreign(self) -> None:
+    def refuse_foreign(self) -> None:
+        """Refuse a file that is none of HDF5 but gets a group, and a place that holds what others wrote.
+
+        Raises
+        ------
+        OutputError
+            The place is a dataset, or holds what this program did not write; or the file cannot be read.
+        """
         if not h5py.is_hdf5(self.path):
             if self.group != "/":
                 raise OutputError(
@@ -168,24 +153,41 @@ class StoreOutput:
 
 
 @contextlib.contextmanager
-def store_output(target: Address) -> Iterator[tuple[str, str]]:
-    """Give the file to write an HDF5 output to, and the group in it; it is published at the end.
+def store_output(target: Address, attributes: Mapping[str, str | float]) -> Iterator[Any]:
+    """Give a new group for an HDF5 output, with its attributes; the file is published at the end.
 
     Raises
     ------
     UsageError
         The output is a pipe.
     OutputError
-        It is no regular file, or as for ``StoreOutput.check``.
+        It is no regular file, is open in another program, or as for ``StoreOutput.refuse_foreign``.
     """
     if target.is_stream or whole_output.descriptor_of(target.path) is not None:
         raise UsageError("HDF5 cannot be written to a pipe: name a file (-o FILE.h5)")
-    store = StoreOutput(target.path, group_path(target.group))
-    store.check()
+    parts = [part for part in (target.group or "").split("/") if part not in ("", ".")]  # //a/./b/ is /a/b
+    if ".." in parts:
+        told = "'..' is no group of an HDF5 file: give its path from the root, ::/NAME"
+        raise UsageError(f"::{target.group}: {told}")
+    store = StoreOutput(target.path, "/" + "/".join(cleaned(part) for part in parts))
+    if os.path.isfile(store.path):
+        with _locked(store.path):
+            pass  # not held while the file is looked at: that takes time, and others wait
+        store.refuse_foreign()
     if not whole_output.is_replaceable(target.path):
         raise OutputError(f"{target.path}: this is no regular file: name a file")
     with whole_output.replacing(target.path, store.publishing) as path:
-        yield path, store.group
+        file = h5py.File(path, "w")
+        try:
+            group = file.require_group(store.group)
+            for name, value in attributes.items():
+                group.attrs[name] = cleaned(value) if isinstance(value, str) else value
+            yield group
+        except BaseException:
+            with contextlib.suppress(OSError, RuntimeError, ValueError):  # what led here is to be shown
+                file.close()
+            raise
+        file.close()
 
 
 def _in_use(path: str) -> str:
@@ -245,33 +247,37 @@ def _is_being_added_to(path: str) -> bool:
     return any(process != os.getpid() and whole_output.is_running(process) for process in writers)
 
 
+@contextlib.contextmanager
+def hdf5_writer(
+    target: Address, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
+) -> Iterator[Hdf5Writer]:
+    """Open an HDF5 output; it is complete, and published, when the block is left without an error."""
+    with store_output(target, attributes) as group:
+        writer = Hdf5Writer(group, columns)
+        yield writer
+        writer.finish()
+
+
 class Hdf5Writer:
     """Appends rows to the columns of an HDF5 group.
 
     Parameters
     ----------
-    path
-        The file to make.
     group
-        The group in it, ``/`` for none.
+        What is written to; with its attributes (``sample_rate``, ``model_sha256``, ``command``).
     columns
         One dataset each, named by its header, with the attributes ``units`` and ``quantity``.
-    attributes
-        What the group states of itself (``sample_rate``, ``model_sha256``, ``command``).
     """
 
-    def __init__(
-        self, path: str, group: str, columns: Sequence[OutColumn], attributes: Mapping[str, str | float]
-    ) -> None:
-        self._names = _dataset_names(columns)
-        self._file = h5py.File(path, "w")
-        self._group = self._file.require_group(group)
-        for name, value in attributes.items():
-            self._group.attrs[name] = cleaned(value) if isinstance(value, str) else value
+    def __init__(self, group: Any, columns: Sequence[OutColumn]) -> None:
+        # A slash would make a group, and a lone dot is the group itself.
+        headers = (header.replace("/", "_") for header in unique_headers(columns))
+        self._names = [name if name not in ("", ".") else f"column_{n}" for n, name in enumerate(headers, 1)]
+        self._group = group
         self._group.attrs[MARK] = self._names
         clocks = [number for number, column in enumerate(columns) if column.header == "time_s"]
-        self._clock = clocks[0] if clocks and "sample_rate" not in attributes else None
-        self._times = TimeCheck(path)
+        self._clock = clocks[0] if clocks and "sample_rate" not in group.attrs else None
+        self._times = TimeCheck(group.file.filename)
         self._columns = columns
         self._kept: list[list[FloatArray]] = [[] for _ in columns]
         self._kept_rows = 0
@@ -292,23 +298,25 @@ class Hdf5Writer:
             self._store(CHUNK_ROWS)
 
     def finish(self) -> None:
-        """Write what is left and close the file; only now is it whole."""
+        """Write what is left; only now are the datasets whole."""
         self._store(CHUNK_ROWS if self._datasets else max(1, self._kept_rows), last=True)
         for dataset in self._datasets:
             dataset.resize((self._rows,))
         rate = self._times.rate()
         if rate is not None:
             self._group.attrs["sample_rate"] = float(f"{rate:.12g}")  # 2000, not 1999.9999999999998
-        self._file.close()
-
-    def abandon(self) -> None:
-        """Close a file that is about to be removed, whatever state it is in."""
-        with contextlib.suppress(OSError, RuntimeError, ValueError):  # what led here is to be shown
-            self._file.close()
 
     def _store(self, chunk: int, last: bool = False) -> None:
         """Write the whole chunks that are kept; the ``last`` one is filled up with zeros."""
-        self._make_datasets(chunk)
+        for name, column in () if self._datasets else zip(self._names, self._columns, strict=True):
+            dataset = self._group.create_dataset(
+                name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
+                shuffle=True,
+            )  # fmt: skip
+            if column.unit:
+                dataset.attrs["units"] = cleaned(column.unit)
+            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
+            self._datasets.append(dataset)
         rows = self._kept_rows if last else self._kept_rows // chunk * chunk
         if not rows:
             return
@@ -321,25 +329,6 @@ class Hdf5Writer:
             self._kept[number] = [values[rows:]]
         self._rows += rows
         self._kept_rows -= rows
-
-    def _make_datasets(self, chunk: int) -> None:
-        if self._datasets:
-            return
-        for name, column in zip(self._names, self._columns, strict=True):
-            dataset = self._group.create_dataset(
-                name, (0,), "<f8", maxshape=(None,), chunks=(chunk,), compression="gzip", compression_opts=1,
-                shuffle=True,
-            )  # fmt: skip
-            if column.unit:
-                dataset.attrs["units"] = cleaned(column.unit)
-            dataset.attrs["quantity"] = cleaned(column.quantity or column.name)
-            self._datasets.append(dataset)
-
-
-def _dataset_names(columns: Sequence[OutColumn]) -> list[str]:
-    """Name the datasets by the headers; a slash would make a group, and a lone dot is the group itself."""
-    names = [header.replace("/", "_") for header in unique_headers(columns)]
-    return [name if name not in ("", ".") else f"column_{n}" for n, name in enumerate(names, start=1)]
 
 
 def shuffled_deflated(values: FloatArray) -> bytes:
@@ -400,10 +389,7 @@ def matrix_writer(
         It cannot be written.
     """
     whole_output.check_output(target, protect)
-    with store_output(target) as (path, place), h5py.File(path, "w") as file:
-        group = file.require_group(place)
-        for key, value in attributes.items():
-            group.attrs[key] = cleaned(value) if isinstance(value, str) else value
+    with store_output(target, attributes) as group:
         group.attrs[MARK] = [*(["time_s"] if time is not None else []), *(one.name for one in columns)]
         if time is not None:
             group["time_s"] = time

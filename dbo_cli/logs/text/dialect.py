@@ -17,7 +17,14 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import Statement
 from dbo_cli.logs.plain_text import counted, decoded, pattern
 from dbo_cli.logs.request import BLANKS, FILL_GAPS, ReadingOptions
-from dbo_cli.logs.text.lines import HeaderBlock, find_header_block, is_number, split_cells, writing_of
+from dbo_cli.logs.text.lines import (
+    HeaderBlock,
+    find_header_block,
+    is_number,
+    split_cells,
+    value_of,
+    writing_of,
+)
 from dbo_cli.logs.units import is_known_unit
 from dbo_cli.records import dataclass
 
@@ -52,6 +59,9 @@ class Dialect:
     stamps; ``header_block`` is what stands again before each segment of the data; ``sparse`` tells that every
     row leaves out a number that other rows have; ``labels`` are comments of names or units; ``remarks`` tells
     that a row may end in one cell of text more.
+
+    ``clock`` is what the header states of the sample rate, ``start`` the time (s) of the first row, ``notes``
+    are for the user, and ``end_mark`` is what the program writes behind the last row.
     """
 
     delimiter: str
@@ -67,6 +77,30 @@ class Dialect:
     sparse: bool = False
     labels: tuple[tuple[str, str], ...] = ()
     remarks: bool = False
+    clock: Sequence[Statement] = ()
+    start: float = 0.0
+    notes: tuple[str, ...] = ()
+    end_mark: bytes = b""
+
+    def is_comment(self, line: str) -> bool:
+        """Return whether a line is empty or a comment."""
+        return is_comment(line, self.comments)
+
+    def cells(self, line: str) -> list[str]:
+        """Split a line."""
+        return split_cells(line, self.delimiter)
+
+    def value(self, cell: str, written: str) -> float | None:
+        """Read a cell of a column as a number or a time stamp (s), as it is written; None for neither."""
+        return value_of(cell, self.decimal, written)
+
+    def renamed(self, line: str) -> tuple[str, str] | None:
+        """Return names above the data, and others that a comment gives the columns instead."""
+        for label, names in labelled(line, self.comments) if self.labels else ():
+            above = dict(self.labels).get(label, names)
+            if above != names:
+                return above, names
+        return None
 
     def describe(self) -> str:
         """Describe in one line what was detected, for ``verbose``."""
@@ -75,31 +109,6 @@ class Dialect:
         mark = _NAMES.get(self.delimiter, repr(self.delimiter))
         columns = counted(self.width, "column")
         return f"{columns} separated by {mark}, {sign}, {head}, data from line {self.first_line}"
-
-
-@dataclass(frozen=True)
-class InstrumentHeader:
-    """What the header of a text log states.
-
-    Attributes
-    ----------
-    dialect
-        How the log is written, by the maker's rules where it is known, else as it was detected.
-    clock
-        What is stated of the sample rate.
-    start
-        The time (s) of the first row.
-    remarks
-        Notes for the user.
-    end_mark
-        What the program writes behind the last row.
-    """
-
-    dialect: Dialect
-    clock: Sequence[Statement] = ()
-    start: float = 0.0
-    remarks: tuple[str, ...] = ()
-    end_mark: bytes = b""
 
 
 def cause_of(cell: str) -> str:
@@ -113,6 +122,20 @@ def is_comment(line: str, comments: str) -> bool:
     """Return whether a line is empty or a comment."""
     stripped = line.strip()
     return not stripped or stripped[0] in comments
+
+
+def has_data(text: bytes, options: ReadingOptions) -> bool:
+    """Return whether a line of numbers has arrived, so that a live log can begin."""
+    forced = options.delimiter_character
+    comments = COMMENTS if options.comment is None else options.comment
+    marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
+    lines = [line for raw in text.split(b"\n")[-2::-1] if not is_comment(line := decoded(raw), comments)]
+    return any(
+        all(is_number(cell, sign) for cell in split_cells(line, mark))
+        for line in lines
+        for mark in marks
+        for sign in ".,"
+    )
 
 
 def detect(place: str, head: bytes, options: ReadingOptions) -> Dialect:

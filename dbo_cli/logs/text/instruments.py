@@ -16,7 +16,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import Statement, is_clock_name, read_statements
 from dbo_cli.logs.plain_text import decoded
 from dbo_cli.logs.request import BLANKS, ReadingOptions
-from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect, InstrumentHeader, detect
+from dbo_cli.logs.text.dialect import COMMENTS, SAMPLE_LINES, Dialect, detect
 from dbo_cli.logs.text.lines import END_OF_HEADER, find_header_block, is_number, split_cells
 
 _LOOKED_AT = 400  # lines; no instrument's header is half as long
@@ -25,7 +25,7 @@ _LONGEST = 300  # characters of a line that states something
 _MARK = re.compile(r"[=:;,\t]")
 
 
-def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> InstrumentHeader:
+def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> Dialect:
     """Read the header of a text log.
 
     Parameters
@@ -50,9 +50,8 @@ def read_instrument_header(place: str, head: bytes, options: ReadingOptions) -> 
         at = next(begins, None)
         header = None if at is None else maker.read(place, lines, at)
         if header is not None:
-            stated = header.clock or tuple(_stated(lines[: header.dialect.first_line - 1]))
-            return replace(header, clock=stated)
-    return InstrumentHeader(detect(place, head, options), clock=tuple(_stated(lines)))
+            return replace(header, clock=header.clock or tuple(_stated(lines[: header.first_line - 1])))
+    return replace(detect(place, head, options), clock=tuple(_stated(lines)))
 
 
 def _stated(lines: Sequence[str]) -> Iterator[Statement]:
@@ -97,22 +96,22 @@ def _header(
     delimiter: str = ",",
     decimal: str = ".",
     **stated: Any,
-) -> InstrumentHeader:
+) -> Dialect:
     """Describe a table whose rows begin at index ``first``; names and units are filled up to its width.
 
-    ``stated`` are fields of ``InstrumentHeader``.
+    ``stated`` are further fields of the dialect.
     """
     width = len(split_cells(lines[first], delimiter)) if width is None else width
     filled = [tuple([*cells, *[""] * width][:width]) for cells in (names, units)]
     rows = [split_cells(line, delimiter) for line in lines[first:][-SAMPLE_LINES:]]
     rows = [row for row in rows if len(row) >= width]
     counts = [sum(is_number(row[n], decimal) for row in rows) for n in range(width)]
-    dialect = Dialect(
+    return Dialect(
         delimiter, decimal, COMMENTS, width, first + 1, filled[0], filled[1] if any(units) else (),
         numeric=frozenset(n for n, count in enumerate(counts) if count and 2 * count >= len(rows)),
         header_block=find_header_block(lines, first, delimiter),
+        **stated,
     )  # fmt: skip
-    return InstrumentHeader(dialect, **stated)
 
 
 def _number_row(lines: Sequence[str], start: int, delimiter: str = ",", decimal: str = ".") -> int | None:
@@ -147,7 +146,7 @@ def _settings(lines: Sequence[str]) -> dict[str, list[str]]:
 # One reader for each maker: the file's lines, and the index of the line that gave it away.
 
 
-def _pi_array(place: str, lines: list[str], end: int) -> InstrumentHeader | None:
+def _pi_array(place: str, lines: list[str], end: int) -> Dialect | None:
     """Read a GCS array of PI's data recorder: ``SAMPLE_TIME`` in s, ``SEPARATOR`` as a code, names.
 
     Raises
@@ -178,7 +177,7 @@ def _pi_array(place: str, lines: list[str], end: int) -> InstrumentHeader | None
 _LVM_SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 
 
-def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+def _lvm(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read LabVIEW's .lvm: separator, decimal sign, and by channel the unit, ``X0`` and ``Delta_X``.
 
     Raises
@@ -216,10 +215,10 @@ def _lvm(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     decimal = "," if file.get("Decimal_Separator") == "," else "."
     width = len(names) if remarks and rows[-1][-1] else max(len(names), len(rows[-1]))
     found = _header(lines, ends[1] + 2, names, units, width, delimiter, decimal, clock=clock, start=start)
-    return replace(found, dialect=replace(found.dialect, remarks=remarks))
+    return replace(found, remarks=remarks)
 
 
-def _labview_waveforms(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+def _labview_waveforms(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read LabVIEW's waveforms in a spreadsheet file: ``t0`` and ``delta t`` by channel, stamps and values.
 
     Raises
@@ -247,7 +246,7 @@ def _labview_waveforms(place: str, lines: list[str], _: int) -> InstrumentHeader
     return _header(lines, at + 1, names, [], None, "\t", decimal, clock=clock)
 
 
-def _yokogawa(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+def _yokogawa(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read the DL series' files: names, units, ``HResolution`` and ``HOffset`` by channel above the rows."""
     rows = [(n, split_cells(line, ",")) for n, line in enumerate(lines)]
     begins = (n for n, cells in rows if not cells[0] and is_number("".join(cells[1:2]), "."))
@@ -269,7 +268,7 @@ _TWINCAT_KEYS = frozenset(
 )
 
 
-def _twincat(place: str, lines: list[str], at: int) -> InstrumentHeader | None:
+def _twincat(place: str, lines: list[str], at: int) -> Dialect | None:
     """Read TwinCAT Scope's text export: a block of keys by channel, then time stamps (ms) and values.
 
     Raises
@@ -310,9 +309,9 @@ def _twincat(place: str, lines: list[str], at: int) -> InstrumentHeader | None:
         labels[0], units[0] = "time", "ms"
     step = _number(steps.pop()) if steps else None
     clock = (Statement(f"'SampleTime[ms]' {step:g}", 1000.0 / step),) if step and step > 0.0 else ()
-    remarks = _scale_remarks(rows, channels)
+    notes = _scale_notes(rows, channels)
     return _header(
-        lines, first, labels, units, None, delimiter, decimal, clock=clock, remarks=remarks, end_mark=b"EOF"
+        lines, first, labels, units, None, delimiter, decimal, clock=clock, notes=notes, end_mark=b"EOF"
     )
 
 
@@ -322,7 +321,7 @@ def _has_decimal_commas(lines: Sequence[str], delimiter: str) -> bool:
     return commas and not any("." in cell and is_number(cell, ".") for cell in cells)
 
 
-def _scale_remarks(rows: dict[str, list[str]], channels: list[int]) -> tuple[str, ...]:
+def _scale_notes(rows: dict[str, list[str]], channels: list[int]) -> tuple[str, ...]:
     """Note which channels have a scale that the export may or may not have applied."""
     found = []
     for key, plain in (("ScaleFactor", 1.0), ("Offset", 0.0)):
@@ -336,7 +335,7 @@ def _scale_remarks(rows: dict[str, list[str]], channels: list[int]) -> tuple[str
     return tuple(found)
 
 
-def _tektronix_rows(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+def _tektronix_rows(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read the TDS series' files: settings in two columns, beside the first rows of time and volts."""
     first = split_cells(lines[0], ",")
     if len(first) < 5 or not all(is_number(cell, ".") for cell in first[3:5]):
@@ -353,7 +352,7 @@ def _tektronix_rows(place: str, lines: list[str], _: int) -> InstrumentHeader | 
     return _header(lines, 0, names, units, width, clock=clock)
 
 
-def _tektronix_table(place: str, lines: list[str], header: int) -> InstrumentHeader | None:
+def _tektronix_table(place: str, lines: list[str], header: int) -> Dialect | None:
     """Read the MSO, DPO and MDO series' files: settings by channel, then ``TIME,CH1,CH2`` and the rows."""
     settings = _settings(lines[:header])
     first = _number_row(lines, header + 1)
@@ -372,7 +371,7 @@ def _tektronix_table(place: str, lines: list[str], header: int) -> InstrumentHea
     return _header(lines, first, names, units, clock=clock)
 
 
-def _rigol_ds(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+def _rigol_ds(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read the DS series' files: ``X,CH1,Start,Increment`` over units, start and step, then the rows."""
     names = [cell.lower() for cell in split_cells(lines[0], ",")]
     if len(lines) < 3 or not {"start", "increment"} <= set(names):
@@ -387,7 +386,7 @@ def _rigol_ds(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     return _header(lines, 2, labels, units, clock=_step("Increment", second[at]), start=start)
 
 
-def _rigol_mso(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+def _rigol_mso(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read the MSO series' files: ``CH1(V),t0 = -1e-3, tInc = 1e-6`` over the rows."""
     found = re.search(r"t0\s*=\s*([^,\s]+)\s*,\s*tInc\s*=\s*([^,\s]+)", lines[0][:_LONGEST])
     if found is None or len(lines) < 2:
@@ -400,7 +399,7 @@ def _rigol_mso(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
     return _header(lines, 1, names, units, clock=_step("tInc", found[2]), start=_number(found[1]) or 0.0)
 
 
-def _infiniium(place: str, lines: list[str], _: int) -> InstrumentHeader | None:
+def _infiniium(place: str, lines: list[str], _: int) -> Dialect | None:
     """Read Keysight's Infiniium files: ``XInc``, ``XOrg``, ``YUnits`` and more above ``Data``."""
     setting = re.compile(r"([A-Za-z][A-Za-z ]*)[:,\t](.*)")
     settings: dict[str, str] = {}
@@ -430,7 +429,7 @@ class _Maker(NamedTuple):
 
     mark: re.Pattern[str]
     within: int
-    read: Callable[[str, list[str], int], InstrumentHeader | None]
+    read: Callable[[str, list[str], int], Dialect | None]
 
 
 _MAKERS = (

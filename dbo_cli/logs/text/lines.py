@@ -132,8 +132,8 @@ _STAMP = pattern(
 
 
 @lru_cache(maxsize=64)
-def date_days(text: str) -> int | None:
-    """Return the days from 1970-01-01 to a written date, or None.
+def date_seconds(text: str) -> int | None:
+    """Read a date as seconds since 1970, or give None.
 
     ``2024-03-31``, ``2024/3/31``, ``31.03.2024``, ``31-03-2024``, ``31-Mar-2024``; with slashes and the year
     last the month stands first (as in the United States) unless it cannot.
@@ -149,7 +149,7 @@ def date_days(text: str) -> int | None:
         date = datetime.date(year + 2000 if year < 100 else year, month, day)
     except ValueError:
         return None
-    return date.toordinal() - datetime.date(1970, 1, 1).toordinal()
+    return (date.toordinal() - datetime.date(1970, 1, 1).toordinal()) * DAY
 
 
 def _exact(whole: int, fraction: str | None) -> float:
@@ -173,12 +173,6 @@ def _clock_parts(text: str) -> tuple[int, str | None] | None:
     return whole + int(found["minutes"]) * 60 + int(found["seconds"]), found["fraction"] or found["millis"]
 
 
-def date_seconds(text: str) -> float | None:
-    """Read a date as seconds since 1970, or give None."""
-    days = date_days(text)
-    return None if days is None else float(days * DAY)
-
-
 def clock_seconds(text: str) -> float | None:
     """Read ``hh:mm:ss.sss`` (also with days in front, or am and pm behind) as seconds, or give None."""
     parts = _clock_parts(text)
@@ -198,13 +192,13 @@ def stamp_seconds(text: str) -> float | None:
     found = _STAMP.fullmatch(text)
     if found is None:
         return None
-    days, clock, zone = date_days(found["date"]), found["clock"], found["zone"]
+    date, clock, zone = date_seconds(found["date"]), found["clock"], found["zone"]
     if ":" not in clock:
         clock = f"{clock[:2]}:{clock[2:4]}:{clock[4:]}"
     parts = _clock_parts(clock)
-    if days is None or parts is None:
+    if date is None or parts is None:
         return None
-    whole = days * DAY + parts[0]
+    whole = date + parts[0]
     if zone and zone[0] in "+-":
         ahead = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
         whole += -ahead if zone[0] == "+" else ahead
@@ -218,6 +212,11 @@ READERS: dict[str, Callable[[str], float | None]] = {
     "date": date_seconds,
 }
 """How a column of time stamps may be written, and what reads its cells."""
+
+
+def value_of(cell: str, decimal: str, written: str) -> float | None:
+    """Read a cell of a column as a number or a time stamp (s), as it is written; None for neither."""
+    return to_number(cell, decimal) if written == "numbers" else READERS[written](cell)
 
 
 def writing_of(cells: Sequence[str]) -> str | None:

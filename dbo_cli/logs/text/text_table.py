@@ -33,27 +33,8 @@ from dbo_cli.logs.sample_block import (
     are_measured,
     dropped_note,
 )
-from dbo_cli.logs.text.dialect import (
-    COMMENTS,
-    Dialect,
-    InstrumentHeader,
-    cause_of,
-    detect,
-    is_comment,
-    labelled,
-)
-from dbo_cli.logs.text.lines import (
-    READERS,
-    LineBlocks,
-    RepeatedHeader,
-    complain,
-    is_number,
-    is_text,
-    looks_cut,
-    one_ahead,
-    split_cells,
-    to_number,
-)
+from dbo_cli.logs.text.dialect import Dialect, cause_of, detect, has_data
+from dbo_cli.logs.text.lines import LineBlocks, RepeatedHeader, complain, is_text, looks_cut, one_ahead
 from dbo_cli.records import dataclass
 
 PLAIN_BYTES = 1 << 20  # below this, importing polars costs more than it saves (benchmarks/text_speed.py)
@@ -85,12 +66,11 @@ class TextTable(Table):
         self.source = ByteSource(request)
         try:
             self._lines = LineBlocks(self.source, _LARGEST_BLOCK)
-            head = self._lines.head(lambda text: live and _has_data(text, options))
-            self._header = self._detected(head, options, live)
+            head = self._lines.head(lambda text: live and has_data(text, options))
+            self.dialect = found = self._detected(head, options, live)
         except BaseException:
             self.source.close()
             raise
-        self.dialect = found = self._header.dialect
         units = found.units or ("",) * found.width
         writings = found.writings or ("numbers",) * found.width
         known = found.numeric | {number for number, how in enumerate(writings) if how != "numbers"}
@@ -103,7 +83,7 @@ class TextTable(Table):
         self._bytes_per_row = max(8, len(head) // max(1, head.count(b"\n")))
         self._ahead = self.source.is_regular and not (live or self._lines.ended)
 
-    def _detected(self, head: bytes | None, options: ReadingOptions, live: bool) -> InstrumentHeader:
+    def _detected(self, head: bytes | None, options: ReadingOptions, live: bool) -> Dialect:
         """Detect the dialect and what the instrument states above it, perhaps below pages of remarks."""
         above = self._lines.empty_lines
         if options.skip_lines:
@@ -113,7 +93,7 @@ class TextTable(Table):
             try:
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
                 if _PLAIN.fullmatch(complete):
-                    return InstrumentHeader(detect(self.place, complete, options))
+                    return detect(self.place, complete, options)
                 from dbo_cli.logs.text.instruments import read_instrument_header
 
                 return read_instrument_header(self.place, complete, options)
@@ -128,7 +108,7 @@ class TextTable(Table):
 
     def even_clock(self, columns: Collection[ColumnInfo]) -> tuple[float | None, float]:
         """Return the sample rate (Hz) and the first row's time (s) that an instrument's header states."""
-        return agreed_rate(self.place, self._header.clock, self.notes), self._header.start
+        return agreed_rate(self.place, self.dialect.clock, self.notes), self.dialect.start
 
     def blocks(self, picks: Mapping[str, ColumnInfo]) -> Iterator[SampleBlock]:
         """Read the wanted columns in blocks of about ``block_rows`` rows.
@@ -160,8 +140,8 @@ class TextTable(Table):
 
     def _data(self, parser: BlockParser) -> Iterator[bytes]:
         """Skip the lines above the data, and the instrument's mark of the end."""
-        self.notes.extend(f"{self.place}: {remark}" for remark in self._header.remarks)
-        mark = self._header.end_mark
+        self.notes.extend(f"{self.place}: {remark}" for remark in self.dialect.notes)
+        mark = self.dialect.end_mark
         parser.next_line += self._lines.empty_lines
         first = self.dialect.first_line + self._lines.empty_lines
         for block in self._lines:
@@ -179,13 +159,12 @@ class TextTable(Table):
         """Judge a last line without its end: True with a note, False where it is dropped, or refuse it."""
         line, row, dialect = decoded(last.removesuffix(b"\r")), parser.next_row, self.dialect
         first, final = parser.rows
-        if is_comment(line, dialect.comments) or row < first or (final is not None and row > final):
+        if dialect.is_comment(line) or row < first or (final is not None and row > final):
             return True
         place = f"{self.place}:{parser.next_line}"
-        cell = split_cells(line, dialect.delimiter)[-1]
+        cell = dialect.cells(line)[-1]
         near = self._lines.above.split(b"\n")[1:-1][-_NEIGHBOURS:]
-        texts = [text for raw in near if not is_comment(text := decoded(raw), dialect.comments)]
-        rows = (split_cells(text, dialect.delimiter) for text in texts)
+        rows = (dialect.cells(text) for raw in near if not dialect.is_comment(text := decoded(raw)))
         above = [cells[-1] for cells in rows if len(cells) == dialect.width]
         why = self.source.unfinished()
         if why is None and not looks_cut(cell, above, dialect.decimal):
@@ -199,20 +178,6 @@ class TextTable(Table):
             raise InputError(f"{message} ({out}; end the line if it is whole)")
         parser.drop(message)
         return False
-
-
-def _has_data(text: bytes, options: ReadingOptions) -> bool:
-    """Return whether a line of numbers has arrived, so that a live log can begin."""
-    forced = options.delimiter_character
-    comments = COMMENTS if options.comment is None else options.comment
-    marks = [forced] if forced else ["\t", ";", ",", " ", "|"]
-    lines = [line for raw in text.split(b"\n")[-2::-1] if not is_comment(line := decoded(raw), comments)]
-    return any(
-        all(is_number(cell, sign) for cell in split_cells(line, mark))
-        for line in lines
-        for mark in marks
-        for sign in ".,"
-    )
 
 
 # --- blocks of lines to arrays ------------------------------------------------------------------------
@@ -265,10 +230,17 @@ class BlockParser:
 
     def _parse_regularly(self, block: bytes, small: bool) -> SampleBlock | None:
         """Take a block at once where every line of it is a good row or empty; else None."""
-        text = self._regular(block)
-        if text is None:
-            return None
-        ends, marks, has_empty_line = _counts(text, ord(self.dialect.delimiter))
+        mark, comments = self.dialect.delimiter, self.dialect.comments
+        if not mark.isascii() or any(comment.encode() in block for comment in comments):
+            return None  # the fast readers know single bytes only, and no comments
+        text = block.replace(b"\r\n", b"\n") if b"\r" in block else block
+        if mark == BLANKS:
+            if b'"' in text:
+                return None
+            text = text.replace(b"\t", b" ")
+        if b" " in text:
+            text = _without_blanks(text, mark)
+        ends, marks, has_empty_line = _counts(text, ord(mark))
         lines = ends + (not text.endswith(b"\n"))
         numbers: Places = range(self.next_line, self.next_line + lines)
         if has_empty_line:
@@ -304,17 +276,6 @@ class BlockParser:
             arrays[at] = self.repeated.continued(arrays[at])
         return arrays
 
-    def _regular(self, block: bytes) -> bytes | None:
-        """Bring a block into the form that the fast readers take; None where only careful reading will do."""
-        mark, comments = self.dialect.delimiter, self.dialect.comments
-        if not mark.isascii() or any(comment.encode() in block for comment in comments):
-            return None  # the fast readers know single bytes only, and no comments
-        if b"\r" in block:
-            block = block.replace(b"\r\n", b"\n")
-        if mark == BLANKS:
-            return None if b'"' in block else _without_blanks(block.replace(b"\t", b" "), mark)
-        return _without_blanks(block, mark) if b" " in block else block
-
     def _parse_slowly(self, block: bytes) -> SampleBlock:
         """Take a block line by line."""
         time = list(self.picks).index(TIME) if TIME in self.picks else None
@@ -326,7 +287,7 @@ class BlockParser:
             line = decoded(raw.removesuffix(b"\r"))
             if raw and self.repeated is not None and self.repeated.takes(line, number):
                 continue
-            if raw and is_comment(line, self.dialect.comments):
+            if raw and self.dialect.is_comment(line):
                 self._refuse_other_columns(line)
             elif raw:
                 row = self._parse_row(line)
@@ -339,29 +300,24 @@ class BlockParser:
         self.next_line += 1
         rows, lines = np.array(places, dtype=np.int64).reshape(-1, 2).T
         table = np.array(values, dtype=np.float64).reshape(len(values), len(self.picks))
-        columns = {role: np.ascontiguousarray(table[:, number]) for number, role in enumerate(self.picks)}
-        return SampleBlock(rows, lines, None, columns)
+        columns = np.ascontiguousarray(table.T)
+        return SampleBlock(rows, lines, None, dict(zip(self.picks, columns, strict=True)))
 
     def _refuse_other_columns(self, line: str) -> None:
         """Refuse a comment that names other columns than the one above the data (InputError)."""
-        above = dict(self.dialect.labels)
-        for label, names in labelled(line, self.dialect.comments) if above else ():
-            if above.get(label, names) != names and self.next_row <= (self.rows[1] or sys.maxsize):
-                raise InputError(
-                    f"{self.place}:{self.next_line}: the columns change here, from {above[label]} to {names} "
-                    f"(`rows` :{self.next_row - 1} reads what is above)"
-                )
+        change = self.dialect.renamed(line)
+        if change is not None and self.next_row <= (self.rows[1] or sys.maxsize):
+            raise InputError(
+                f"{self.place}:{self.next_line}: the columns change here, from {change[0]} to {change[1]} "
+                f"(`rows` :{self.next_row - 1} reads what is above)"
+            )
 
     def _parse_row(self, line: str) -> list[float] | None:
         """Read the wanted cells of one line; None for a row that is out of range, blank or dropped."""
         first, last = self.rows
         if self.next_row < first or (last is not None and self.next_row > last):
             return None
-        cells, sign, width = (
-            split_cells(line, self.dialect.delimiter),
-            self.dialect.decimal,
-            self.dialect.width,
-        )
+        cells, sign, width = self.dialect.cells(line), self.dialect.decimal, self.dialect.width
         problem = ""
         trailing = len(cells) == width + 1 and (self.dialect.remarks or not cells[-1])
         if len(cells) != width and not trailing:
@@ -373,7 +329,7 @@ class BlockParser:
             if not cell and pick.may_be_blank:
                 blank = True
                 continue
-            value = to_number(cell, sign) if pick.written == "numbers" else READERS[pick.written](cell)
+            value = self.dialect.value(cell, pick.written)
             if value is None:
                 problem = f"{column_label(pick)} {complain(cell, sign, pick.written)}"
                 break
@@ -391,7 +347,7 @@ class BlockParser:
         """Return what to do about the row being taken, by how many of the block's next rows are bad, too."""
         twin = replace(self, skip_bad=True, rows=ALL_ROWS, dropped=0)
         texts = (decoded(raw.removesuffix(b"\r")) for raw in self.ahead if raw)
-        rows = [text for text in texts if not is_comment(text, self.dialect.comments)]
+        rows = [text for text in texts if not self.dialect.is_comment(text)]
         for text in rows:
             twin._parse_row(text)
         return remedy_for(twin.dropped, len(rows), cause_of(cell))
@@ -520,19 +476,18 @@ def _parse_plain(
         cells = cells.replace(b",", b".")
     words = cells.split(mark)
     try:
-        columns = [map(_reader(pick), words[pick.number - 1 :: dialect.width]) for pick in picks]
+        columns = [map(_reader(pick, dialect), words[pick.number - 1 :: dialect.width]) for pick in picks]
         arrays = [np.array(list(column), dtype=np.float64) for column in columns]
     except (ValueError, TypeError):  # a cell that is none: float() raises, a reader of stamps gives None
         return None
     return arrays if all(are_measured(array).all() for array in arrays) else None
 
 
-def _reader(pick: ColumnInfo) -> Callable[[bytes], float | None]:
+def _reader(pick: ColumnInfo, dialect: Dialect) -> Callable[[bytes], float | None]:
     """Return what reads the cells of a column."""
     if pick.written == "numbers":
         return float
-    read = READERS[pick.written]
-    return lambda cell: read(cell.decode().strip())
+    return lambda cell: dialect.value(cell.decode().strip(), pick.written)
 
 
 def _parse_fast(

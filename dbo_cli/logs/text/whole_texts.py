@@ -29,8 +29,8 @@ from dbo_cli.logs.column_table import (
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.request import FILL_GAPS, Request
-from dbo_cli.logs.text.dialect import Dialect, is_comment
-from dbo_cli.logs.text.lines import split_cells, to_number
+from dbo_cli.logs.text.dialect import Dialect
+from dbo_cli.logs.text.lines import to_number
 from dbo_cli.logs.units import FACTORS, time_unit
 
 # --- JSON: a record a line, an array of records, or an object of arrays -----------------------------------
@@ -279,8 +279,8 @@ def _rows(request: Request, dialect: Dialect) -> Iterator[tuple[int, list[str]]]
         text = b"".join(iter(lambda: source.read(_READ), b""))
     for number, line in enumerate(text.split(b"\n"), start=1):
         words = decoded(line.removesuffix(b"\r"))
-        if number < dialect.first_line or is_comment(words, dialect.comments):
+        if number < dialect.first_line or dialect.is_comment(words):
             continue
-        cells = split_cells(words, dialect.delimiter)
+        cells = dialect.cells(words)
         if len(cells) >= dialect.width and cells[: dialect.width] != list(dialect.headers):
             yield number, cells

@@ -1,15 +1,22 @@
-"""What the figures of a log are drawn from, gathered while the log streams by, in constant memory.
+"""Accumulators of a stream: sums, distributions, and what the figures of a log are drawn from.
+
+They work in constant memory, and the result does not depend on how the stream was cut, to the last bit:
+every accumulator takes batches of exactly ``BATCH`` samples, cut by ``sample_pairs.Batches`` from whatever
+pieces arrive, so that a sum is always formed over the same samples in the same order. The sums of the batches
+are added with compensation (Neumaier 1974), so 10^9 samples lose no more digits than 10^3 do.
 
 Curves against time are thinned to the least and the greatest value of every stretch (so no spike is lost),
 curves of one signal against another to the pixels they pass, the error to a histogram and an averaged
-periodogram. A log of up to ``WHOLE`` samples is kept as it is. As in ``running_statistics``, everything works
-on batches of one fixed length, so the figures do not depend on how the log was cut.
+periodogram. A log of up to ``WHOLE`` samples is kept as it is.
+
+The error is *measured - desired* throughout.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +24,156 @@ from numpy.typing import NDArray
 from dbo_cli.logs.plain_text import cleaned
 from dbo_cli.logs.sample_block import SampleBlock
 from dbo_cli.records import dataclass
-from dbo_cli.reports import running_statistics
-from dbo_cli.reports.running_statistics import BATCH, Batches, DoublingBins, Floats, comparable
-from dbo_cli.reports.sample_pairs import row_numbers
+from dbo_cli.reports.sample_pairs import BATCH, Batches, Floats, comparable, only, row_numbers
+
+# Bins are leading bits: 9 of the mantissa tell 0.1 %, 128 octaves from 2^-64 on cover any unit.
+_MANTISSA_BITS = 9
+_SHIFT = 52 - _MANTISSA_BITS  # float64 has 52
+_LOWEST = (1023 - 64) << _MANTISSA_BITS  # 1023 is the exponent of 1 in float64
+_BINS = 128 << _MANTISSA_BITS  # on either side of 0
+
+SMALLEST_SPAN = 1e-290  # below it a span is taken for this, so that bins keep a width
 
 WHOLE = 8192  # samples of a log that is kept as it is: some eight for every pixel of a figure
 BUCKETS = 2048  # stretches: at least one for every pixel, as they double from half of it
 PIXELS = 1024  # either way; a figure has about as many
 WINDOW = 4096  # samples of a periodogram: 2,048 frequencies, two for every pixel
 SIGNALS = ("desired", "measured", "error", "drive")
+
+
+class DoublingBins:
+    """Bins along one axis, a power of two wide; they double in width whenever the range outgrows them.
+
+    No range need be known beforehand. What they hold is an array whose last axis they are.
+
+    Parameters
+    ----------
+    most : int
+        Bins to keep at most; more than half of them are in use once the signal has moved.
+    still : float
+        The range to begin with for a signal that does not move, as a part of its magnitude (at least 1).
+    """
+
+    def __init__(self, most: int, still: float) -> None:
+        self._most = most
+        self._still = still
+        self.width = 0.0
+        self.first = 0
+
+    def fit(self, held: NDArray[Any], values: Floats) -> NDArray[Any]:
+        """Return what the bins hold, with bins for ``values`` (finite, not empty) too."""
+        low, high = float(values.min()), float(values.max())
+        if self.width == 0.0:
+            span = high - low if high > low else max(abs(low), 1.0) * self._still
+            self.width = 2.0 ** math.floor(math.log2(max(span, SMALLEST_SPAN) / self._most) + 1)
+            self.first = math.floor(low / self.width)
+        while True:
+            first = min(self.first, math.floor(low / self.width))
+            last = max(self.first + held.shape[-1] - 1, math.floor(high / self.width))
+            if last - first < self._most:
+                break
+            held = self.double(held)
+        return self._padded(held, self.first - first, last - (self.first + held.shape[-1] - 1))
+
+    def double(self, held: NDArray[Any]) -> NDArray[Any]:
+        """Return what bins of twice the width hold: the sum (of truths: either) of two neighbours."""
+        odd = self.first % 2
+        padded = self._padded(held, odd, (odd + held.shape[-1]) % 2)
+        self.first //= 2
+        self.width *= 2.0
+        merged: NDArray[Any] = padded[..., 0::2] + padded[..., 1::2]
+        return merged
+
+    def _padded(self, held: NDArray[Any], before: int, after: int) -> NDArray[Any]:
+        self.first -= before
+        if before == after == 0:
+            return held
+        return np.pad(held, [(0, 0)] * (held.ndim - 1) + [(before, after)])
+
+
+class CompensatedSum:
+    """A running sum that keeps what rounding takes from it (Neumaier 1974)."""
+
+    def __init__(self) -> None:
+        self._sum = 0.0
+        self._lost = 0.0
+
+    def add(self, value: float) -> None:
+        """Add one number."""
+        total = self._sum + value
+        if abs(self._sum) >= abs(value):
+            self._lost += (self._sum - total) + value
+        else:
+            self._lost += (value - total) + self._sum
+        self._sum = total
+
+    @property
+    def value(self) -> float:
+        """The sum so far."""
+        return self._sum + self._lost
+
+
+class ErrorDistribution:
+    """The distribution of the error, exact for one batch and in fine logarithmic bins beyond.
+
+    The bins are the leading bits of the number itself (9 bits of mantissa, 128 octaves, two signs) around
+    ``centre``: 1 MB, whatever the unit and however far one spike lies. A quantile is then right to 0.1 % of
+    its distance from ``centre``.
+    """
+
+    def __init__(self) -> None:
+        self.centre = 0.0
+        self.count = 0
+        self._first: Floats | None = None
+        self._bins: NDArray[np.int64] | None = None
+
+    def add(self, error: Floats) -> None:
+        """Count one batch of errors (finite, not empty)."""
+        if self.count == 0:
+            self.centre = float(np.add.reduce(error)) / len(error)
+            self._first = error.copy()
+        else:
+            if self._bins is None and self._first is not None:
+                self._bins = np.zeros(2 * _BINS, dtype=np.int64)
+                self._count(self._bins, self._first)
+                self._first = None
+            assert self._bins is not None
+            self._count(self._bins, error)
+        self.count += len(error)
+
+    def values(self) -> tuple[Floats, NDArray[np.int64]]:
+        """Return error values in rising order and how many samples stand for each."""
+        if self._first is not None:
+            return np.sort(self._first), np.ones(len(self._first), dtype=np.int64)
+        if self._bins is None:
+            return np.empty(0), np.empty(0, dtype=np.int64)
+        index = np.flatnonzero(self._bins)
+        bits = np.where(index >= _BINS, index - _BINS, _BINS - 1 - index) + _LOWEST
+        low = (bits << _SHIFT).view(np.float64)
+        high = ((bits + 1) << _SHIFT).view(np.float64)
+        middle = np.where(index >= _BINS, 0.5, -0.5) * (low + high)
+        return middle + self.centre, self._bins[index]
+
+    def quantile_abs(self, fraction: float, offset: float = 0.0) -> float:
+        """Return the smallest |error - offset| that ``fraction`` of all samples do not exceed."""
+        values, counts = self.values()
+        distance = np.abs(values - offset)
+        order = np.argsort(distance, kind="stable")
+        reached = np.cumsum(counts[order])
+        place = int(np.searchsorted(reached, math.ceil(fraction * self.count)))
+        return float(distance[order[min(place, len(order) - 1)]])
+
+    def _count(self, bins: NDArray[np.int64], error: Floats) -> None:
+        distance = error - self.centre
+        bits = (np.abs(distance).view(np.int64) >> _SHIFT) - _LOWEST
+        np.clip(bits, 0, _BINS - 1, out=bits)
+        index = np.where(distance >= 0.0, bits + _BINS, _BINS - 1 - bits)
+        low = int(index.min())
+        counts = np.bincount(index - low)
+        bins[low : low + len(counts)] += counts
+
+
+# --- what figures are drawn from ---
 
 
 @dataclass(frozen=True)
@@ -236,7 +384,7 @@ class FigureData:
         self.start = 0.0
         self.has_time = False
         self.has_drive = False
-        self.distribution = running_statistics.ErrorDistribution()
+        self.distribution = ErrorDistribution()
         self.spectrum = Spectrum()
         self._batches = Batches()
         self._whole: dict[str, Floats] | None = None
@@ -247,22 +395,19 @@ class FigureData:
 
     def add(self, block: SampleBlock) -> None:
         """Take one block of pairs."""
-        self.has_time = self.has_time or block.time is not None
-        self.has_drive = self.has_drive or "voltage" in block.values
-        time = row_numbers(block) if block.time is None else block.time
-        drive = block.values["voltage"] if "voltage" in block.values else np.zeros(len(block))
-        desired, measured = block.values["desired"], block.values["measured"]
-        columns: tuple[Floats, ...] = (time, desired, measured, drive)
-        finite = comparable(desired, measured) & comparable(drive, drive)
-        if not finite.all():
-            columns = tuple(column[finite] for column in columns)
-        for batch in self._batches.add(*columns):
-            self._take(*batch)
+        self.has_time = block.time is not None
+        self.has_drive = "voltage" in block.values
+        values = block.values
+        finite = comparable(values["desired"], values["measured"])
+        if "voltage" in values:
+            finite &= comparable(values["voltage"], values["voltage"])
+        for batch in self._batches.add(only(block, finite)):
+            self._take(batch)
 
-    def finish(self, distribution: running_statistics.ErrorDistribution) -> None:
+    def finish(self, distribution: ErrorDistribution) -> None:
         """Take what is left, and the error's distribution."""
         for batch in self._batches.rest():
-            self._take(*batch)
+            self._take(batch)
         self.distribution = distribution
 
     def against_time(self, name: str) -> Curve | Band:
@@ -277,7 +422,10 @@ class FigureData:
             return Curve(self._whole[x], self._whole[y])
         return self._pixels[x, y].raster()
 
-    def _take(self, time: Floats, desired: Floats, measured: Floats, drive: Floats) -> None:
+    def _take(self, block: SampleBlock) -> None:
+        time = row_numbers(block) if block.time is None else block.time
+        desired, measured = block.values["desired"], block.values["measured"]
+        drive = block.values["voltage"] if self.has_drive else np.zeros(len(block))
         if self.samples == 0:
             self.start = float(time[0])
         self.samples += len(time)
