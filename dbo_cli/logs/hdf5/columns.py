@@ -261,9 +261,7 @@ def program_columns(group: Any) -> list[ColumnSource]:
         return _pandas_columns(group)
     if all(name in group for name in ("Channels", "Log list", "Data")):
         return list(_labber_traces(group)) or list(_labber_steps(group))
-    if "pymodaq_version" in group.file.attrs:
-        return without_scalars(list(_pymodaq(group)))
-    return []
+    return without_scalars(list(_pymodaq(group))) if "pymodaq_version" in group.file.attrs else []
 
 
 def _pymodaq(group: Any, depth: int = 0) -> Iterator[ColumnSource]:
@@ -393,9 +391,7 @@ def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
 def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
     """Turn dates (and durations) stored as counts into seconds from the first row on."""
     found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
-    if found is None or not source.length:
-        return None
-    return from_first_row(source, found[1] or "ns")
+    return from_first_row(source, found[1] or "ns") if found is not None and source.length else None
 
 
 class _NoCode(pickle.Unpickler):
