@@ -359,9 +359,9 @@ def _pandas_blocks(group: Any) -> list[ColumnSource]:
     found: dict[str, ColumnSource] = {}
     for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
         values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
-        if not (is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub"):
-            continue
-        if len(values.shape) != 2:
+        if not (
+            is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub" and values.ndim == 2
+        ):
             continue
         for index, name in enumerate(map(clean_text, items[()].ravel())):
             source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
