@@ -81,7 +81,13 @@ class Bank:
         if self._coupling is not None and np.isfinite(wanted).all():
             wanted = self._coupling.apart(wanted)
         if self._live is None:
-            self.planned = self._one_by_one(wanted)
+            planned = []
+            for channel, one, value in zip(self.channels, self._controllers, wanted.tolist(), strict=True):
+                try:
+                    planned.append(one.plan(value))
+                except DboError as problem:
+                    raise type(problem)(f"channel {channel}: {problem}") from None
+            self.planned = np.array(planned)
             return self.planned
         bad = self._live.plan(wanted, self._volts, self._clipped_now, self._codes is None)
         if bad >= 0:
@@ -183,15 +189,6 @@ class Bank:
             self._codes.begin(limits)
         steppers, before, after = zip(*begun, strict=True)
         self._live, self._stand = make_bank(steppers, before, after, limits), limits[3].copy()
-
-    def _one_by_one(self, wanted: Floats) -> NDArray[Any]:
-        planned = []
-        for channel, controller, value in zip(self.channels, self._controllers, wanted.tolist(), strict=True):
-            try:
-                planned.append(controller.plan(value))
-            except DboError as problem:
-                raise type(problem)(f"channel {channel}: {problem}") from None
-        return np.array(planned)
 
     def _frame(self, values: ArrayLike, what: str) -> Floats:
         try:

@@ -377,7 +377,14 @@ class Controller:
         if self._ahead is not None:
             displacement = self._ahead.plan(displacement, None if self._ahead.held else self.state)
         if stepper is None:
-            volts = self._plan_first(displacement)
+            # The start is found as ``compensate`` does; the fast way begins after the first sample.
+            self._gate.require_start(self._step_seconds)
+            begin = self._model.start_compensation(displacement, self._start, self._planning)
+            done = self._model.compensate(
+                [displacement], begin, limits=self._planning, time_step=self._step_seconds
+            )
+            self._begun, volts = done.state, float(done.y[0])
+            self._clipped_now = bool(done.clipped_count)
         else:
             x = displacement
             for gain, offset in self._scales:
@@ -534,17 +541,6 @@ class Controller:
             self._gate.last = last
             self._gate.admit(np.array([volts]), self._step_seconds)
             raise GateError(f"this program planned {volts!r} after {last!r}, which breaks its limits")
-
-    def _plan_first(self, displacement: float) -> float:
-        """Find the start as ``compensate`` does; the fast way begins after the first sample."""
-        self._gate.require_start(self._step_seconds)
-        begin = self._model.start_compensation(displacement, self._start, self._planning)
-        done = self._model.compensate(
-            [displacement], begin, limits=self._planning, time_step=self._step_seconds
-        )
-        self._begun = done.state
-        self._clipped_now = bool(done.clipped_count)
-        return float(done.y[0])
 
     def _begin(self, state: ModelState) -> None:
         self._past, self._since = state if self._behind else None, []

@@ -356,8 +356,7 @@ class LoopCompensation(Compensation):
         model, limits = self.model, self.limits
         signal = self._undone_before(desired, asked, begun)
         start = begun or model.start_compensation(float(signal[0]), self.start, limits)
-        time_step = self.step if model.needs_time or limits.max_slew is not None else None
-        followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=time_step)
+        followed = model.compensate(signal[: desired.size], start, limits=limits, time_step=self.step)
         self.rows += followed.y.size
         self.rows_before += followed.y.size
         self._clip(followed, None)
@@ -372,7 +371,7 @@ class LoopCompensation(Compensation):
                 if drive[-1] != closed[-1]:
                     off = min(off, abs(float(drive[-1] - closed[-1])))
                     break
-                state = model.simulate(drive, forward, time_step=time_step).state
+                state = model.simulate(drive, forward, time_step=self.step).state
                 aim = loops.settled_drive(model, self.period, self.step, state, limits)
                 found = drive, target, state
                 if np.abs(aim.done.y - target.done.y).max() <= SAME_DRIVE * model.input.span:

@@ -131,12 +131,6 @@ class SingleKernel:
         """Return the remembered signal as the memories hold it."""
         return clamped(self.counts_of(value, self.t.drive_shift) + self.t.drive_offset)
 
-    def recalled(self) -> int:
-        """Return what the memories add up to, in positions."""
-        parts = zip(self.t.terms, self.memory, strict=True)
-        total = sum(carried * (memory >> 24) for (carried, _, _), memory in parts)
-        return scaled_down(total, self.t.carried_shift)
-
     def remember(self, drive: int) -> None:
         """Let the memories follow."""
         for j, (_, rest, shift) in enumerate(self.t.terms):
@@ -215,7 +209,9 @@ class SingleKernel:
         x = self.position_of(u, self.t.x_shift)
         if not self.t.memory_on_output:
             self.remember(self.drive_of(x))
-        remembered = self.recalled()
+        parts = zip(self.t.terms, self.memory, strict=True)
+        total = sum(carried * (memory >> 24) for (carried, _, _), memory in parts)
+        remembered = scaled_down(total, self.t.carried_shift)  # in positions
         x = clamped(x - remembered if self.t.memory_on_output else x, (self.t.least, self.t.most))
         if self.t.limits is None:
             y = self.solve(x, -FARTHEST, FARTHEST)

@@ -79,6 +79,8 @@ class Block(NamedTuple):
 class Prompt(Protocol):
     """What is behind the lag: the same model for a drive that has passed it."""
 
+    has_gears: bool
+
     def simulate(
         self,
         x: ArrayLike,
@@ -101,10 +103,6 @@ class Prompt(Protocol):
 
     def uncovered(self, x: Floats) -> NDArray[np.bool_]:
         """See ``ActuatorModel.uncovered``."""
-
-    @property
-    def has_gears(self) -> bool:
-        """See ``ActuatorModel.has_gears``."""
 
     @property
     def drive(self) -> Quantity:

@@ -86,13 +86,12 @@ def settled_drive(
         Of the drive.
     """
     inverse = model.inverse()
-    time_step = step if model.needs_time or limits.max_slew is not None else None
-    before, done = state, inverse.simulate(undone, state, time_step=time_step, limits=limits)
+    before, done = state, inverse.simulate(undone, state, time_step=step, limits=limits)
     for _ in range(MOST_PASSES):
         before = looped_state(model, done.y, step, state)
-        again = inverse.simulate(undone, before, time_step=time_step, limits=limits)
+        again = inverse.simulate(undone, before, time_step=step, limits=limits)
         if model.drive_lag is not None:  # gears that change at the seam ask a lag for a spike: not the loop's
-            again = inverse.simulate(undone, again.state, time_step=time_step, limits=limits)
+            again = inverse.simulate(undone, again.state, time_step=step, limits=limits)
         away = float(np.abs(again.y - done.y).max())
         done = again
         if away <= SETTLED * model.input.span:
@@ -107,7 +106,7 @@ def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelS
     for lagging in (None, model.drive_lag):  # a pass for what reaches further at first, one for the loop
         if lagging is not None:
             begun = dataclasses.replace(begun, drive_lag=lagging.loop(drive, step)[1])
-        done = inner.simulate(drive, begun, time_step=step if inner.needs_time else None)
+        done = inner.simulate(drive, begun, time_step=step)
         begun, held, terms = done.state, begun.backlash.memory, inner.backlash.relaxation
         if begun.backlash.memory is not None and terms is not None and held is not None:
             memory = tuple(  # that further passes of the same drive would lead to
@@ -121,7 +120,7 @@ def looped_state(model: ActuatorModel, drive: Floats, step: float, state: ModelS
 def slow_output(model: ActuatorModel, drive: Floats, step: float, before: ModelState) -> Floats:
     """Return what gears, points and creep make of one period, without dynamics and delay behind them."""
     inner = slow_model(model)
-    return inner.simulate(drive, before, time_step=step if inner.needs_time else None).y
+    return inner.simulate(drive, before, time_step=step).y
 
 
 def slow_model(model: ActuatorModel) -> ActuatorModel:
@@ -139,11 +138,10 @@ def settled_output(
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
     """Return the settled period of a repeated drive, and the state at its end."""
     inner, lagging = model.without_lag, None
-    time_step = step if inner.needs_time else None
     begun = dataclasses.replace(looped_state(model, drive, step, state), drive_lag=None)
     if model.drive_lag is not None:
         drive, lagging = model.drive_lag.loop(drive, step)
-    done = inner.simulate(drive, begun, time_step=time_step)
+    done = inner.simulate(drive, begun, time_step=step)
     y, sections = done.y, None
     if model.dynamics is not None:
         y, sections = model.dynamics.loop(y, step)

@@ -95,6 +95,9 @@ class ActuatorModel:
     dynamics: DynamicsStage | None = field(init=False, repr=False, compare=False)
     delay: DelayStage | None = field(init=False, repr=False, compare=False)
 
+    has_gears = True
+    """Whether its hysteresis is that of gears."""
+
     def __post_init__(self) -> None:
         """Check the order of the stages."""
         forward = self.direction == "forward"
@@ -249,11 +252,6 @@ class ActuatorModel:
         """Whether the time between samples matters."""
         parts = self.backlash.relaxation, self.dynamics, self.drive_lag
         return any(parts) or (self.direction == "forward" and self.delay_seconds > 0.0)
-
-    @property
-    def has_gears(self) -> bool:
-        """Whether its hysteresis is that of gears."""
-        return True
 
     @property
     def size(self) -> str:

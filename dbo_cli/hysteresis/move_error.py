@@ -250,7 +250,7 @@ def _straight(model: ActuatorModel, drive: Floats) -> Floats:
     still = model.without_lag
     way = np.linspace(model.input.minimum, model.input.maximum, 101)
     loop = np.concatenate((way, way[::-1]))
-    gain, offset = np.polyfit(loop, played(still, loop, 1e9 if still.needs_time else None), 1)
+    gain, offset = np.polyfit(loop, played(still, loop, 1e9), 1)
     line: Floats = gain * drive + offset
     return line
 

@@ -35,6 +35,8 @@ class RelativeModel(ActuatorModel):
         The cascade is not of that form; the message begins with the key.
     """
 
+    has_gears = False
+
     def __post_init__(self) -> None:
         """Check the order of the stages; the direction tells how the plays act."""
         plays = [k for k, stage in enumerate(self.stages) if isinstance(stage, PlayOperator)]
@@ -64,11 +66,6 @@ class RelativeModel(ActuatorModel):
         )
 
     forward_backlash = backlash
-
-    @property
-    def has_gears(self) -> bool:
-        """Whether its hysteresis is that of gears."""
-        return False
 
     @property
     def size(self) -> str:
