@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -675,11 +676,19 @@ def test_memories_of_the_way_that_cannot_be_fitted_refuse_no_log(monkeypatch: py
     before = identify([log])
     asked = []
 
-    def gathered(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statistics:
-        if basis.lengths:
-            asked.append(basis)
+    class Unsolvable(Statistics):
+        def minimum(self, *_: object) -> NoReturn:
             raise FitError("no solution")
-        return gather(logs, basis, segments)
+
+        def solved(self, _: object) -> NoReturn:
+            raise FitError("no solution")
+
+    def gathered(logs: Sequence[PreparedLog], basis: Basis, segments: int) -> Statistics:
+        made = gather(logs, basis, segments)
+        if not basis.lengths:
+            return made
+        asked.append(basis)
+        return Unsolvable(columns=made.columns, grams=made.grams, rows=made.rows, nuisance=made.nuisance)
 
     for module in (search, expectation):
         monkeypatch.setattr(module, "gather", gathered)

@@ -21,7 +21,7 @@ from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.remarks import SILENT, Listener, Remarks
-from dbo_cli.runs import jobs
+from dbo_cli.runs import identifying, jobs
 from dbo_cli.runs.channels import (
     CHANNEL,
     address_of,
@@ -32,13 +32,7 @@ from dbo_cli.runs.channels import (
     opened_readers,
     patterns_of,
 )
-from dbo_cli.runs.identifying import (
-    Identified,
-    IdentifyRun,
-    RecordedLog,
-    Recordings,
-    identify_recordings,
-)
+from dbo_cli.runs.identifying import Identified, IdentifyRun, RecordedLog, Recordings
 from dbo_cli.runs.jobs import Value
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
@@ -231,7 +225,7 @@ def _identified(
     """Identify one channel, in whichever process; ``arguments`` say how the identification was called."""
     fitted, checks = read()
     kept = read_model(prior) if isinstance(prior, str) else prior
-    return identify_recordings(fitted, options, checks, arguments, kept)
+    return identifying.identify_recordings(fitted, options, checks, arguments, kept)
 
 
 def _write_models(
@@ -312,8 +306,9 @@ def shared_shape(
         others = {channel: others[channel] for channel in _spread(list(others), MOST_UNLIKE)}
     mean = _mean_of(others) if alike else _of_one_gain(others, options)
     own_options = options_of_channel(options)
-    calls = {"the mean": functools.partial(identify_recordings, mean, options, (), arguments)}
-    calls |= {channel: functools.partial(identify_recordings, logs[channel], options) for channel in asked}
+    fit = identifying.identify_recordings
+    calls = {"the mean": functools.partial(fit, mean, options, (), arguments)}
+    calls |= {channel: functools.partial(fit, logs[channel], options) for channel in asked}
     fits = _all_of(calls.items(), "shared shape,", len(calls), processes)
     shape = fits.pop("the mean").model
     ratios = {channel: _ratio(shape, logs[channel], own_options, fits[channel]) for channel in asked}
@@ -343,7 +338,7 @@ def _ratio(
     shape: ActuatorModel, logs: Sequence[RecordedLog], options: IdentificationOptions, own: Identified
 ) -> float:
     """Return what the shape leaves on a channel over what its own model leaves on cycles left out."""
-    kept = identify_recordings(logs, dataclasses.replace(options, force=True), prior=shape)
+    kept = identifying.identify_recordings(logs, dataclasses.replace(options, force=True), prior=shape)
     error, left_out = kept.model.fit["rmse"], own.model.fit.get("cross_validated_rmse")
     if not isinstance(left_out, float):
         left_out = own.model.fit["rmse"]
@@ -380,7 +375,7 @@ def _of_one_gain(
             for channel, own in logs.items() for one in own
         ]  # fmt: skip
         if not last:
-            model = identify_recordings(scaled, options).model
+            model = identifying.identify_recordings(scaled, options).model
             explained = {channel: [_predicted(model, one) for one in own] for channel, own in logs.items()}
     return scaled
 

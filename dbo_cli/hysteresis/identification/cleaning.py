@@ -17,6 +17,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     EVEN,
     FEWEST_ROWS,
     MOST,
+    NOTICEABLE,
     Floats,
     IdentificationOptions,
     Recording,
@@ -30,10 +31,6 @@ SPECTRUM_ROWS = 200
 """For a spectrum in which noise and drive can be told apart."""
 
 OF_NORMAL = 1.4826  # standard deviation over the median distance from the middle, of normal noise
-NOTICEABLE = 3e-4
-"""Of the range: a voltage's noise below it moves fewer gears than the sensor's own noise hides, and a line of
-hum is not worth mentioning. Half and double, of HARMONICS, too, changed the model of none of ten logs."""
-
 FLOOR_FACTOR = 5.0
 """The drive ends where its spectrum, averaged over bands, is down to so many times the noise floor."""
 

@@ -55,11 +55,10 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.search import SEGMENTS
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
-from dbo_cli.hysteresis.identification.statistics import EARNED
+from dbo_cli.hysteresis.identification.statistics import EARNED, INDIFFERENCE
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Relaxation, Stage
 from dbo_cli.records import dataclass
 
-AS_GOOD = 1.02  # of the error on cycles left out, up to which creep behind the gears is taken
 STILL_GOOD = 1.25
 """Of the same error, up to which the slow rows' second reading is taken.
 
@@ -110,7 +109,7 @@ def with_dynamics(
         return []
     fast = [_without_sensor(part, options) for part in fast]
     band = lowest, highest = min(part.lowest for part in fast), max(part.highest for part in fast)
-    model = _instantaneous(base.model, lowest)
+    model = _without_fast_lags(base.model.without(base.model.delay), FAST_LAGS / lowest)
     reading = _Reading(base, model, [Signals(model, part) for part in fast], ())
     chosen, doubts = chosen_dynamics(reading.signals, band, asked)
     chosen, doubts = with_delay(reading.signals, band, asked, chosen, doubts)
@@ -180,7 +179,7 @@ def _read_again(
     """Return the last reading of the slow rows that the fast ones do not speak against, and the dynamics."""
     best = chosen
     for again, creep in _again(slow, chosen, options, reading.base, FAST_LAGS / band[0]):
-        model = _instantaneous(again.model, band[0])
+        model = _without_fast_lags(again.model.without(again.model.delay), FAST_LAGS / band[0])
         if creep:
             model = dataclasses.replace(model, stages=(*model.stages, DynamicsStage(creep)))
         signals = [Signals(model, part) for part in fast]
@@ -248,7 +247,7 @@ def _again(
     found: list[tuple[Identification, tuple[Lag, ...]]] = [(same_range, ())]
     steps = [grid_step(log) for log in lagged]
     if options.relaxation is None and all(step is not None for step in steps):
-        slower = dataclasses.replace(again, model=_without_short(again.model, shortest))
+        slower = dataclasses.replace(again, model=_without_fast_lags(again.model, shortest))
         even = [step for step in steps if step is not None]
         creeping = creep_behind(slower, lagged, even, asked)
         if creeping is not None and _as_good(creeping[0], again):
@@ -267,7 +266,7 @@ def _as_good(one: Identification, other: Identification) -> bool:
     left_out = "cross_validated_rmse"
     mine, its = one.fit[left_out], other.fit[left_out]
     assert isinstance(mine, float) and isinstance(its, float)
-    return mine <= AS_GOOD * its
+    return mine <= (1.0 + INDIFFERENCE) * its
 
 
 def _led(log: Recording, lag: float) -> Recording:
@@ -288,39 +287,24 @@ def _placed(signals: Sequence[Signals], behind: Candidate, band: Band) -> Candid
     return before if EARNED * before.left_out <= behind.left_out else behind
 
 
-def _without_short(model: ActuatorModel, shortest: float) -> ActuatorModel:
-    stages = [_without_fast_lags(s, shortest) if isinstance(s, BacklashStage) and s.relaxation else s
-              for s in model.stages]  # fmt: skip
-    return dataclasses.replace(model, stages=tuple(stages))
+def _without_fast_lags(model: ActuatorModel, shortest: float) -> ActuatorModel:
+    """Return a model whose relaxation of less than ``shortest`` (s) is immediate.
 
-
-def _instantaneous(model: ActuatorModel, lowest: float) -> ActuatorModel:
-    """Return a model without delay, its fast relaxation taken as immediate.
-
-    A delay and relaxation of milliseconds stand in a slow model for what the dynamics say better.
+    Relaxation of milliseconds stands in a slow model, as its delay does, for what the dynamics say better.
     """
-    stages = []
-    for stage in model.stages:
-        if isinstance(stage, DelayStage):
-            continue
-        if isinstance(stage, BacklashStage) and stage.relaxation is not None:
-            stage = _without_fast_lags(stage, FAST_LAGS / lowest)
-        stages.append(stage)
-    return dataclasses.replace(model, stages=tuple(stages))
-
-
-def _without_fast_lags(gears: BacklashStage, shortest: float) -> BacklashStage:
+    gears = model.backlash
     terms = gears.relaxation
-    assert terms is not None
-    kept = [(tau, gain) for tau, gain in zip(terms.tau, terms.gain, strict=True) if tau >= shortest]
-    added = sum(gain for tau, gain in zip(terms.tau, terms.gain, strict=True) if tau < shortest)
+    if terms is None:
+        return model
+    pairs = list(zip(terms.tau, terms.gain, strict=True))
+    kept = [(tau, gain) for tau, gain in pairs if tau >= shortest]
+    added = sum(gain for tau, gain in pairs if tau < shortest)
     # gain·(v − reference), at once: every gear steeper by it, and the corner where it then lies.
     heights = gears.dy + added * gears.dx
     y0 = gears.y0 + added * (gears.x0 - terms.reference)
-    rest = None
-    if kept:
-        rest = Relaxation(terms.reference, tuple(t for t, _ in kept), tuple(g for _, g in kept))
-    return BacklashStage(gears.dx, heights, gears.x0, y0, rest)
+    rest = Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True))) if kept else None
+    prompt = BacklashStage(gears.dx, heights, gears.x0, y0, rest)
+    return dataclasses.replace(model, stages=tuple(prompt if one is gears else one for one in model.stages))
 
 
 def _assembled(

@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -395,21 +396,40 @@ def with_delay(
     return (best, more_doubts) if best.left_out <= EARNED * without.left_out else (without, doubts)
 
 
+class Spectra(NamedTuple):
+    """Hz; power of what goes in, and of it with what comes out; where it has energy within the band."""
+
+    frequency: Floats
+    power: Floats
+    both: NDArray[np.complex128]
+    driven: Booleans
+
+
+def _longest(signals: Sequence[Signals]) -> Signals:
+    return max(signals, key=lambda part: part.measured.size)
+
+
+def _spectra(before: Floats, after: Floats, time_step: float, band: Band) -> Spectra:
+    """Return the spectra of two signals, from segments of eight periods of the lowest frequency."""
+    size = min(before.size, max(256, round(8.0 / (band[0] * time_step))))
+    frequency, power = welch(before, 1.0 / time_step, nperseg=size)
+    both = csd(before, after, 1.0 / time_step, nperseg=size)[1]
+    driven = (frequency >= band[0]) & (frequency <= band[1]) & (power > ENERGY**2 * power.max())
+    return Spectra(frequency, power, both, driven)
+
+
 def _phase_delay(signals: Sequence[Signals], band: Band) -> float:
     """Return how late the measured is (s), by the phase where its gain is still that of slow moves."""
-    one = max(signals, key=lambda part: part.measured.size)
-    rate, before = 1.0 / one.time_step, one.predicted()
-    size = min(before.size, max(256, round(8.0 / (band[0] * one.time_step))))
-    frequency, power = welch(before, rate, nperseg=size)
-    both = csd(before, one.measured, rate, nperseg=size)[1]
-    rows = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & (power > ENERGY**2 * power.max()))
+    one = _longest(signals)
+    seen = _spectra(one.predicted(), one.measured, one.time_step, band)
+    rows = np.flatnonzero(seen.driven)
     if rows.size < 3:
         return 0.0
-    gain = np.abs(both[rows]) / power[rows]
+    gain = np.abs(seen.both[rows]) / seen.power[rows]
     changed = np.flatnonzero(np.abs(np.log(gain / np.median(gain[:3]))) > SAME_GAIN)
     rows = rows[: max(int(changed[0]) if changed.size else rows.size, 3)]
-    phase, w = np.unwrap(np.angle(both[rows])), 2.0 * np.pi * frequency[rows]
-    weight = power[rows]
+    phase, w = np.unwrap(np.angle(seen.both[rows])), 2.0 * np.pi * seen.frequency[rows]
+    weight = seen.power[rows]
     return max(-float(np.sum(weight * w * phase) / np.sum(weight * w * w)), 0.0)
 
 
@@ -487,19 +507,15 @@ def _notched(starts: Sequence[Floats]) -> list[Floats]:
 
 def _peak(signals: Sequence[Signals], best: Candidate, band: Band) -> float:
     """Return where the measured departs most from the best found (Hz), away from its resonances."""
-    one = max(signals, key=lambda part: part.measured.size)
-    size = min(one.measured.size, max(256, round(8.0 / (band[0] * one.time_step))))
-    moved = one.moved(best.parameters, best.structure)
+    one = _longest(signals)
     (left,) = residuals([one], best.parameters, best.structure)
-    rate = 1.0 / one.time_step
-    frequency, power = welch(moved, rate, nperseg=size)
-    ratio = np.abs(csd(moved, left, rate, nperseg=size)[1]) / np.maximum(power, 1e-12 * power.max())
-    inside = (frequency >= band[0]) & (frequency <= band[1]) & (power > ENERGY**2 * power.max())
+    seen = _spectra(one.moved(best.parameters, best.structure), left, one.time_step, band)
+    ratio, inside = np.abs(seen.both) / np.maximum(seen.power, 1e-12 * seen.power.max()), seen.driven
     for known in best.resonances:
-        inside &= np.abs(np.log(np.maximum(frequency, 1e-9) / known.frequency)) > APART
+        inside &= np.abs(np.log(np.maximum(seen.frequency, 1e-9) / known.frequency)) > APART
     if not inside.any():
         return 0.7 * band[1]  # chosen
-    return float(frequency[inside][np.argmax(ratio[inside])])
+    return float(seen.frequency[inside][np.argmax(ratio[inside])])
 
 
 ENERGY = 0.003  # of the strongest third of an octave of the drive (amplitude): with less, nothing is known
@@ -510,11 +526,10 @@ MOST_SHOWN = 60  # frequencies of the response that the model keeps, for its fig
 
 def response(signals: Sequence[Signals], lowest: float, highest: float) -> dict[str, list[float]]:
     """Return the measured response to what the gears make of the drive: Hz, gain (1 at rest), degrees."""
-    one = max(signals, key=lambda part: part.measured.size)
-    before, rate = one.predicted(), 1.0 / one.time_step
-    size = min(before.size, max(256, round(8.0 / (lowest * one.time_step))))
-    frequency, power = welch(before, rate, nperseg=size)
-    both, other = csd(before, one.measured, rate, nperseg=size)[1], welch(one.measured, rate, nperseg=size)[1]
+    one = _longest(signals)
+    before, after = one.predicted(), one.measured
+    frequency, power, both, _ = _spectra(before, after, one.time_step, (lowest, highest))
+    other = _spectra(after, after, one.time_step, (lowest, highest)).power
     ratio = both / np.maximum(power, 1e-12 * power.max())
     inside = (frequency >= lowest) & (frequency <= highest) & (np.abs(both) ** 2 > MOST * power * other)
     rows = np.flatnonzero(inside)
@@ -534,7 +549,7 @@ def interval(value: float, spread: float) -> list[float]:
 
 def trusted(signals: Sequence[Signals], chosen: Candidate, highest: float) -> tuple[float, str]:
     """Return the frequency (Hz) up to which the model is good, and what ends it."""
-    one = max(signals, key=lambda part: part.measured.size)
+    one = _longest(signals)
     moved = one.moved(chosen.parameters, chosen.structure)
     (left,) = residuals([one], chosen.parameters, chosen.structure)
     size = min(moved.size, 8192)

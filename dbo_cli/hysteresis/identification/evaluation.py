@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.preparation import Prepared
@@ -23,7 +23,7 @@ from dbo_cli.hysteresis.identification.recordings import (
 )
 from dbo_cli.hysteresis.identification.search import ROWS_PER_SLOPE, Choice
 from dbo_cli.hysteresis.identification.statistics import PreparedLog
-from dbo_cli.hysteresis.model import ActuatorModel, DelayStage
+from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.records import dataclass
 
@@ -81,26 +81,30 @@ def residual_of(model: ActuatorModel, recording: Recording, log: PreparedLog) ->
     return Residual(log.name, left - columns @ terms, rows, span, float(predicted.mean()))
 
 
-def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: float) -> Residual:
-    """Residual on a recording that took no part in the fit: only the sensor's offset is taken off.
+def known_rows(recording: Recording, skip_seconds: float) -> NDArray[np.bool_]:
+    """Return the rows of a log that can be judged; shape (samples,).
 
     Rows before ``skip_seconds``, and those before the drive has been at both ends of its range where that
     leaves most of the log, are left out: the history before the first sample is not known. So is that behind
     gaps (``known_behind_gaps``).
+    """
+    seconds = recording.seconds()
+    keep = np.ones(len(recording.voltage), bool) if seconds is None else seconds >= skip_seconds
+    wiped = first_wiped_row(recording.voltage)
+    if wiped <= KNOWN_PAST * len(keep):
+        keep[:wiped] = False
+    return known_behind_gaps(recording, keep)
+
+
+def validation_of(model: ActuatorModel, recording: Recording, skip_seconds: float) -> Residual:
+    """Residual on a recording that took no part in the fit: only the sensor's offset is taken off.
 
     Raises
     ------
     FitError
         Nothing is left of the log.
     """
-    seconds = recording.seconds()
-    keep = np.ones(len(recording.voltage), bool)
-    if seconds is not None:
-        keep &= seconds >= skip_seconds
-    wiped = first_wiped_row(recording.voltage)
-    if wiped <= KNOWN_PAST * len(keep):
-        keep[:wiped] = False
-    keep = known_behind_gaps(recording, keep)
+    keep = known_rows(recording, skip_seconds)
     if not keep.any():
         raise FitError(
             f"{recording.name}: nothing is left of this log to validate on: it is shorter than `skip` "
@@ -183,7 +187,7 @@ def loop_width_percent(model: ActuatorModel) -> float:
     """
     up = np.linspace(model.input.minimum, model.input.maximum, 1001)
     walk = np.concatenate((up, up[::-1]))
-    still = dataclasses.replace(model, stages=tuple(s for s in model.stages if not isinstance(s, DelayStage)))
+    still = model.without(model.delay)
     slow = still.simulate(
         walk, still.start(float(up[0]), "empty"), time_step=1e9 if still.needs_time else None
     )
@@ -210,7 +214,6 @@ FEWEST_LEVELS = 20
 
 After a staircase of 11 levels other moves erred up to 14 times the expected error, after 60 random ones 2.8.
 """
-REGULAR = 0.8  # of a voltage's changes come equally many rows apart, at least, where it is held; chosen
 CLOCKWISE = 1.3  # growing slopes fit so much worse than falling ones
 
 
@@ -321,7 +324,7 @@ def fit_notes(
     for log in prepared.logs:
         apart = np.diff(np.flatnonzero(np.diff(log.voltage)))
         every = int(np.median(apart)) if len(apart) else 1
-        if every > 1 and np.mean(apart == every) > REGULAR:
+        if every > 1 and np.mean(apart == every) > MOST:
             notes.append(
                 f"{log.name}: the voltage changes only once in {every} rows: right where the drive itself "
                 "goes in such steps; where it is read more slowly than the displacement, log both at one rate"

@@ -26,8 +26,6 @@ from dbo_cli.hysteresis.identification.evaluation import (
 from dbo_cli.hysteresis.identification.normal_equations import (
     Solution,
     Structure,
-    solve,
-    squared_error,
 )
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import MOST, Floats, Recording
@@ -134,10 +132,8 @@ def expect(
     noise : the share of its mean square that is white
     """
     some = fewer_rows(prepared.logs)
-    statistics = gather(some, choice.basis, choice.structure.segments)
-    gram, rows = statistics.total()
-    own = solve(gram, statistics.columns, choice.structure, rows)
-    fitted = max(float(np.sqrt(squared_error(gram, own.vector) / rows)), 1e-12)
+    own, square = gather(some, choice.basis, choice.structure.segments).solved(choice.structure)
+    fitted = max(float(np.sqrt(square)), 1e-12)
     cycles = max(choice.score.rmse, fitted)
     held_out, left_out = groups_left_out(some, choice.basis, choice.structure, cycles)
     known = delivered * held_out / fitted
@@ -168,10 +164,9 @@ def _gain_trend(logs: Sequence[PreparedLog], choice: Choice, own: Solution, floo
         changing.append(replace(log, drift=np.column_stack((log.drift, grown, grown * log.output))))
     lefts = []
     for some in (moving, changing):
-        statistics = gather(some, choice.basis, choice.structure.segments)
-        gram, rows = statistics.total()
-        solution = solve(gram, statistics.columns, choice.structure, rows)
-        lefts.append(squared_error(gram, solution.vector) / rows)
+        solution, left = gather(some, choice.basis, choice.structure.segments).solved(choice.structure)
+        lefts.append(left)
+    rows = sum(int(log.used.sum()) for log in logs)
     if lefts[0] <= most_noise(floor, rows) or lefts[1] - floor > MOST * (lefts[0] - floor):
         return None
     last = np.cumsum([log.drift.shape[1] for log in changing]) - 1
@@ -201,10 +196,8 @@ def _alternatives(
     for kind, basis, structure in _changes(choice, logs):
         if basis not in gathered:
             gathered[basis] = gather(logs, basis, structure.segments)
-        statistics = gathered[basis]
-        gram, rows = statistics.total()
         try:
-            solution = solve(gram, statistics.columns, structure, rows)
+            solution, _ = gathered[basis].solved(structure)
         except FitError:
             continue
         other = _other(solution, basis, structure, prepared, model)
@@ -247,12 +240,10 @@ def _forgetting(
     more = tuple(range(count, count + len(LENGTHS)))
     structure = replace(choice.structure, memories=(*choice.structure.memories, *more))
     try:
-        statistics = gather(logs, basis, structure.segments)
-        gram, rows = statistics.total()
-        solution = solve(gram, statistics.columns, structure, rows)
+        solution, left = gather(logs, basis, structure.segments).solved(structure)
     except FitError:
         return ()
-    left = squared_error(gram, solution.vector) / rows
+    rows = sum(int(log.used.sum()) for log in logs)
     if fitted**2 <= most_noise(floor, rows) or left - floor > FORGETTING_EXPLAINS * (fitted**2 - floor):
         return ()
     per_volt = tuple((solution.gains[count:] / basis.span).tolist())

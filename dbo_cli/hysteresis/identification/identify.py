@@ -24,7 +24,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     validated,
     validation_of,
 )
-from dbo_cli.hysteresis.identification.normal_equations import Structure, solve
+from dbo_cli.hysteresis.identification.normal_equations import Structure
 from dbo_cli.hysteresis.identification.recordings import (
     Floats,
     IdentificationOptions,
@@ -34,9 +34,8 @@ from dbo_cli.hysteresis.identification.recordings import (
     widest_first,
 )
 from dbo_cli.hysteresis.identification.refinement import corners, zero_shift
-from dbo_cli.hysteresis.identification.search import ALL_GEARS, SLOPE_CHOICES
 from dbo_cli.hysteresis.identification.static import Identification, identify_static
-from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather
+from dbo_cli.hysteresis.identification.statistics import Basis, PreparedLog, gather, usual_basis
 from dbo_cli.hysteresis.model import (
     ActuatorModel,
     BacklashStage,
@@ -176,7 +175,7 @@ def identify_as_in_paper(
     x0, swing = float(voltage.min()), float(np.ptp(voltage))
     gain = float(np.ptp(displacement)) / swing
     y0 = float(displacement.min())
-    basis = Basis(SLOPE_CHOICES[0], x0, x0 + swing, ALL_GEARS // SLOPE_CHOICES[0])
+    basis = usual_basis(x0, x0 + swing)
     log = twice_over(recording, y0, gain * swing)
     fine, knots = _fine_heights(log, basis, max(SEGMENTS if segments is None else segments, 1))
     count = gears or GEARS
@@ -200,9 +199,7 @@ def identify_as_in_paper(
 
 def _fine_heights(log: PreparedLog, basis: Basis, segments: int) -> tuple[Floats, Floats]:
     """Heights of the fine operator (a slope's gears together) and the corners of the asymmetry."""
-    statistics = gather([log], basis, segments)
-    gram, rows = statistics.total()
-    solution = solve(gram, statistics.columns, Structure("growing", (), segments, SMOOTHNESS), rows)
+    solution, _ = gather([log], basis, segments).solved(Structure("growing", (), segments, SMOOTHNESS))
     return solution.heights, corners(solution.knots, segments)
 
 

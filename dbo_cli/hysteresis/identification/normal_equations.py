@@ -115,7 +115,8 @@ def _choose() -> Any:
 CHOSEN = _choose()
 
 SLOPE_FLOOR = 1e-3
-"""Least slope of a gear, as a share of the mean: flatter ones drown in the rounding of the inverse."""
+"""Least slope of a gear, as a share of the mean: flatter ones drown in the rounding of the inverse. And of a
+memory, which is pruned below (half and double: 0.1 % on new moves)."""
 
 MAX_STEEPNESS = 15.0
 """Steepest slope of the asymmetry over its mean; a segment's width is bounded from below by its inverse. With
@@ -132,6 +133,7 @@ last of them is at its bound (elsewhere it is what the others leave)."""
 TOLERANCE = 1e-8
 """Of the largest gradient at the start: a gradient below it lowers the sum of squares by 1e-16 of itself."""
 
+KNOT_SMOOTHNESS = 1e-6  # of few segments of the asymmetry, whose kinks are the curve
 MOST_STEPS = 1000  # of the solver, which takes 3 to 30
 
 
@@ -169,7 +171,7 @@ class Structure:
     memories: tuple[int, ...]
     segments: int
     smoothness: float
-    knot_smoothness: float = 1e-6
+    knot_smoothness: float = KNOT_SMOOTHNESS
 
 
 @dataclass(frozen=True)

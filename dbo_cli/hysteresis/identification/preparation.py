@@ -36,15 +36,17 @@ from dbo_cli.hysteresis.identification.recordings import (
     first_wiped_row,
     known_behind_gaps,
     pieces_behind_gaps,
+    runs,
 )
 from dbo_cli.hysteresis.identification.statistics import (
     EVIDENT,
+    SLOPE_CHOICES,
     TIME_CONSTANT_RATIO,
     Basis,
-    DriveRows,
     PreparedLog,
     Statistics,
     drift_columns,
+    drive_rows,
     fewer_rows,
     gather,
     relaxed_drive,
@@ -87,9 +89,12 @@ DOUBTFUL = 0.007
 """Of the range: a drift this large that could be in the place of creep is worth a word. Of the 70 logs of
 actuators that only creep it is in 2."""
 
-TRIAL_SLOPES, TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 64, 8, 8, 1e-8
-"""Slopes and gears of each, in a trial and in any probing fit, segments and smoothness. Chosen: on eight
-invented logs half and double, and a tenth and ten times the smoothness, led to the same models."""
+TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 8, 8, 1e-8
+"""Gears of each slope in a trial and in any probing fit, segments and smoothness. Chosen: on eight invented
+logs half and double, and a tenth and ten times the smoothness, led to the same models."""
+PROBE_SMOOTHNESS = (
+    1e-9  # of free slopes, before outliers are looked for: with 1e-8 one log predicted 7 % worse
+)
 
 LEVEL_MOVES = 0.02
 """Scatter of the cycles' mean levels, of the drive or of a slow memory, over the drive's range, from which
@@ -236,7 +241,7 @@ def _trials(
 
     ``creeping``: also beside memories of the displacement, by the measured one, as regressors of each log.
     """
-    basis = Basis(TRIAL_SLOPES, low, high, TRIAL_SPLIT, _time_constants(logs))
+    basis = _trial_basis(low, high, _time_constants(logs))
     # Of a log much shorter than a memory the memory is its own negative, and explains whatever is in it.
     shortest = min(float(log.seconds[-1]) for log in logs if log.seconds is not None)
     possible = [tau for tau in basis.time_constants if creeping and tau <= LONGEST * shortest]
@@ -245,6 +250,10 @@ def _trials(
     together = [replace(log, drift=np.hstack((_columns(log), _crept(log, slow)))) for log in some]
     statistics = gather(together, basis, TRIAL_SEGMENTS)
     return {drift: _trial(statistics, basis, some, drift, len(slow)) for drift in offered}
+
+
+def _trial_basis(low: float, high: float, time_constants: tuple[float, ...] = ()) -> Basis:
+    return Basis(SLOPE_CHOICES[0], low, high, TRIAL_SPLIT, time_constants)
 
 
 def _crept(log: PreparedLog, slow: tuple[float, ...]) -> Floats:
@@ -286,15 +295,15 @@ def _trial(
 
 Booleans = NDArray[np.bool_]
 
-FOLDS = 10  # with 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again
-PARTS = 8
-"""Of a cycle with most of the rows, left out in turn: with one slow sweep beside small cycles 0.19 % was
-expected, 1.4 with 4, and 0.03 came."""
+FOLDS = 10
+"""With 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again. A cycle with
+most of the rows has as many parts, too (with one slow sweep beside small cycles 0.19 % was expected with 8,
+1.4 with 4, and 0.03 came), and a history that is left open at most as many stretches, each of which costs an
+offset."""
 CLIPPED_STEEPNESS = 0.35
 """Slope just before the displacement stands still, over the mean one, above which the sensor is to blame: a
 piezo cut off in its upper half has 0.8 to 1.3, a wire that has reached its plateau less than 0.2."""
 
-MOST_STRETCHES = 12  # chosen: each costs an offset; 6 and 24 led to the same histories of those logs
 STARTS: tuple[StartName, ...] = ("settled", "empty", "full")
 
 
@@ -346,11 +355,9 @@ def clipped_sensor(displacement: Floats, voltage: Floats) -> Booleans:
     moving = np.abs(np.diff(voltage, prepend=voltage[0])) > 0.0
     usual = _steepness(displacement, voltage)
     for extreme in (displacement.min(), displacement.max()):
-        at = (displacement == extreme) & moving
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], at.astype(np.int8), [0]))))
         found: list[tuple[int, int]] = []
         before: list[float] = []
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        for begin, end in runs((displacement == extreme) & moving):
             swing = float(np.ptp(voltage[begin:end]))
             if end - begin >= 5 and swing > 0.01 * float(np.ptp(voltage)):
                 found.append((begin, end))
@@ -406,8 +413,8 @@ def folds_of(shape: DriveShape, usable: Booleans, first_fold: int, wanted: int) 
         fold = _stretches(usable, min(wanted, 4))
     else:
         long = cycle == int(held.argmax())
-        cut = np.where(long & (held.max() > MOST * held.sum()), _stretches(usable & long, PARTS), 0)
-        piece = PARTS * cycle + cut
+        cut = np.where(long & (held.max() > MOST * held.sum()), _stretches(usable & long, FOLDS), 0)
+        piece = FOLDS * cycle + cut
         present = np.unique(piece[usable])
         fold = np.searchsorted(present, piece) % max(min(wanted, len(present)), 1)
     return np.where(usable, fold + first_fold, -1)
@@ -429,22 +436,19 @@ def prepare(
     shapes = tuple(drive_shape(log.voltage) for log in recordings)
     scale = sign * max(float(np.ptp(without_outliers(log.displacement))) for log in recordings)
     notes: list[str] = []
-    logs: list[PreparedLog] = []
-    transients: list[int] = []
-    clipped: list[int] = []
-    outlying: list[int] = []
-    fold = 0
     faults = bad or [np.zeros(len(log.voltage), bool) for log in recordings]
-    for log, shape, faulty in zip(recordings, shapes, faults, strict=True):
-        usable, transient, left_out, stuck = _usable_rows(log, skip_seconds, faulty, notes)
-        outlying.append(left_out)
-        transients.append(transient)
-        clipped.append(stuck)
+    counted = [
+        _usable_rows(log, skip_seconds, faulty, notes) for log, faulty in zip(recordings, faults, strict=True)
+    ]
+    usable, transients, outlying, clipped = zip(*counted, strict=True)
+    logs: list[PreparedLog] = []
+    fold = 0
+    for log, shape, rows in zip(recordings, shapes, usable, strict=True):
         seconds = log.seconds()
         clock = np.arange(len(log.voltage), dtype=float) if seconds is None else seconds
         order = drift_order(shape, seconds is not None, level_moves(shape, log.voltage))
         share = max(2, round(FOLDS * len(log.voltage) / sum(len(one.voltage) for one in recordings)))
-        folds = folds_of(shape, usable, fold, min(share, FOLDS))
+        folds = folds_of(shape, rows, fold, min(share, FOLDS))
         fold = int(folds.max()) + 1
         drift, output = drift_columns(clock, order), log.displacement / scale
         unopened = PreparedLog(log.name, log.voltage, output, seconds, folds, drift, "settled")
@@ -467,9 +471,9 @@ def prepare(
         high,
         scale=scale * (top - bottom),
         offset=scale * bottom,
-        transient_rows=tuple(transients),
+        transient_rows=transients,
         outlier_rows=tuple(a + b for a, b in zip(outlying, outliers, strict=True)),
-        clipped_rows=tuple(clipped),
+        clipped_rows=clipped,
         doubtful_drift=doubtful,
         notes=notes,
     )
@@ -547,10 +551,6 @@ def _with_offsets_behind_gaps(recording: Recording, log: PreparedLog, low: float
     return opened if better else log
 
 
-def _probe(low: float, high: float) -> tuple[Basis, Structure]:
-    return Basis(TRIAL_SLOPES, low, high, TRIAL_SPLIT), Structure("free", (), 1, 1e-9)
-
-
 def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -> PreparedLog:
     """Return the log with the start state that explains it best, or with its history left open.
 
@@ -584,7 +584,7 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
     stretch = np.cumsum(turns) - 1
     fold = np.where(inside, log.fold, -1)
     present = np.unique(stretch[fold >= 0])
-    if len(present) > MOST_STRETCHES or (fold >= 0).sum() < max(0.5 * log.used.sum(), FEWEST_ROWS):
+    if len(present) > FOLDS or (fold >= 0).sum() < max(0.5 * log.used.sum(), FEWEST_ROWS):
         return None
     own = (stretch[:, None] == present[:-1]).astype(float)  # the last stretch's offset is the model's
     return replace(log, fold=fold, drift=np.hstack((log.drift, own)), stretches=own.shape[1])
@@ -592,26 +592,22 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
 
 def _probe_error(log: PreparedLog, low: float, high: float) -> float:
     """RMSE of a probing fit, asymmetry and all, to one log, as a share of the log's own range."""
-    basis, structure = _probe(low, high)
     values = log.output[log.used]
     scaled = replace(log, output=(log.output - values.min()) / np.ptp(values))
-    trial = gather(fewer_rows([scaled]), basis, TRIAL_SEGMENTS)
-    gram, rows = trial.total()
-    solution = solve(gram, trial.columns, replace(structure, segments=TRIAL_SEGMENTS), rows)
-    return float(np.sqrt(squared_error(gram, solution.vector) / rows)) * float(np.ptp(values))
+    trial = gather(fewer_rows([scaled]), _trial_basis(low, high), TRIAL_SEGMENTS)
+    _, error = trial.solved(Structure("free", (), TRIAL_SEGMENTS, PROBE_SMOOTHNESS))
+    return float(np.sqrt(error)) * float(np.ptp(values))
 
 
 def _without_drift_and_spikes(
     logs: Sequence[PreparedLog], low: float, high: float, notes: list[str]
 ) -> tuple[list[PreparedLog], tuple[int, ...]]:
     """Fit gears and drift once, take the drift out of the outputs, and leave out rows far from the fit."""
-    basis, structure = _probe(low, high)
+    basis, structure = _trial_basis(low, high), Structure("free", (), 1, PROBE_SMOOTHNESS)
     outliers = np.zeros(len(logs), np.int64)
     residuals: list[Floats] = []
     for attempt in range(2):
-        statistics = gather(fewer_rows(logs), basis, 1)
-        gram, rows = statistics.total()
-        solution = solve(gram, statistics.columns, structure, rows)
+        solution, _ = gather(fewer_rows(logs), basis, 1).solved(structure)
         begin = 0
         residuals = []
         drifts = []
@@ -620,8 +616,7 @@ def _without_drift_and_spikes(
             begin += log.drift.shape[1]
             fitted = log.drift @ terms
             residual = np.full(len(log.output), np.nan)
-            blocks = DriveRows(basis, log.voltage, log.seconds, log.start, log.used).blocks()
-            for first, last, drive in blocks:
+            for first, last, drive in drive_rows(basis, log.voltage, log.seconds, log.start, log.used):
                 residual[first:last] = log.output[first:last] - drive @ solution.heights - fitted[first:last]
             residuals.append(residual)
             drifts.append(fitted - solution.drift[0])  # the first log keeps its level: the model has it

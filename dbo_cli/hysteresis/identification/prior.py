@@ -19,6 +19,7 @@ from dbo_cli.hysteresis.identification.evaluation import (
     FOLDS,
     STUDENT,
     beyond_noise,
+    known_rows,
     predict,
     rated_warnings,
     validated,
@@ -27,13 +28,10 @@ from dbo_cli.hysteresis.identification.evaluation import (
 from dbo_cli.hysteresis.identification.preparation import STARTS, drift_order
 from dbo_cli.hysteresis.identification.recordings import (
     FEWEST_ROWS,
-    KNOWN_PAST,
     Floats,
     IdentificationOptions,
     Recording,
     drive_shape,
-    first_wiped_row,
-    known_behind_gaps,
     median_cycle_seconds,
     without_voltage_glitches,
 )
@@ -171,14 +169,7 @@ def _sensor_of(fit: Mapping[str, object]) -> Sensor:
 
 def _beside(prior: ActuatorModel, log: Recording, bad: Booleans, skip_seconds: float) -> _Log:
     """Return a log beside the prediction from the start that explains it best."""
-    seconds = log.seconds()
-    keep = ~bad
-    if seconds is not None:
-        keep &= seconds >= skip_seconds
-    wiped = first_wiped_row(log.voltage)
-    if wiped <= KNOWN_PAST * len(keep):
-        keep[:wiped] = False
-    keep = known_behind_gaps(log, keep)
+    seconds, keep = log.seconds(), known_rows(log, skip_seconds) & ~bad
     if int(keep.sum()) < FEWEST_ROWS:
         raise FitError(f"{log.name}: {int(keep.sum())} usable rows are too few: record longer, or skip less")
     clock = np.arange(len(keep), dtype=float) if seconds is None else np.maximum.accumulate(seconds)
@@ -269,8 +260,8 @@ def _scaled(model: ActuatorModel, gain: float, offset: float) -> ActuatorModel:
 
 def _with_delay(model: ActuatorModel, seconds: float) -> ActuatorModel:
     """Return a model with this delay in the place of its own."""
-    stages = tuple(stage for stage in model.stages if not isinstance(stage, DelayStage))
-    return dataclasses.replace(model, stages=stages + ((DelayStage(seconds),) if seconds > 0.0 else ()))
+    bare = model.without(model.delay)
+    return dataclasses.replace(bare, stages=(*bare.stages, DelayStage(seconds))) if seconds > 0.0 else bare
 
 
 def _moved_along(other: Alternative, moved: _Moved) -> Alternative:

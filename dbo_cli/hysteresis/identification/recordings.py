@@ -28,6 +28,10 @@ KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chos
 MOST = 0.5
 """More than half of the rows, of an error, of a square is most of it. So many rows must be left behind gaps,
 or these are passed over: a fit to fewer knows less than gaps spoil."""
+NOTICEABLE = 3e-4
+"""Of the range: a voltage's noise below it moves fewer gears than the sensor's own noise hides, reversals
+below it are converter steps and noise, and a line of hum is not worth mentioning. Half and double changed
+none of ten models (benchmarks/halved_constants.py)."""
 BLOCK_ROWS = 1 << 12  # at once: changes no bit; windows that fit the cache are sorted in a third of the time
 EVEN = 1e-3  # of a step: a clock written with few digits still counts as even; with 1e-6 models were the same
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
@@ -242,6 +246,12 @@ class DriveShape:
         return max(len(self.cycles) - 1, 0)
 
 
+def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first row and end of each run of rows that are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def drive_shape(voltage: Floats) -> DriveShape:
     """Find turning points, whole cycles and amplitudes of one log's drive."""
     turns = turning_points(voltage, SMALLEST_TURN * float(np.ptp(voltage)))
@@ -437,7 +447,6 @@ def median_cycle_seconds(recordings: Sequence[Recording]) -> float | None:
     return float(ordered[np.searchsorted(past, past[-1] / 2.0)])
 
 
-SMALLEST_SWING = 5e-4  # of the log's range: smaller reversals of the drive are converter steps and noise
 FEWEST_SWINGS = 40  # in a sweep
 SWEPT = 5.0  # the highest frequency of a sweep over its lowest, at least
 SMOOTH = 0.7  # of neighbouring half periods, the larger over the smaller, as a logarithm: a sweep is gradual
@@ -534,7 +543,7 @@ def _longest_sweep(log: Recording, span: float) -> FastPart | None:
 
 def _swings(voltage: Floats, span: float) -> tuple[Floats, Floats]:
     """Return the rows where the drive turns, the ends included, and the voltage there."""
-    turns = turning_points(voltage, SMALLEST_SWING * span).astype(np.float64)
+    turns = turning_points(voltage, NOTICEABLE * span).astype(np.float64)
     rows = np.concatenate([[0.0], turns, [voltage.size - 1.0]])
     return rows, voltage[rows.astype(np.int64)]
 
@@ -563,16 +572,7 @@ def _sweep(log: Recording, span: float, step: float) -> FastPart | None:
     near = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
     small = heights <= SMALL_SWING * span
     good = small[1:] & small[:-1] & (near | (np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD))
-    best = (0, 0)
-    begin = None
-    for k, fine in enumerate([*good.tolist(), False]):
-        if fine and begin is None:
-            begin = k
-        if not fine and begin is not None:
-            if k - begin > best[1] - best[0]:
-                best = (begin, k)
-            begin = None
-    first, last = best
+    first, last = max(runs(good), key=lambda run: run[1] - run[0], default=(0, 0))
     if last - first < FEWEST_SWINGS:
         return None
     periods = 2.0 * step * halves[first : last + 1]

@@ -19,6 +19,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.normal_equations import (
+    SLOPE_FLOOR,
     Columns,
     Solution,
     Structure,
@@ -54,7 +55,6 @@ from dbo_cli.hysteresis.model import (
 from dbo_cli.records import dataclass
 
 STEPS = 4  # of Gauss and Newton: 2 left one of eight invented logs 5 % worse, 8 changed nothing
-SMALL_GAIN = 1e-3  # of the gears' whole height: a memory below this is pruned; half and double: 0.1 %
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitt
     """
     some, logs = fewer_rows(logs), fewer_rows(logs, FIT_ROWS)
     fitted = _equation_error(some, basis, structure)
-    kept = tuple(k for k in structure.memories if fitted.gains[k] > SMALL_GAIN * fitted.heights.sum())
+    kept = tuple(k for k in structure.memories if fitted.gains[k] > SLOPE_FLOOR * fitted.heights.sum())
     if kept != tuple(range(len(basis.time_constants))):
         basis = replace(basis, time_constants=tuple(basis.time_constants[k] for k in kept))
         structure = replace(structure, memories=tuple(range(len(kept))))
@@ -115,9 +115,7 @@ def fit(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitt
 
 def _equation_error(logs: Sequence[PreparedLog], basis: Basis, structure: Structure) -> Fitted:
     """Solve the convex problem."""
-    statistics = gather(logs, basis, structure.segments)
-    gram, rows = statistics.total()
-    solution = solve(gram, statistics.columns, structure, rows)
+    solution, _ = gather(logs, basis, structure.segments).solved(structure)
     knots = corners(solution.knots, structure.segments)
     return Fitted(basis, solution.heights, solution.gains, float(solution.drift[0]), knots, solution.drift)
 

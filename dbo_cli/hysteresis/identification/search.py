@@ -10,16 +10,19 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.hysteresis.identification.normal_equations import (
+    KNOT_SMOOTHNESS,
     Structure,
 )
 from dbo_cli.hysteresis.identification.preparation import LEVEL_MOVES, TRIAL_SMOOTHNESS, Prepared
 from dbo_cli.hysteresis.identification.recordings import IdentificationOptions
 from dbo_cli.hysteresis.identification.statistics import (
+    ALL_GEARS,
     EARNED,
     EVIDENT,
     INDIFFERENCE,
     LENGTHS,
     MAX_STANDARD_ERROR,
+    SLOPE_CHOICES,
     TIME_CONSTANT_RATIO,
     Basis,
     PreparedLog,
@@ -34,12 +37,9 @@ from dbo_cli.hysteresis.identification.statistics import (
     no_worse,
     relaxed_drive,
     simplest_of,
+    usual_basis,
 )
 from dbo_cli.records import dataclass
-
-ALL_GEARS = 1024
-"""However many slopes they share. On eight invented logs half as many left 0.997 to 1.42 of the error on new
-moves, twice as many 0.53 (springs that slip) to 1.003."""
 
 FINER_GEARS = 4
 """Times as many gears where that lowers the error on data left out, surely; twice as many again would gain
@@ -50,11 +50,7 @@ A turn inside a gear retraces it. On a loop of 40 % of the range that is an erro
 followed moves up to f_r/10 to 0.01 to 0.03 % instead of 0.02 to 0.07. The authors' log (noise 0.2 %) tells
 nothing of it and keeps the fewer gears.
 """
-SLOPE_CHOICES = (64, 128, 256)
-"""Different slopes among the gears, simplest first: with 256 springs that slip were predicted with 0.6 of the
-error, and fewer than 64 were never better."""
 ROWS_PER_SLOPE = 8  # fewer usable rows than this for each unknown slope is not safe
-KNOT_SMOOTHNESS = 1e-6  # of few segments, whose kinks are the curve; the list below goes down from it
 SEGMENTS = (
     *((count, KNOT_SMOOTHNESS) for count in (1, 2, 4, 8, 16)), (16, 1e-7), (32, 1e-7), (32, 1e-8), (32, 1e-9)
 )  # fmt: skip
@@ -71,9 +67,13 @@ ONE_AMPLITUDE_INDIFFERENCE = 0.05
 """A gain below this share is no evidence there while bend and lag are looked for. On 26 logs of one amplitude
 the geometric mean of the error over the best rival's was 1.19 with 0.02, 1.13 with 0.05."""
 
-FINE_INDIFFERENCE = 0.005
-"""Where the logs themselves can tell: of segments, smoothness, slopes and gears. With 0.01 for segments and
-finer gears 139 models erred as much, with 0.01 for all some three times as much."""
+ORDER_INDIFFERENCE = 0.01
+"""Of segments and memories: a kink in the asymmetry is worth having for less than rougher slopes are. With
+half and double 139 models erred as much, but the authors' log of part of the range by 2 % more with half, and
+one of an invented plant by 3 times as much on one move with double."""
+FINE_INDIFFERENCE = (
+    0.005  # where the logs themselves can tell: with 0.01 some models erred three times as much
+)
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-14, 1e-16)
 """Springs that slip at a few forces have slopes with kinks: their error on new moves (four kinds of logs) was
 0.36 to 0.52 of that with 1e-12 for the last; on nine other kinds it is the same or less (0.76 to 1.00)."""
@@ -172,12 +172,12 @@ def choose(prepared: Prepared, options: IdentificationOptions, cycle: float | No
     if period is not None and cycle is not None:
         given = options.relaxation
         grid = time_constant_grid(prepared, period, cycle) if given is None else tuple(given)
-    slopes, split = SLOPE_CHOICES[0], ALL_GEARS // SLOPE_CHOICES[0]
-    if options.gears is not None:
-        few = options.gears <= 2 * slopes
-        slopes, split = (options.gears, 1) if few else (slopes, -(-options.gears // slopes))
     search = _Search(logs, options, prepared.one_amplitude, len(grid), period, cycle)
-    basis = Basis(slopes, prepared.low, prepared.high, split, grid, options.delay or 0.0)
+    basis = replace(usual_basis(prepared.low, prepared.high, grid), delay=options.delay or 0.0)
+    if options.gears is not None:
+        few = options.gears <= 2 * basis.gears
+        slopes, split = (options.gears, 1) if few else (basis.gears, -(-options.gears // basis.gears))
+        basis = replace(basis, gears=slopes, split=split)
     if options.delay is None and period is not None:
         basis = replace(basis, delay=search.evident_delay(basis))
     rule, clockwise = search.direction(basis)
@@ -223,7 +223,7 @@ class _Search:
         if options.points is not None:
             self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
-        self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
+        self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
         self._fine = INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
         self._gathered: dict[Basis, Statistics] = {}
 
@@ -278,9 +278,8 @@ class _Search:
         A loop whose output lags needs slopes that grow, one that leads slopes that fall. Memories and a delay
         make loops, too, at the logs' own frequency, so none take part.
         """
-        statistics = self._statistics(basis)
         errors = {
-            slopes: min(cross_validate(statistics, one).rmse for one in self._listed(slopes, [()]))
+            slopes: min(self._score(basis, one).rmse for one in self._listed(slopes, [()]))
             for slopes in ("growing", "falling")
         }
         ratio = errors["growing"] / max(errors["falling"], np.finfo(float).tiny)
@@ -363,7 +362,7 @@ class _Search:
         if not basis.bend:
             return basis
         near = [replace(basis, bend=basis.bend + side * BEND_STEP / 2.0) for side in (0, -1, 1)]
-        scores = [cross_validate(self._statistics(one), structure).rmse for one in near]
+        scores = [self._score(one, structure).rmse for one in near]
         return near[int(np.argmin(scores))]
 
     def lag(self, basis: Basis, structure: Structure) -> tuple[Basis, Structure, tuple[float, float] | None]:
@@ -383,7 +382,7 @@ class _Search:
         if self._options.delay is None and basis.delay > 0.0:
             basis, structure, interval = found[-1]
             return basis, structure, interval  # without any delay the fit was far worse
-        scores = [cross_validate(self._statistics(one), other) for one, other, _ in found]
+        scores = [self._score(one, other) for one, other, _ in found]
         best = simplest_of(scores)
         if self._one and best == len(found) - 1 > 1:
             short = simplest_of(scores[:-1])
@@ -431,20 +430,20 @@ class _Search:
         as good as 1024 on two amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
         """
         listed = self._listed(structure.slopes, [structure.memories])
-        structure, _ = self._best(basis, listed, self._fine)
+        structure, _ = self._best(basis, listed, INDIFFERENCE if self._one else self._indifference)
         structure, score = self._smoothness(basis, structure)
         if self._options.gears is not None:
             return basis, structure, score
         usable = sum(int(log.used.sum()) for log in self._logs)
-        candidates = [(basis, score)]
+        candidates = [basis]
         for count in SLOPE_CHOICES[1:]:
-            other = replace(basis, gears=count, split=ALL_GEARS // count)
-            its = self._score(other, structure) if count * ROWS_PER_SLOPE <= usable else None
-            candidates += [] if its is None else [(other, its)]
-        basis, score = candidates[simplest_of([one[1] for one in candidates], FINE_INDIFFERENCE)]
+            if count * ROWS_PER_SLOPE <= usable:
+                candidates.append(replace(basis, gears=count, split=ALL_GEARS // count))
+        scores = [self._score(one, structure) for one in candidates]
+        best = simplest_of(scores, FINE_INDIFFERENCE)
+        basis, score = candidates[best], scores[best]
         finer = replace(basis, split=FINER_GEARS * basis.split)
-        its = self._score(finer, structure)
-        if its is not None and not no_worse(score, its, FINE_INDIFFERENCE):
+        if not no_worse(score, self._score(finer, structure), FINE_INDIFFERENCE):
             return finer, *self._smoothness(finer, structure)
         return basis, structure, score
 
@@ -453,23 +452,22 @@ class _Search:
         count = len(basis.time_constants)
         other = replace(structure, memories=tuple(range(count, count + len(LENGTHS))))
         way = self._score(replace(basis, lengths=LENGTHS), other)
-        return way is not None and bool(way.excess_over(score).mean() < np.log(EARNED))
+        return bool(way.excess_over(score).mean() < np.log(EARNED))
 
-    def _score(self, basis: Basis, structure: Structure) -> Score | None:
-        """Return the error on data left out; None where the candidate cannot be solved."""
+    def _score(self, basis: Basis, structure: Structure) -> Score:
+        """Return the error on data left out; without bound where the candidate cannot be solved."""
+        statistics = self._statistics(basis)
         try:
-            return cross_validate(self._statistics(basis), structure)
-        except FitError:
-            return None
+            return cross_validate(statistics, structure)
+        except FitError:  # one candidate that cannot be solved is no reason to refuse the log
+            return Score.of(np.full(len(statistics.rows), np.inf), statistics.rows)
 
     def _smoothness(self, basis: Basis, structure: Structure) -> tuple[Structure, Score]:
         """Smoothest slopes that are no worse on data left out."""
         smoothed = [replace(structure, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
-        tried = [(one, self._score(basis, one)) for one in smoothed]
-        solved = [(one, score) for one, score in tried if score is not None]
-        if not solved:
-            return structure, cross_validate(self._statistics(basis), structure)
-        return solved[simplest_of([score for _, score in solved], self._fine)]
+        scores = [self._score(basis, one) for one in smoothed]
+        best = simplest_of(scores, self._fine)
+        return smoothed[best], scores[best]
 
 
 def _interval(tried: dict[float, Score]) -> tuple[float, float]:
