@@ -96,7 +96,18 @@ def translated(
         other = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
         raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{other})") from None
     words = _words(plan, name, arithmetic)
-    summary = _summary(plan, code, folder, name, arithmetic, loss, tuple(_notes(plan, loss, words)))
+    count, run = plan.model.backlash.n, plan.model.backlash.equal_run
+    # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
+    passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
+    worst = worst_pass(count, run, arithmetic)
+    beyond = "" if plan.limits is None else plan.limits.beyond(plan.model.drive)
+    summary = ExportSummary(
+        folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
+        gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
+        state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
+        vectors=sum(len(one.inputs) for one in code.vectors), bounds=code.bounds, gears_loss=loss,
+        notes=tuple(_notes(plan, loss, words)), warnings=(beyond,) if beyond else (),
+    )  # fmt: skip
     return Translated(plan, code, summary, words)
 
 
@@ -153,25 +164,6 @@ def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
     """
     one_by_one = 4 + 64 if arithmetic == "double" else 2 * (64 if run < 3 else 8 + 63 // run + 2)
     return -(-gears // 64), min(gears, one_by_one)
-
-
-def _summary(
-    plan: CascadePlan, code: c.ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float],
-    notes: tuple[str, ...],
-) -> ExportSummary:  # fmt: skip
-    run = plan.model.backlash.equal_run
-    rows = -(-plan.model.backlash.n // run)
-    # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
-    passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
-    worst = worst_pass(plan.model.backlash.n, run, arithmetic)
-    beyond = "" if plan.limits is None else plan.limits.beyond(plan.model.drive)
-    return ExportSummary(
-        folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
-        gears=plan.model.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
-        state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
-        vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
-        notes=notes, warnings=(beyond,) if beyond else (),
-    )  # fmt: skip
 
 
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:

@@ -601,8 +601,7 @@ def time_column(
     date = dates[0] if len(dates) == 1 else None
     kinds = {"stamp": "dates and clock times", "clock": "clock times", "minutes": "minutes and seconds"}
     text = kinds[column.written] if date is None else f"clock times, dates in '{date.name}'"
-    bare = replace(column, unit=None)
-    return TimeColumn(place, bare, date, StatedTime("s"), True, described=text)
+    return TimeColumn(place, replace(column, unit=None), date, StatedTime("s"), True, described=text)
 
 
 class FoundTime(NamedTuple):

@@ -343,9 +343,7 @@ def _ask_about_number(place: str, columns: Sequence[ColumnInfo], selector: str, 
 def guess_columns(columns: Sequence[ColumnInfo], guesses: Sequence[str]) -> list[ColumnInfo]:
     """Find the columns whose quantity is one of ``guesses``, or else contains one as a word."""
     exact = [column for column in columns if column.quantity.lower() in guesses]
-    if exact:
-        return exact
-    return [column for column in columns if set(_words(column.quantity)) & set(guesses)]
+    return exact or [column for column in columns if set(_words(column.quantity)) & set(guesses)]
 
 
 def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[ColumnInfo]:
@@ -357,7 +355,7 @@ def matching_columns(columns: Sequence[ColumnInfo], wish: ColumnWish) -> list[Co
     of a name is in a unit that cannot be meant, no lesser name is taken in its place.
     """
     fitting = [column for column in columns if may_be(column, wish)]
-    preferred = guess_columns(fitting, wish.preferred) if wish.preferred else []
+    preferred = guess_columns(fitting, wish.preferred)
     found = preferred or guess_columns(fitting, wish.guesses)
     whole = [column for column in found if column.quantity.lower() in wish.guesses]
     sure = bool(found) and all(_is_sure(column, wish) for column in found)
@@ -460,11 +458,8 @@ def _has_lesser_name(column: ColumnInfo, wish: ColumnWish) -> bool:
 def may_be(column: ColumnInfo, wish: ColumnWish) -> bool:
     """Return whether nothing in a column's unit and words speaks against a wish."""
     kind = kind_of_unit(column.unit)
-    if column.written != "numbers":
-        return False
-    if wish.kinds is not None and kind is not None and kind not in wish.kinds:
-        return False
-    return not wish.contrary or not wish.contrary & set(_words(column.name))
+    unlike = wish.kinds is not None and kind is not None and kind not in wish.kinds
+    return column.written == "numbers" and not unlike and not wish.contrary & set(_words(column.name))
 
 
 def _words(quantity: str) -> list[str]:
@@ -527,8 +522,9 @@ def choose_columns(
             missing[role] = found
     if missing:
         raise InputError(_not_unique(place, columns, want, missing, [one.number for one in free], timed))
-    wished = {role: wish for role, wish in want.items() if role in chosen}
-    return {role: replace(chosen[role], may_be_blank=wish.may_be_blank) for role, wish in wished.items()}
+    return {
+        role: replace(chosen[role], may_be_blank=want[role].may_be_blank) for role in want if role in chosen
+    }
 
 
 def _only_one(

@@ -261,9 +261,7 @@ def program_columns(group: Any) -> list[ColumnSource]:
         return _pandas_columns(group)
     if all(name in group for name in ("Channels", "Log list", "Data")):
         return list(_labber_traces(group)) or list(_labber_steps(group))
-    if "pymodaq_version" in group.file.attrs:
-        return without_scalars(list(_pymodaq(group)))
-    return []
+    return without_scalars(list(_pymodaq(group))) if "pymodaq_version" in group.file.attrs else []
 
 
 def _pymodaq(group: Any, depth: int = 0) -> Iterator[ColumnSource]:
@@ -361,9 +359,9 @@ def _pandas_blocks(group: Any) -> list[ColumnSource]:
     found: dict[str, ColumnSource] = {}
     for number in range(int(np.ravel(attribute(group, "nblocks"))[0])):
         values, items = group.get(f"block{number}_values"), group.get(f"block{number}_items")
-        if not (is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub"):
-            continue
-        if len(values.shape) != 2:
+        if not (
+            is_dataset(values) and is_dataset(items) and values.dtype.kind in "fiub" and values.ndim == 2
+        ):
             continue
         for index, name in enumerate(map(clean_text, items[()].ravel())):
             source = ColumnSource(name, values.shape[0], slicer(values, 0, index))
@@ -393,9 +391,7 @@ def _as_index(source: ColumnSource, kind: str) -> list[ColumnSource]:
 def _from_stamps(source: ColumnSource, kind: str) -> ColumnSource | None:
     """Turn dates (and durations) stored as counts into seconds from the first row on."""
     found = re.fullmatch(r"(?:datetime|timedelta)64(?:\[(s|ms|us|ns)(?:,.*)?\])?", kind)
-    if found is None or not source.length:
-        return None
-    return from_first_row(source, found[1] or "ns")
+    return from_first_row(source, found[1] or "ns") if found is not None and source.length else None
 
 
 class _NoCode(pickle.Unpickler):

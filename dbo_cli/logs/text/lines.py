@@ -73,9 +73,7 @@ def is_number(cell: str, decimal: str) -> bool:
     pattern = _POINT if decimal == "." else _COMMA
     if pattern.fullmatch(cell) is not None:
         return cell.isascii()
-    if len(cell) > 4 and _ungrouped(cell, decimal):
-        return True
-    return cell.lstrip("+-").lower() in NOT_FINITE
+    return (len(cell) > 4 and _ungrouped(cell, decimal) != "") or cell.lstrip("+-").lower() in NOT_FINITE
 
 
 MISSING = frozenset({"na", "n/a", "nan", "null", "none", "nil", "missing"})
