@@ -55,6 +55,8 @@ from dbo_cli.hysteresis.model_state import StartName
 from dbo_cli.hysteresis.move_error import SMALLEST_TURN
 from dbo_cli.records import dataclass
 
+Booleans = NDArray[np.bool_]
+
 WARM_UPS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 """Of the log's length: time constants of a sensor that warms up. Memories longer than the first can stand in
 for a drift; with half as long ones 139 models were the same."""
@@ -91,9 +93,9 @@ actuators that only creep it is in 2."""
 TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 8, 8, 1e-8
 """Gears of each slope in a trial and in any probing fit, segments and smoothness. Chosen: on eight invented
 logs half and double, and a tenth and ten times the smoothness, led to the same models."""
-PROBE_SMOOTHNESS = (
-    1e-9  # of free slopes, before outliers are looked for: with 1e-8 one log predicted 7 % worse
-)
+PROBE_SMOOTHNESS = 1e-9
+"""Of free slopes, from which outliers and drift are told: with 1e-8 the authors' one log predicted the other
+7 % worse."""
 
 LEVEL_MOVES = 0.02
 """Scatter of the cycles' mean levels, of the drive or of a slow memory, over the drive's range, from which
@@ -291,8 +293,6 @@ def _trial(
         first += len(place)
     return _Trial(float(np.sqrt(min(errors) / rows)), float(best.gains[slow].sum()), max(sizes))
 
-
-Booleans = NDArray[np.bool_]
 
 FOLDS = 10
 """With 5, one of eight invented logs was followed worse by 18 %; 20 took half as long again. A cycle with

@@ -30,8 +30,8 @@ MOST = 0.5
 or these are passed over: a fit to fewer knows less than gaps spoil."""
 NOTICEABLE = 3e-4
 """Of the range: a voltage's noise below it moves fewer gears than the sensor's own noise hides, reversals
-below it are converter steps and noise, and a line of hum is not worth mentioning. Half and double changed
-none of ten models (benchmarks/halved_constants.py)."""
+below it are converter steps and noise, and a line of hum is not worth mentioning (for that half and double
+changed none of ten models, benchmarks/halved_constants.py)."""
 BLOCK_ROWS = 1 << 12  # at once: changes no bit; windows that fit the cache are sorted in a third of the time
 EVEN = 1e-3  # of a step: a clock written with few digits still counts as even; with 1e-6 models were the same
 AMPLITUDE_SCATTER = 0.1  # swings that differ by less count as one amplitude; 5 and 20 %: the same models
