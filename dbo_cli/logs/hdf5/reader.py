@@ -493,8 +493,8 @@ def _through(here: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> Any
         return None
     if not stat.S_ISREG(os.stat(target).st_mode):
         raise InputError(
-            f"{cleaned(here.file.filename)}: a link in '{here.name}' leads to '{cleaned(link.filename)}', which "
-            "is no regular file: take the link out, or read another file"
+            f"{cleaned(here.file.filename)}: a link in '{here.name}' leads to '{cleaned(link.filename)}', "
+            "which is no regular file: take the link out, or read another file"
         )
     root.watch.add(target)
     try:
@@ -612,6 +612,6 @@ def _sources(dataset: Any) -> Iterator[tuple[str, str]]:
             yield source.file_name, source.dset_name
     if mapped < claimed:
         raise InputError(
-            f"{cleaned(dataset.file.filename)}: dataset '{cleaned(dataset.name)}' is a virtual one with sources "
-            f"for {mapped:,} of its {claimed:,} samples"
+            f"{cleaned(dataset.file.filename)}: dataset '{cleaned(dataset.name)}' is a virtual one with "
+            f"sources for {mapped:,} of its {claimed:,} samples"
         )
