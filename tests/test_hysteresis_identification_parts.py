@@ -24,6 +24,7 @@ from dbo_cli.hysteresis.identification.recordings import (
     drive_shape,
     first_wiped_row,
     known_behind_gaps,
+    one_amplitude,
     pieces_behind_gaps,
     without_voltage_glitches,
 )
@@ -71,9 +72,9 @@ def test_drive_shape_counts_cycles_and_amplitudes() -> None:
     assert shape.turns.tolist() == [20, 40, 60, 80, 100, 120, 140, 160, 180]
     assert shape.cycles.tolist() == [40, 80, 120, 160]
     assert shape.cycle_count == 3
-    assert shape.one_amplitude
+    assert one_amplitude([shape])
     fading = drive_shape(sine(5) * np.linspace(1.0, 0.2, 201))
-    assert not fading.one_amplitude
+    assert not one_amplitude([fading])
 
 
 def test_history_is_wiped_out_when_both_ends_were_visited() -> None:

@@ -215,18 +215,20 @@ def test_the_standard_error_is_that_of_the_mean() -> None:
     assert not no_worse(wider, best, indifference=0.0)
 
 
-def test_the_delay_is_the_middle_of_those_that_explain_the_log() -> None:
+@pytest.mark.parametrize("delay", [0.0063, 0.0213])
+def test_the_delay_is_the_middle_of_those_that_explain_the_log(delay: float) -> None:
     rng = np.random.default_rng(12)
     voltage = sine(12, samples=200)
     seconds = 0.001 * np.arange(len(voltage))
     model = small_model()
     log = Recording("log", voltage, np.zeros(len(voltage)), time=seconds)
-    late = np.interp(seconds - 0.0063, seconds, predict(model, log))
+    late = np.interp(seconds - delay, seconds, predict(model, log))
     log = replace(log, displacement=late + 0.05 * rng.normal(size=len(voltage)))
     found = choose(prepare([log], 0.0), IdentificationOptions(gears=12, points=1, relaxation=()), 0.2)
     assert found.delay_interval is not None
     low, high = found.delay_interval
     assert high - low >= 0.0005
+    assert low <= delay <= high
     assert found.basis.delay == pytest.approx((low + high) / 2.0, abs=0.000126)
     assert abs(found.basis.delay - low) >= 0.0002
 

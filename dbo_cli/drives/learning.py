@@ -23,7 +23,7 @@ from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import soft_rise
 from dbo_cli.errors import InputError
 from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
-from dbo_cli.hysteresis.loops import settled_output
+from dbo_cli.hysteresis.loops import settled_run
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import rms
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
@@ -241,7 +241,8 @@ class RepeatedMove:
             last = begin if rows == count else begin + count  # the first of several is not settled yet
             voltage = one.voltage[last:].reshape(-1, count).mean(axis=0)
             measured = one.measured[last:].reshape(-1, count).mean(axis=0)
-            return _Pass(voltage, settled_output(model, voltage, step, self.options.state), measured)
+            begun = model.start(float(voltage[0]), self.options.state)
+            return _Pass(voltage, settled_run(model, voltage, step, begun).y, measured)
         begun = model.start(float(one.voltage[0]), self.options.state if begin == 0 else "auto")
         believed = model.simulate(one.voltage, begun, time_step=step).y
         own_rows = slice(begin, begin + count)

@@ -234,7 +234,23 @@ def even_clock(
     else:
         step = require_even(source.name, stamps, why)
     slack = JITTER * step + 2.0 * float(np.abs(steps - step).max(initial=0.0))
-    return step, _even_blocks(source.name, chain(held, rest), step, slack, why)
+
+    def checked() -> Iterator[SampleBlock]:
+        last: float | None = None
+        for block in chain(held, rest):
+            if block.time is not None and len(block):
+                steps = np.diff(block.time, prepend=block.time[0] - step if last is None else last)
+                odd = np.abs(steps - step) > slack
+                if odd.any():
+                    index = int(np.argmax(odd))
+                    raise InputError(
+                        f"{block.place(source.name, index)}: a time step of {steps[index]:.6g} s among steps "
+                        f"of {step:.6g} s, and {why} (`resample` HZ interpolates)"
+                    )
+                last = float(block.time[-1])
+            yield block
+
+    return step, checked()
 
 
 def first_blocks(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], FloatArray]:
@@ -247,24 +263,6 @@ def first_blocks(blocks: Iterator[SampleBlock]) -> tuple[list[SampleBlock], Floa
         held.append(more)
     times = [block.time for block in held if block.time is not None]
     return held, np.concatenate(times)[:CLOCK_SAMPLES] if times else np.zeros(0)
-
-
-def _even_blocks(
-    name: str, blocks: Iterable[SampleBlock], step: float, slack: float, why: str
-) -> Iterator[SampleBlock]:
-    last: float | None = None
-    for block in blocks:
-        if block.time is not None and len(block):
-            steps = np.diff(block.time, prepend=block.time[0] - step if last is None else last)
-            odd = np.abs(steps - step) > slack
-            if odd.any():
-                index = int(np.argmax(odd))
-                raise InputError(
-                    f"{block.place(name, index)}: a time step of {steps[index]:.6g} s among steps of "
-                    f"{step:.6g} s, and {why} (`resample` HZ interpolates)"
-                )
-            last = float(block.time[-1])
-        yield block
 
 
 def _split(blocks: Iterable[SampleBlock], last_row: int) -> Iterator[SampleBlock]:

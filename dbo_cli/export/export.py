@@ -96,7 +96,18 @@ def translated(
         other = f"`arithmetic` double{'' if arithmetic == 'q31' else ' or q31'}"
         raise ModelError(f"{problem} ({_gears_that_do(model, plan, arithmetic)}{other})") from None
     words = _words(plan, name, arithmetic)
-    summary = _summary(plan, code, folder, name, arithmetic, loss, tuple(_notes(plan, loss, words)))
+    count, run = plan.model.backlash.n, plan.model.backlash.equal_run
+    # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
+    passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
+    worst = worst_pass(count, run, arithmetic)
+    beyond = "" if plan.limits is None else plan.limits.beyond(plan.model.drive)
+    summary = ExportSummary(
+        folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
+        gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
+        state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
+        vectors=sum(len(one.inputs) for one in code.vectors), bounds=code.bounds, gears_loss=loss,
+        notes=tuple(_notes(plan, loss, words)), warnings=(beyond,) if beyond else (),
+    )  # fmt: skip
     return Translated(plan, code, summary, words)
 
 
@@ -155,25 +166,6 @@ def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:
     return -(-gears // 64), min(gears, one_by_one)
 
 
-def _summary(
-    plan: CascadePlan, code: c.ModelCode, folder: str, name: str, arithmetic: str, loss: dict[str, float],
-    notes: tuple[str, ...],
-) -> ExportSummary:  # fmt: skip
-    run = plan.model.backlash.equal_run
-    rows = -(-plan.model.backlash.n // run)
-    # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
-    passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
-    worst = worst_pass(plan.model.backlash.n, run, arithmetic)
-    beyond = "" if plan.limits is None else plan.limits.beyond(plan.model.drive)
-    return ExportSummary(
-        folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
-        gears=plan.model.backlash.n, table_rows=rows, run=run, table_bytes=code.table_bytes,
-        state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
-        vectors=sum(len(run.inputs) for run in code.vectors), bounds=code.bounds, gears_loss=loss,
-        notes=notes, warnings=(beyond,) if beyond else (),
-    )  # fmt: skip
-
-
 def _words(plan: CascadePlan, name: str, arithmetic: str) -> c.Values:
     """Return what every file of an export knows."""
     model, inverse = plan.model, plan.model.direction == "inverse"
@@ -226,7 +218,14 @@ def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str,
 def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources as they are, and headers that make their names this export's own."""
     name, guard = words["NAME"], words["GUARD"]
-    files = _kernel_texts(arithmetic, headers)
+    package, firmware = resources.files("dbo_cli.hysteresis"), resources.files("dbo_cli.export") / "firmware"
+    files = {}
+    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
+        for kind in ("c", "h"):
+            path = (firmware if file == "dbo_lookup" else package) / f"{file}.{kind}"
+            if arithmetic != "double":
+                path = firmware / f"{file}_single.{kind}"
+            files[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
     names = sorted({word for text in files.values() for word in _KERNEL_NAME.findall(text)})
     for file in [file for file in files if file.endswith(".h")]:
         kernel_guard = file.upper().replace(".", "_")
@@ -235,20 +234,6 @@ def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> 
     defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
     chosen = {key: arithmetic == key for key in ("float", "q31")}
     return {**files, f"{name}_names.h": c.fill("NAME_names.h", {**chosen, "names": defined})}
-
-
-def _kernel_texts(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
-    """Return the kernel's sources under the names they have in every export."""
-    package, firmware = resources.files("dbo_cli.hysteresis"), resources.files("dbo_cli.export") / "firmware"
-    kept = {"dbo_kernel": package, "dbo_dynamics": package, "dbo_lookup": firmware}
-    found = {}
-    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
-        for kind in ("c", "h"):
-            path = kept[file] / f"{file}.{kind}"
-            if arithmetic != "double":
-                path = firmware / f"{file}_single.{kind}"
-            found[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
-    return found
 
 
 def export_set(

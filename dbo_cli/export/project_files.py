@@ -190,16 +190,6 @@ def check_folder(folder: str, overwrite: bool) -> None:
         raise OutputError(f"{folder}: is no folder: choose another name")
     if not overwrite:
         raise OutputError(f"{folder}: the folder exists already (`overwrite` replaces an export)")
-    strangers = _not_of_an_export(target)
-    if strangers:
-        raise OutputError(
-            f"{folder}: holds '{strangers[0]}', which no export wrote: it is not overwritten"
-            " (move it, or choose another folder)"
-        )
-
-
-def _not_of_an_export(target: Path) -> list[str]:
-    """Return what stands in a folder beside the files of the export whose list lies there."""
     try:
         listed = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
         known = set(listed["files"]) if listed["format"] == FORMAT else set()
@@ -208,7 +198,11 @@ def _not_of_an_export(target: Path) -> list[str]:
     except (OSError, ValueError, KeyError, TypeError):
         known = set()
     found = sorted(p.relative_to(target).as_posix() for p in target.rglob("*") if not p.is_dir())
-    return [path for path in found if path not in known]
+    if strangers := [path for path in found if path not in known]:
+        raise OutputError(
+            f"{folder}: holds '{strangers[0]}', which no export wrote: it is not overwritten"
+            " (move it, or choose another folder)"
+        )
 
 
 def write_folder(

@@ -17,7 +17,7 @@ import numpy as np
 
 from dbo_cli.hysteresis.cascade import through, whole_and_part
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated, StartName
+from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.operators import BacklashState, Floats
 
 MOST_PASSES = 200
@@ -128,13 +128,6 @@ def slow_model(model: ActuatorModel) -> ActuatorModel:
     return model.without(model.dynamics, model.delay)
 
 
-def settled_output(
-    model: ActuatorModel, drive: Floats, step: float, start: StartName | ModelState = "auto"
-) -> Floats:
-    """Return the output of one period of a drive that has been repeated for ever."""
-    return settled_run(model, drive, step, model.start(float(drive[0]), start)).y
-
-
 def settled_run(model: ActuatorModel, drive: Floats, step: float, state: ModelState) -> Simulated:
     """Return the settled period of a repeated drive, and the state at its end."""
     inner, lagging = model.without_lag, None
@@ -167,7 +160,11 @@ def settling(
     mean = float(slow_output(model, drive, step, before).mean())
     first = float(slow_output(model, drive, step, dataclasses.replace(begun, dynamics=None)).mean()) - mean
     terms, memory = model.backlash.relaxation, before.backlash.memory
-    rest = _memory_at(model, begun, float(drive[0]), step)
+    rest = begun.backlash.memory
+    if rest is None and model.needs_time:  # at rest at the sample to come: what it has after that
+        still = dataclasses.replace(begun, dynamics=None, undoing=None, history=None)
+        after = slow_model(model).simulate(drive[:1], still, time_step=step).state
+        rest = after.backlash.memory
     if terms is None or memory is None or rest is None:
         return first, int(abs(first) > within)
     effects = memory_effects(model, drive, step, before)
@@ -252,14 +249,3 @@ def creep_rest(
         seconds = long
     level = rest(seconds)[0] + terms.reference
     return float(through(model.head_inverse, np.array([level]))[0]), seconds
-
-
-def _memory_at(
-    model: ActuatorModel, state: ModelState, drive: float, step: float
-) -> tuple[float, ...] | None:
-    """Return the memory of a state; one at rest at the sample to come has it after that sample."""
-    if state.backlash.memory is not None or not model.needs_time:
-        return state.backlash.memory
-    inner = slow_model(model)
-    begun = dataclasses.replace(state, dynamics=None, undoing=None, history=None)
-    return inner.simulate([drive], begun, time_step=step).state.backlash.memory

@@ -435,8 +435,21 @@ class ActuatorModel:
         """Return the backlash stage's block, the state after, the counts, and the first value missed."""
         if x.size == 0:
             return x, state, Counts(), 0.0
-        if state.first is not None:
-            return self._first_block(x, state, steps, outside, limits)
+        if state.first is not None:  # the block begins with a voltage found by ``start``
+            first, (low, high) = state.first, self.backlash.x_range
+            _, backlash, _ = self.forward_backlash.run([first.voltage], state.backlash)
+            _, _, unbound = self.backlash.run(x[:1], state.backlash)
+            missed = float(x[0]) - first.reached
+            short = abs(missed) > NEGLIGIBLE * (high - low)
+            clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)
+            rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
+            begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
+            y, after, counts, _ = self._backlash_block(x[1:], begun, rest_steps, outside, limits)
+            total = Counts(unbound.outside, 0, int(clipped), 0).then(counts, 1)
+            # By the mean size of this model's input per unit of the stage's input.
+            miss = missed if short and not clipped and not unbound.outside else 0.0
+            missed = miss * (self.input.span / (high - low))
+            return np.concatenate([[first.voltage], y]), after, total, missed
         relaxation = self.backlash.relaxation
         decay = relaxation.decay(steps) if relaxation and steps is not None else None
         bound = None if limits is None else self.output_limits(limits, steps)
@@ -445,25 +458,6 @@ class ActuatorModel:
         )
         after = dataclasses.replace(state, backlash=backlash, drive=float(y[-1]), time=None)
         return y, after, counts, 0.0
-
-    def _first_block(
-        self, x: Floats, state: ModelState, steps: Steps | None, outside: Outside, limits: DriveLimits | None
-    ) -> tuple[Floats, ModelState, Counts, float]:
-        """As ``_backlash_block``, for the block that begins with a voltage found by ``start``."""
-        assert state.first is not None
-        first = state.first
-        _, backlash, _ = self.forward_backlash.run([first.voltage], state.backlash)
-        _, _, unbound = self.backlash.run(x[:1], state.backlash)
-        missed = float(x[0]) - first.reached
-        short = abs(missed) > NEGLIGIBLE * (self.backlash.x_range[1] - self.backlash.x_range[0])
-        clipped = short and limits is not None and first.voltage in (limits.v_min, limits.v_max)
-        rest_steps = steps[1:] if isinstance(steps, np.ndarray) else steps
-        begun = dataclasses.replace(state, backlash=backlash, drive=first.voltage, first=None, time=None)
-        y, after, counts, _ = self._backlash_block(x[1:], begun, rest_steps, outside, limits)
-        total = Counts(unbound.outside, 0, int(clipped), 0).then(counts, 1)
-        low, high = self.backlash.x_range  # the mean size of this model's input per unit of the stage's input
-        miss = missed if short and not clipped and not unbound.outside else 0.0
-        return np.concatenate([[first.voltage], y]), after, total, miss * (self.input.span / (high - low))
 
     @cached_property
     def _covered(self) -> tuple[float, float]:

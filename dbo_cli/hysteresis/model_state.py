@@ -47,11 +47,6 @@ def start_state(operator: DiscreteBacklashOperator, voltage: float, name: StartN
     return operator.settled(voltage)
 
 
-def _reached(operator: DiscreteBacklashOperator, voltage: float, state: BacklashState) -> float:
-    """Return the output at rest at ``voltage``, from ``state``."""
-    return float(operator.run([voltage], state)[0][0])
-
-
 def start_drive(
     operator: DiscreteBacklashOperator, displacement: float, low: float = -math.inf, high: float = math.inf
 ) -> DriveStart:
@@ -75,7 +70,7 @@ def start_drive(
         voltage = float(inverse.run([displacement], state)[0][0])
         if start_state(operator, voltage, "auto") == state:
             return _within(operator, voltage, low, high)
-        if _reached(operator, middle, state) < displacement:
+        if float(operator.run([middle], state)[0][0]) < displacement:
             below = middle
         else:
             above = middle
@@ -89,7 +84,7 @@ def _within(operator: DiscreteBacklashOperator, voltage: float, low: float, high
     """Return the start at ``voltage``, or at the limit that is in the way."""
     allowed = min(max(voltage, low), high)
     state = start_state(operator, allowed, "auto")
-    return DriveStart(allowed, state, _reached(operator, allowed, state))
+    return DriveStart(allowed, state, float(operator.run([allowed], state)[0][0]))
 
 
 NEGLIGIBLE = 1e-9

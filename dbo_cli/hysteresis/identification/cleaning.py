@@ -47,7 +47,7 @@ SPIKE_SIGMAS = 8.0  # with 4 and 16, errors on new moves of eight invented logs 
 SPIKE_SPREAD = 2.0
 """A spike leaves its neighbours by so many times what they differ among themselves; a turn does not."""
 
-MOST_OUTLYING = 0.2  # of the rows: more are what the actuator does; chosen
+MOST_SPIKES = 0.2  # of the rows: more are not spikes; chosen
 
 STUCK_PATH = 0.08
 """Of the drive's range: how far it may travel while a working sensor, even one of 5 bits, repeats itself."""
@@ -117,7 +117,7 @@ def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
     spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
     # 0.1 % of the range: chosen.
     spiked &= away > 1e-3 * float(np.subtract(*np.percentile(displacement, [99.0, 1.0])))
-    return spiked if spiked.mean() <= MOST_OUTLYING else np.zeros(len(displacement), bool)
+    return spiked if spiked.mean() <= MOST_SPIKES else np.zeros(len(displacement), bool)
 
 
 def stuck_rows(displacement: Floats, voltage: Floats) -> Booleans:

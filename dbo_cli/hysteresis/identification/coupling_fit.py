@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.recordings import Floats, runs
 from dbo_cli.hysteresis.model_set import Coupling
-
-Floats = NDArray[np.float64]
 
 AT_REST = (
     1e-3  # of a drive's range, at most: what a voltmeter may scatter while nothing is asked of the amplifier
@@ -146,15 +144,12 @@ def stretches(drive: Floats, still: float) -> list[tuple[int, int]]:
     windows = np.lib.stride_tricks.sliding_window_view(drive, SHORTEST)
     spread = windows.max(axis=1) - windows.min(axis=1)
     still = min(still, 2.0 * float(np.quantile(spread, QUIET)))
-    quiet = np.concatenate([[0], spread <= still, [0]]).astype(int)
-    turns = np.diff(quiet)
-    found = zip(np.flatnonzero(turns == 1), np.flatnonzero(turns == -1) + SHORTEST - 1, strict=True)
     apart: list[tuple[int, int]] = []
-    for start, stop in found:
-        begin = max(int(start), apart[-1][1] if apart else 0)
+    for start, end in runs(spread <= still):
+        begin, stop = max(start, apart[-1][1] if apart else 0), end + SHORTEST - 1
         # Where a drive creeps on all the time, no window shows it.
         if stop - begin >= SHORTEST and np.ptp(drive[begin:stop]) <= 2.0 * still:
-            apart.append((begin, int(stop)))
+            apart.append((begin, stop))
     return apart
 
 

@@ -67,17 +67,8 @@ class Recording:
 METHODS = ("least-squares", "paper")
 SLOPES = ("growing", "falling", "free")
 ZEROS = ("none", "mean", "first")
-NOT_FOR_PAPER = (
-    "relaxation",
-    "delay",
-    "slopes",
-    "skip_seconds",
-    "rated",
-    "sensor_delay",
-    "sensor_lag",
-    "dynamics",
-)
-
+NOT_FOR_PAPER = ("relaxation", "delay", "slopes", "skip_seconds", "rated", "sensor_delay", "sensor_lag",
+                 "dynamics")  # fmt: skip
 NOT_WITH_PRIOR = ("gears", "points", "relaxation", "delay", "slopes", "method", "zero", "dynamics")
 
 MOST_GEARS = 10_000  # the normal equations of so many take 800 MB
@@ -134,18 +125,15 @@ class IdentificationOptions:
 
     def __post_init__(self) -> None:
         """Refuse what is not of its kind or contradicts the rest."""
-        self._check_count("gears", self.gears, 1)
+        for name, least in (("gears", 1), ("points", 0), ("dynamics", 0)):
+            _check_count(name, getattr(self, name), least)
         if self.gears is not None and self.gears > MOST_GEARS:
             raise UsageError(f"`gears` {self.gears}: {MOST_GEARS:,} are more than any log can tell apart")
-        self._check_count("points", self.points, 0)
-        self._check_count("dynamics", self.dynamics, 0)
         if self.dynamics is not None and self.dynamics > 2:
             raise UsageError(f"`dynamics` {self.dynamics}: at most two resonances are looked for")
-        _seconds("skip", self.skip_seconds)
-        _seconds("sensor_delay", self.sensor_delay)
-        _seconds("sensor_lag", self.sensor_lag)
-        if self.delay is not None:
-            _seconds("delay", self.delay)
+        for name in ("skip_seconds", "sensor_delay", "sensor_lag", "delay"):
+            if name != "delay" or self.delay is not None:
+                _seconds(name.removesuffix("_seconds"), getattr(self, name))
         if self.relaxation is not None:
             self._check_relaxation(self.relaxation)
         if self.slopes is not None:
@@ -157,13 +145,6 @@ class IdentificationOptions:
         _choice("force", self.force, (False, True))
         if self.method == "paper":
             self._check_paper()
-
-    @staticmethod
-    def _check_count(name: str, value: object, least: int) -> None:
-        if value is None:
-            return
-        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-            raise UsageError(f"`{name}` {value!r}: is a whole number, at least {least}")
 
     def _check_relaxation(self, taus: object) -> None:
         if isinstance(taus, str) or not isinstance(taus, Sequence):
@@ -200,11 +181,18 @@ class IdentificationOptions:
             value = getattr(self, name)
             nothing = name in ("relaxation", "delay", "dynamics") and not value
             if value != usual[name] and not nothing:
-                shown = {"skip_seconds": "skip"}.get(name, name)
+                shown = name.removesuffix("_seconds")
                 raise UsageError(
                     f"`{shown}` does not go with `method` paper: the paper's model is fitted to one cycle "
                     "and has neither lag nor delay (`rows` A:B cuts the cycle out)"
                 )
+
+
+def _check_count(name: str, value: object, least: int) -> None:
+    if value is None:
+        return
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+        raise UsageError(f"`{name}` {value!r}: is a whole number, at least {least}")
 
 
 def _is_number(value: object) -> bool:
@@ -234,13 +222,6 @@ class DriveShape:
     amplitudes: Floats
 
     @property
-    def one_amplitude(self) -> bool:
-        """Whether all swings are the same, but for a small scatter."""
-        if len(self.amplitudes) < 2:
-            return True
-        return float(np.ptp(self.amplitudes)) <= AMPLITUDE_SCATTER * float(self.amplitudes.max())
-
-    @property
     def cycle_count(self) -> int:
         """Number of whole cycles."""
         return max(len(self.cycles) - 1, 0)
@@ -263,6 +244,12 @@ def drive_shape(voltage: Floats) -> DriveShape:
     else:
         cycles = turns
     return DriveShape(turns, cycles, amplitudes)
+
+
+def one_amplitude(shapes: Sequence[DriveShape]) -> bool:
+    """Whether all cycles of all logs go over one and the same range."""
+    amplitudes = np.concatenate([shape.amplitudes for shape in shapes])
+    return len(amplitudes) < 2 or float(np.ptp(amplitudes)) <= AMPLITUDE_SCATTER * float(amplitudes.max())
 
 
 def check_recordings(recordings: Sequence[Recording]) -> None:
