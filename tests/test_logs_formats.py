@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.signal_log import SignalLog, open_log
-from tests.shapes.format_files import LIBRARY_FILES, FormatFile
+from tests.shapes.format_files import LIBRARY_FILES, D, FormatFile, T, V
 from tests.shapes.format_table import page
 from tests.shapes.instrument_files import INSTRUMENT_FILES
 from tests.shapes.laboratory_files import LABORATORY_FILES
@@ -197,3 +197,14 @@ def test_a_rate_of_unlike_lists_is_refused_in_words() -> None:
 
     (stated,) = read_statements("fs", [1.0, [2.0, 3.0]])
     assert stated.problem == "'fs' (several values) is no single number"
+
+
+def test_a_struct_whose_label_is_no_text_is_no_channel(tmp_path: Path) -> None:
+    import scipy.io
+
+    path = tmp_path / "run.mat"
+    calibration = {"Data": np.arange(3.0), "label": np.arange(3.0)}
+    signals = {"t": np.array(T), "voltage": np.array(V), "displacement": np.array(D)}
+    scipy.io.savemat(path, signals | {"calibration": calibration})
+    with open_log(str(path), {role: wish(role) for role in ("voltage", "displacement")}) as log:
+        assert log.read().values["voltage"].tolist() == list(V)

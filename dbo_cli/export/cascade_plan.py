@@ -35,11 +35,19 @@ class CascadePlan:
         Seconds between samples; None where nothing depends on them.
     limits : DriveLimits, or None
         Of an inverse: range and slew of the drive. A forward model has none.
+    gain, decay : array
+        Of each relaxation term c_j, output of the forward backlash stage per unit of its input, and
+        a_j = exp(-dt/tau_j).
+    reference : float
+        The drive, as the backlash stage meets it, at which nothing is remembered.
     """
 
     model: ActuatorModel
     time_step: float | None
     limits: DriveLimits | None
+    gain: Floats
+    decay: Floats
+    reference: float
 
     @property
     def drive_stages(self) -> MemoryFree:
@@ -65,30 +73,10 @@ class CascadePlan:
         return self.gain.size
 
     @property
-    def gain(self) -> Floats:
-        """c_j, output of the forward backlash stage per unit of its input."""
-        relaxation = self.model.backlash.relaxation
-        return np.array(relaxation.gain if relaxation else (), dtype=np.float64)
-
-    @property
-    def decay(self) -> Floats:
-        """a_j = exp(-dt/tau_j)."""
-        relaxation = self.model.backlash.relaxation
-        if relaxation is None or self.time_step is None:
-            return np.empty(0)
-        factors: Floats = relaxation.decay(self.time_step)[0]
-        return factors
-
-    @property
     def kappa(self) -> float:
         """The immediate part of the memory on an inverse's output: sum c_j (1 - a_j), term by term."""
         on_output = self.model.backlash.memory_on == "output"
         return float(sum((self.gain * (1.0 - self.decay)).tolist())) if on_output else 0.0
-
-    @property
-    def reference(self) -> float:
-        """The drive, as the backlash stage meets it, at which nothing is remembered."""
-        return self.model.backlash.relaxation.reference if self.model.backlash.relaxation else 0.0
 
     @property
     def slew_step(self) -> float | None:
@@ -176,13 +164,15 @@ def plan_cascade(
     timed = turned.needs_time or (limits is not None and limits.max_slew is not None)
     if timed and sample_rate is None:
         raise UsageError("the model depends on the time between samples: give `sample_rate` in Hz")
-    plan = CascadePlan(turned, None if sample_rate is None else 1.0 / sample_rate, limits)
-    if relaxation is not None and np.any(plan.decay >= 1.0):
+    step = None if sample_rate is None else 1.0 / sample_rate
+    decay = np.empty(0) if relaxation is None or step is None else relaxation.decay(step)[0]
+    if relaxation is not None and np.any(decay >= 1.0):
         raise ModelError(
             f"relaxation.tau: {max(relaxation.tau)!r} s is too slow for {sample_rate!r} Hz"
             " (`sample_rate` lower)"
         )
-    return plan
+    gain, reference = ((), 0.0) if relaxation is None else (relaxation.gain, relaxation.reference)
+    return CascadePlan(turned, step, limits, np.array(gain, dtype=np.float64), decay, reference)
 
 
 def ignored_beyond(quantity: Quantity) -> str:

@@ -218,7 +218,14 @@ def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str,
 def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources as they are, and headers that make their names this export's own."""
     name, guard = words["NAME"], words["GUARD"]
-    files = _kernel_texts(arithmetic, headers)
+    package, firmware = resources.files("dbo_cli.hysteresis"), resources.files("dbo_cli.export") / "firmware"
+    files = {}
+    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
+        for kind in ("c", "h"):
+            path = (firmware if file == "dbo_lookup" else package) / f"{file}.{kind}"
+            if arithmetic != "double":
+                path = firmware / f"{file}_single.{kind}"
+            files[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
     names = sorted({word for text in files.values() for word in _KERNEL_NAME.findall(text)})
     for file in [file for file in files if file.endswith(".h")]:
         kernel_guard = file.upper().replace(".", "_")
@@ -227,20 +234,6 @@ def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> 
     defined = "".join(f"#undef {word}\n#define {word} {name}_{word}\n" for word in names)
     chosen = {key: arithmetic == key for key in ("float", "q31")}
     return {**files, f"{name}_names.h": c.fill("NAME_names.h", {**chosen, "names": defined})}
-
-
-def _kernel_texts(arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
-    """Return the kernel's sources under the names they have in every export."""
-    package, firmware = resources.files("dbo_cli.hysteresis"), resources.files("dbo_cli.export") / "firmware"
-    kept = {"dbo_kernel": package, "dbo_dynamics": package, "dbo_lookup": firmware}
-    found = {}
-    for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
-        for kind in ("c", "h"):
-            path = kept[file] / f"{file}.{kind}"
-            if arithmetic != "double":
-                path = firmware / f"{file}_single.{kind}"
-            found[f"{file}.{kind}"] = path.read_text(encoding="utf-8")
-    return found
 
 
 def export_set(

@@ -264,14 +264,7 @@ class SingleKernel:
             out = self.through(self.t.behind, F(counts))
         if self.t.change is not None:
             out = min(max(out, self.output - self.t.change), self.output + self.t.change)
-        self.output = self._kept(out)
-        return self._lagged(self.output)
-
-    def _kept(self, out: Number) -> Number:
-        """Return an output within the limits."""
-        return out if self.t.clip is None else min(max(out, self.t.clip[0]), self.t.clip[1])
-
-    def _lagged(self, out: Number) -> Number:
+        self.output = out = self._kept(out)
         whole, part = self.t.delay
         if whole < 0:
             return out
@@ -282,3 +275,7 @@ class SingleKernel:
         if self.t.q31:
             return later + scaled_down((earlier - later) * part, 30)
         return later + part * (earlier - later) if part else later
+
+    def _kept(self, out: Number) -> Number:
+        """Return an output within the limits."""
+        return out if self.t.clip is None else min(max(out, self.t.clip[0]), self.t.clip[1])

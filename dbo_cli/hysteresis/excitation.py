@@ -163,7 +163,9 @@ class Excitation:
             )
         fastest = math.pi * frequency * self.span
         if self.max_slew is not None and fastest > self.max_slew:
-            slowed = _digits_down(self.max_slew / (math.pi * self.span))
+            slowed = self.max_slew / (math.pi * self.span)
+            unit = 10.0 ** (math.floor(math.log10(slowed)) - 2)
+            slowed = float(f"{math.floor(slowed / unit) * unit:.3g}")  # no larger, of three digits
             raise UsageError(
                 f"`max_slew` {self.max_slew:g}: the whole range at {frequency:g} Hz needs {fastest:.6g} V/s "
                 f"(`frequency` {slowed:g} and a `duration` of at least {math.ceil(FEWEST_CYCLES / slowed)})"
@@ -314,12 +316,6 @@ def _stretched(legs: list[Leg], steps: int) -> list[Leg]:
     ends = np.cumsum([count for _, count in legs])
     ends = ends * steps // ends[-1]
     return [(turn, int(count)) for (turn, _), count in zip(legs, np.diff(ends, prepend=0), strict=True)]
-
-
-def _digits_down(value: float) -> float:
-    """Return a number no larger, of three digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return float(f"{math.floor(value / unit) * unit:.3g}")
 
 
 def sweep(

@@ -267,15 +267,20 @@ def _is_channel_list(value: Any) -> bool:
     """Recognise an array of structs with a name and values each (dSPACE's Y, Simulink's signals)."""
     items = value if isinstance(value, list | np.ndarray) else [value]
     structs = isinstance(items, list) or items.dtype == object
-    return structs and len(items) > 0 and all(_is_channel(one) and _first(one, _LABELS) for one in items)
+    return structs and len(items) > 0 and all(_is_channel(one) and _label(one) for one in items)
 
 
 def _channels(name: str, value: Any) -> Iterator[ColumnSource]:
     for number, one in enumerate(value if isinstance(value, list | np.ndarray) else [value], start=1):
-        label = str(_first(one, _LABELS) or name or number).strip('"')
+        label = (_label(one) or str(name or number)).strip('"')
         unit = _first(one, _UNIT_NAMES)
         for source in _arrays(label, np.atleast_1d(_first(one, _VALUES))):
             yield replace(source, unit=unit if isinstance(unit, str) and unit else None)
+
+
+def _label(struct: dict[str, Any]) -> str:
+    label = _first(struct, _LABELS)
+    return str(label or "") if np.ndim(label) == 0 else ""
 
 
 def _first(struct: dict[str, Any], names: Sequence[str]) -> Any:

@@ -72,8 +72,10 @@ def open_hdf5(request: Request) -> ColumnTable:
         raise InputError(f"{address.path}: no such file")
     if os.path.isdir(address.path):
         raise InputError(f"{address.path}: this is a folder, not a log")
+    if not os.path.isfile(address.path):
+        raise InputError(f"{address.path}: this is no regular file, and HDF5 needs one")
     try:
-        file = open_safely(address.path, request.watch)
+        file = _SafeFile(address.path, request.watch)
     except OSError as problem:
         raise InputError(f"{address.path}: cannot be read as HDF5: {brief(problem)}") from None
     try:
@@ -396,24 +398,6 @@ _HARMLESS_BYTES = 100_000_000  # an empty place kept for something else does not
 _LEAST_STORED = 0.001  # of the claimed samples: less than that is no recording with a gap
 
 
-def open_safely(path: str, watch: FileWatch) -> Any:
-    """Open an HDF5 file for reading; what is got from it by name is checked before it is handed out.
-
-    Links that lead nowhere or in a circle are as if they were not there (``get`` gives None). Files behind
-    links are closed with it, and watched like it.
-
-    Raises
-    ------
-    InputError
-        The path is no regular file; later: what is asked for is not safe to read.
-    OSError
-        HDF5 cannot open it.
-    """
-    if not stat.S_ISREG(os.stat(path).st_mode):
-        raise InputError(f"{path}: this is no regular file, and HDF5 needs one")
-    return _SafeFile(path, watch)
-
-
 class _SafeGroup(h5py.Group):  # type: ignore[misc]
     """A group whose members are looked at before they are opened.
 
@@ -445,10 +429,13 @@ class _SafeGroup(h5py.Group):  # type: ignore[misc]
 
 
 class _SafeFile(_SafeGroup, h5py.File):  # type: ignore[misc]
-    """A file opened with care."""
+    """A file whose members are checked before they are handed out; files behind links are closed with it.
+
+    Links that lead nowhere or in a circle are as if they were not there (``get`` gives None). ``watch`` gets
+    the files behind links, too.
+    """
 
     def __init__(self, path: str, watch: FileWatch) -> None:
-        watch.add(path)
         h5py.File.__init__(self, path, "r")
         self.watch = watch
         self.root = self
@@ -506,8 +493,8 @@ def _through(here: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> Any
         return None
     if not stat.S_ISREG(os.stat(target).st_mode):
         raise InputError(
-            f"{_name_of(here.file)}: a link in '{here.name}' leads to '{cleaned(link.filename)}', which is "
-            "no regular file: take the link out, or read another file"
+            f"{cleaned(here.file.filename)}: a link in '{here.name}' leads to '{cleaned(link.filename)}', "
+            "which is no regular file: take the link out, or read another file"
         )
     root.watch.add(target)
     try:
@@ -516,10 +503,6 @@ def _through(here: Any, link: Any, rest: str, root: _SafeFile, hops: int) -> Any
         return None
     root.behind_links.append(other)
     return _resolved(other, "/" + path.lstrip("/"), root, hops)
-
-
-def _name_of(file: Any) -> str:
-    return cleaned(_text(file.filename))
 
 
 def _file_named(name: str, beside: str) -> str | None:
@@ -538,7 +521,7 @@ def check_dataset(dataset: Any, watch: FileWatch) -> None:
         Its samples are another file's (external storage), a source is missing or is the dataset itself
         (virtual), or hardly any of its samples are stored.
     """
-    place = f"{_name_of(dataset.file)}: dataset '{cleaned(dataset.name or '')}'"
+    place = f"{cleaned(dataset.file.filename)}: dataset '{cleaned(dataset.name or '')}'"
     shape = dataset.shape
     if not shape or 0 in shape:
         return
@@ -580,11 +563,11 @@ def _stored_share(dataset: Any) -> float:
 
 
 def _check_virtual(dataset: Any, place: str, watch: FileWatch, above: tuple[tuple[str, str], ...]) -> None:
-    own = (os.path.realpath(_text(dataset.file.filename)), dataset.name)
+    own = (os.path.realpath(dataset.file.filename), dataset.name)
     if own in above or len(above) > _MOST_HOPS:
         raise InputError(f"{place} is a virtual one made of itself: it holds no samples")
     for file_name, name in _sources(dataset):
-        source = _file_named(file_name, _text(dataset.file.filename)) if file_name != "." else own[0]
+        source = _file_named(file_name, dataset.file.filename) if file_name != "." else own[0]
         if "%" in file_name + name:
             raise InputError(f"{place} is a virtual one of numbered files: join them into one file first")
         called = f"'{cleaned(name)}'" + (f" in '{cleaned(file_name)}'" if file_name != "." else "")
@@ -629,6 +612,6 @@ def _sources(dataset: Any) -> Iterator[tuple[str, str]]:
             yield source.file_name, source.dset_name
     if mapped < claimed:
         raise InputError(
-            f"{_name_of(dataset.file)}: dataset '{cleaned(dataset.name)}' is a virtual one with sources for "
-            f"{mapped:,} of its {claimed:,} samples"
+            f"{cleaned(dataset.file.filename)}: dataset '{cleaned(dataset.name)}' is a virtual one with "
+            f"sources for {mapped:,} of its {claimed:,} samples"
         )
