@@ -94,8 +94,8 @@ TRIAL_SPLIT, TRIAL_SEGMENTS, TRIAL_SMOOTHNESS = 8, 8, 1e-8
 """Gears of each slope in a trial and in any probing fit, segments and smoothness. Chosen: on eight invented
 logs half and double, and a tenth and ten times the smoothness, led to the same models."""
 PROBE_SEGMENTS = 4
-"""Of the asymmetry beside free slopes, where the history before a log is looked for. With 8 they stood in for it
-on growing triangles: three of twelve wires and magnets erred by 2.0 to 5.4 % instead of 0.1 to 2.2."""
+"""Of the asymmetry beside free slopes, where the history before a log is looked for. With 8 they stood in
+for it: after growing triangles three of twelve wires and magnets erred by 2.0 to 5.4 %, not by 0.1 to 2.2."""
 PROBE_SMOOTHNESS = 1e-9
 """Of free slopes, from which outliers and drift are told: with 1e-8 the authors' one log predicted the other
 7 % worse."""
@@ -593,8 +593,8 @@ def _left_open(log: PreparedLog) -> PreparedLog | None:
 def _probe_error(log: PreparedLog, low: float, high: float) -> float:
     """RMSE of a probing fit, asymmetry and all, to one log, as a share of the log's own range.
 
-    Without memories a lag and creep passed for an unknown history, and the rows at new extremes were lost: after
-    60 logs of growing triangles new moves erred 1.1 times as much, after one of them 8 times.
+    Without memories a lag and creep passed for an unknown history, and the rows at new extremes were lost:
+    after 60 logs of growing triangles new moves erred 1.1 times as much, after one of them 8 times.
     """
     taus = () if log.seconds is None else _time_constants([log])
     values = log.output[log.used]
