@@ -252,6 +252,8 @@ FAULTS: list[Fault] = [
         IDENTIFICATION,
         ("return -1.0 if together < 0.0 else 1.0", "return 1.0", "the sign of the gain"),
         ("return cut if np.ptp(cut) > 0.0 else values", "return values", "one spike turns neither sign nor scale"),
+        ("_trial_basis(low, high, taus), PROBE_SEGMENTS)", "_trial_basis(low, high), PROBE_SEGMENTS)",
+         "creep is no unknown history"),
     ),
     *_faults(
         "hysteresis/identification/refinement.py",
@@ -530,6 +532,7 @@ FAULTS: list[Fault] = [
         ("hysteresis_identification",),
         ("return choose(prepared, replace(options, relaxation=()), cycle)", "pass",
          "memories of the time do not stand for those of the way"),
+        ("fast - slow < np.log(SPEEDS_APART)", "fast < slow", "a lag on ramps of one speed is a lag"),
     ),
     *_faults(
         "hysteresis/identification/expectation.py",

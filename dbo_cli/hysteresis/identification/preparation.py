@@ -600,7 +600,8 @@ def _probe_error(log: PreparedLog, low: float, high: float) -> float:
     values = log.output[log.used]
     scaled = replace(log, output=(log.output - values.min()) / np.ptp(values))
     trial = gather(fewer_rows([scaled]), _trial_basis(low, high, taus), PROBE_SEGMENTS)
-    _, error = trial.solved(Structure("free", tuple(range(len(taus))), PROBE_SEGMENTS, PROBE_SMOOTHNESS))
+    memories = tuple(range(trial.columns.memories))
+    _, error = trial.solved(Structure("free", memories, PROBE_SEGMENTS, PROBE_SMOOTHNESS))
     return float(np.sqrt(error)) * float(np.ptp(values))
 
 
