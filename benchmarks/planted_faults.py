@@ -252,6 +252,10 @@ FAULTS: list[Fault] = [
         IDENTIFICATION,
         ("return -1.0 if together < 0.0 else 1.0", "return 1.0", "the sign of the gain"),
         ("return cut if np.ptp(cut) > 0.0 else values", "return values", "one spike turns neither sign nor scale"),
+    ),
+    *_faults(
+        "hysteresis/identification/preparation.py",
+        ("hysteresis_identification",),
         ("_trial_basis(low, high, taus), PROBE_SEGMENTS)", "_trial_basis(low, high), PROBE_SEGMENTS)",
          "creep is no unknown history"),
     ),
