@@ -12,6 +12,7 @@ TYPE_CHECKING = False  # as in typing, which is not imported for it
 if TYPE_CHECKING:
     from dbo_cli.errors import (
         DboError,
+        DboWarning,
         FitError,
         InputError,
         LimitError,
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
         OutputError,
         UsageError,
     )
-    from dbo_cli.remarks import DboWarning
     from dbo_cli.runs.api import Model, ModelSet, compensate, identify, read_log, read_model, report, simulate
     from dbo_cli.runs.trajectories import trajectory
 
@@ -44,7 +44,7 @@ __all__ = [
     "trajectory",
 ]
 
-_ROOMS = {"DboWarning": "remarks", "trajectory": "runs.trajectories"}
+_ROOMS = {"DboWarning": "errors", "trajectory": "runs.trajectories"}
 
 
 if not TYPE_CHECKING:  # else a type checker would believe in any name

@@ -29,7 +29,6 @@ PLACES: dict[str, tuple[int, float, float, str]] = {
     # level from below, left and right end of the box, what the room is for
     "errors": (0, 0.0, 3.4, "what users meet: one class a kind"),
     "records": (0, 3.7, 6.0, "how a class of fields is made"),
-    "remarks": (0, 6.3, 8.2, "notes, warnings"),
     "version": (0, 8.5, 10.0, ""),
     "hysteresis": (1, 0.0, 4.8, "operators, model, states, their files"),
     "logs": (1, 5.2, 10.0, "formats, columns, units, clocks, outputs"),

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import dbo_cli
-from dbo_cli import errors, remarks
+from dbo_cli import errors
 from dbo_cli.drives.controller import Controller
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.shapes import TrajectoryOptions
@@ -121,7 +121,7 @@ def error_rows() -> str:
     """Return a table of the exceptions and the warning."""
     rows = ["| name | exit code | what it is |", "|---|---|---|"]
     for name in dbo_cli.__all__:
-        one = getattr(errors, name, None) or getattr(remarks, name, None)
+        one = getattr(errors, name, None)
         if one is not None:
             code = getattr(one, "exit_code", "")
             rows.append(

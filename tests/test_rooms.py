@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
 ORDER = [
-    "version", "errors", "records", "remarks", "hysteresis", "logs", "relatives", "drives", "reports",
+    "version", "errors", "records", "hysteresis", "logs", "relatives", "drives", "reports",
     "export", "waveforms", "runs", "cli",
 ]  # fmt: skip
 SIBLINGS = [

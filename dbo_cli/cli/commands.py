@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbo_cli.cli import options
 from dbo_cli.cli.options import Option
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import Listener, Remarks, UsageError
 from dbo_cli.logs.plain_text import cleaned, pattern
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import Listener, Remarks
 
 if TYPE_CHECKING:
     from dbo_cli.export import ExportSummary
@@ -475,7 +474,7 @@ def export(given: Given) -> None:
     In 32-bit floats, with a bound on the error:
         dbo export model.json -o firmware --arithmetic float --sample-rate 10000
     """
-    from dbo_cli.remarks import Remarks
+    from dbo_cli.errors import Remarks
     from dbo_cli.runs.channels import export_models
     from dbo_cli.runs.jobs import summed_up
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import soft_rise
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, Remarks
 from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
 from dbo_cli.hysteresis.loops import settled_run
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -30,7 +30,6 @@ from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step
 from dbo_cli.logs.sources import Source, WholeSource
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import Remarks
 
 FORMAT, VERSION = "dbo-history", 1
 

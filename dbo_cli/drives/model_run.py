@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, Remarks
 from dbo_cli.hysteresis import kernel, model_state
 from dbo_cli.hysteresis.cascade import read_ahead
 from dbo_cli.hysteresis.dynamics import (
@@ -28,7 +28,6 @@ from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs.sample_block import GAP_STEPS, JITTER, FloatArray, SampleBlock, require_even
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import Remarks
 
 CLOCK_SAMPLES = 101
 """A clock's step is that of so many first samples, however the signal is cut."""

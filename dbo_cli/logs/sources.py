@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, Remarks, UsageError
 from dbo_cli.logs.clock import find_time_column
 from dbo_cli.logs.columns import ColumnWish, choose_columns, column_info, find_column
 from dbo_cli.logs.request import ALL_ROWS, BLOCK_ROWS, ReadingOptions, Rows, checked_rate
 from dbo_cli.logs.sample_block import ColumnInfo, FloatArray, SampleBlock, TimeCheck, joined, require_even
 from dbo_cli.logs.units import ONE, UnitFactor, unit_factor
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import Remarks
 
 if TYPE_CHECKING:
     import pandas
@@ -126,7 +125,7 @@ class Source:
 def remarks_of(source: Source) -> Remarks:
     """Return notes, warnings and reading line of a source that was read."""
     line = source.reading_line()
-    return Remarks(list(source.notes), list(source.warnings), [] if line is None else [line])
+    return Remarks(source.notes, source.warnings, [] if line is None else [line])
 
 
 def samples(name: str, values: ArrayLike) -> FloatArray:

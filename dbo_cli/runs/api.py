@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import DboError, InputError, UsageError
+from dbo_cli.errors import DboError, DboWarning, InputError, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_set import Coupling, is_set, read_set, set_to_bytes
@@ -29,7 +29,6 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import ArraySource, is_file, is_log
 from dbo_cli.logs.whole_output import write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import DboWarning, Remarks
 from dbo_cli.runs import files
 from dbo_cli.runs.jobs import Outcome, Work, summed_up
 

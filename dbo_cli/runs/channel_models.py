@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import FitError, UsageError
+from dbo_cli.errors import SILENT, FitError, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -20,7 +20,6 @@ from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs import identifying, jobs
 from dbo_cli.runs.channels import (
     CHANNEL,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs import whole_output
@@ -29,7 +29,6 @@ from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import TABLE, is_file, is_table
 from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
 

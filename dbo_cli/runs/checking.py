@@ -9,7 +9,7 @@ import numpy as np
 
 from dbo_cli.drives.check import CheckedDrive, check_drive, check_played, played_tolerance
 from dbo_cli.drives.options import Figure, check_gain, limits_in, plain_in
-from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.errors import LimitError, Remarks, UsageError, plain
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, check_document, selected_files
 from dbo_cli.logs.sample_block import SampleBlock, even_step, joined
@@ -18,7 +18,6 @@ from dbo_cli.logs.sources import remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import check_output, write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import Remarks, plain
 
 
 @dataclass(frozen=True)

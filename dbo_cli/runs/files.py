@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
-from dbo_cli.errors import InputError, OutputError, UsageError
+from dbo_cli.errors import SILENT, InputError, Listener, OutputError, Remarks, UsageError, plain
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_set import read_model
@@ -33,7 +33,6 @@ from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.sources import ArraySource, Source, is_file, is_log, is_table, table_source
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import SILENT, Listener, Remarks, plain
 
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Tracked

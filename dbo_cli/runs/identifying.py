@@ -11,7 +11,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Any
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import SILENT, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
@@ -27,7 +27,6 @@ from dbo_cli.logs.sources import ArraySource, Source, is_table, remarks_of
 from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.runs.files import bring_to, opened, recording_wishes, short_names
 from dbo_cli.version import program_version_string
 
@@ -113,7 +112,7 @@ def identify_recordings(
     }
     if prior is not None:
         provenance["prior"] = dict(prior.provenance)
-    remarks = Remarks(warnings=list(found.warnings))
+    remarks = Remarks(warnings=found.warnings)
     for log in [*logs, *validation]:
         remarks.add(log.remarks)
     return Identified(dataclasses.replace(found.model, provenance=provenance), found.summary, remarks)

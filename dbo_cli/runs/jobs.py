@@ -15,12 +15,11 @@ from dataclasses import field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dbo_cli import errors
-from dbo_cli.errors import DboError, UsageError
+from dbo_cli.errors import SILENT, DboError, Listener, Remarks, UsageError
 from dbo_cli.logs.plain_text import pattern
 from dbo_cli.logs.request import Address, parse_address
 from dbo_cli.logs.whole_output import KeptOutputs, kept_outputs, make_folder
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import SILENT, Listener, Remarks
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

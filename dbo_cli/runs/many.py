@@ -7,10 +7,9 @@ import functools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import Listener, Remarks, UsageError
 from dbo_cli.logs.request import Address
 from dbo_cli.logs.whole_output import check_outputs
-from dbo_cli.remarks import Listener, Remarks
 from dbo_cli.runs.files import Destination, SignalRun
 from dbo_cli.runs.jobs import FILE, Outcome, Work, check_names, each_file, of_file, sum_up, summed_up
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
-from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.errors import SILENT, LimitError, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs import request
@@ -25,7 +25,6 @@ from dbo_cli.logs.signal_log import SignalLog, open_log
 from dbo_cli.logs.sources import Source, remarks_of
 from dbo_cli.logs.whole_output import all_or_none, check_output, write_whole
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import SILENT, Listener, Remarks
 from dbo_cli.reports import renderers
 from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save

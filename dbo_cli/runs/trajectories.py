@@ -13,7 +13,7 @@ from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.learning import trusted_frequency
 from dbo_cli.drives.model_run import FAST_PART, FASTER
 from dbo_cli.drives.shapes import TrajectoryOptions, move
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import Remarks, UsageError
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.columns import OutColumn
@@ -21,7 +21,6 @@ from dbo_cli.logs.request import check_format
 from dbo_cli.logs.signal_writer import signal_writer
 from dbo_cli.logs.whole_output import all_or_none
 from dbo_cli.records import dataclass
-from dbo_cli.remarks import Remarks
 from dbo_cli.runs.api import Model, require_known
 from dbo_cli.runs.files import Destination, shown_name, summary_of_values, write_summary
 
