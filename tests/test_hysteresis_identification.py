@@ -427,6 +427,25 @@ def test_a_saturating_curve_stays_invertible_and_keeps_its_segments() -> None:
     assert result.fit["rmse"] < 0.006 * 100.0  # type: ignore[operator]
 
 
+def relays(voltage: Floats) -> Floats:
+    """Return the displacement (um) of relays that switch about the middle of 0 to 10 V, from rest at 0."""
+    rng = np.random.default_rng(2)
+    middle, half = 5.0 + 2.2 * rng.uniform(-1.0, 1.0, 600), rng.gamma(2.0, 0.5, 600)
+    on, found = np.zeros(600, bool), []
+    for volt in voltage.tolist():
+        on = (on | (volt >= np.minimum(middle + half, 9.95))) & (volt > np.maximum(middle - half, 0.05))
+        found.append(1.5 * volt + 85.0 * float(on.mean()) / 10.0)
+    return np.array(found)
+
+
+def test_no_free_slopes_where_one_kind_of_smaller_swings_must_answer_for_all() -> None:
+    """Two amplitudes from one end: free slopes won on them, and erred by 13 % of a move at other levels."""
+    drive = np.concatenate([sine for top in (10.0, 5.0) for sine in [nested(2, 200, top)] * 3])
+    seen = relays(drive) + 0.01 * np.random.default_rng(1).normal(size=len(drive))
+    found = identify([Recording("log", drive, seen, sample_period=0.005)])
+    assert found.fit["slopes"] == "growing"
+
+
 def test_no_free_slopes_on_one_amplitude() -> None:
     same = np.tile(nested(3)[:150], 8)
     kinked = Relaxation(0.0, (0.02,), (0.05,))

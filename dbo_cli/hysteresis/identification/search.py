@@ -33,6 +33,7 @@ from dbo_cli.hysteresis.identification.statistics import (
     fitted_rmse,
     fitted_squares,
     gather,
+    groupings,
     groups_left_out,
     no_worse,
     relaxed_drive,
@@ -294,8 +295,14 @@ class _Search:
         """Return 'free' slopes where they are far better on cycles and on swings of a kind left out.
 
         Among the cycles of one amplitude, and of few, free slopes always win, and lose on another amplitude.
+        So they do where the smaller swings are all of one kind: after two amplitudes from one end three of
+        eleven plants took them, and erred by 3.3, 6.3 and 10.8 % on new moves instead of 2.2, 1.0 and 9.8.
         """
         if self._options.slopes is not None or self._one:
+            return structure.slopes
+        groups_of = [grouped for name, grouped in groupings(self._logs, basis) if name != "speeds"]
+        kinds = [np.unique(np.concatenate([log.fold for log in grouped])) for grouped in groups_of]
+        if all(np.count_nonzero(found > 0) < 2 for found in kinds):
             return structure.slopes
         ruled, score = self._best(basis, self._listed(structure.slopes, [structure.memories]))
         free, other = self._best(basis, self._listed("free", [structure.memories]))
