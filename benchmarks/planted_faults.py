@@ -537,6 +537,8 @@ FAULTS: list[Fault] = [
         ("return choose(prepared, replace(options, relaxation=()), cycle)", "pass",
          "memories of the time do not stand for those of the way"),
         ("fast - slow < np.log(SPEEDS_APART)", "fast < slow", "a lag on ramps of one speed is a lag"),
+        ("listed = self._listed(best.slopes, [best.memories], best.smoothness)", "listed = [best]",
+         "the asymmetry of springs that slip keeps its segments"),
         ("if all(np.count_nonzero(found > 0) < 2 for found in kinds):", "if False:",
          "one kind of smaller swings does not answer for all"),
     ),

@@ -230,6 +230,7 @@ class _Search:
             self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
         self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
+        self._order = INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
         self._fine = INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
         self._gathered: dict[Basis, Statistics] = {}
 
@@ -246,14 +247,13 @@ class _Search:
         self,
         slopes: str,
         memories: Sequence[tuple[int, ...]],
-        smoothness: Sequence[float] = (TRIAL_SMOOTHNESS,),
+        smoothness: float = TRIAL_SMOOTHNESS,
     ) -> list[Structure]:
         """Return the list of candidates, simplest first."""
         return [
-            Structure(slopes, some, segments, weight, kinks)
+            Structure(slopes, some, segments, smoothness, kinks)
             for segments, kinks in self._segments
             for some in memories
-            for weight in smoothness
         ]
 
     def _best(
@@ -442,8 +442,8 @@ class _Search:
         as good as 1024 on two amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
         """
         listed = self._listed(structure.slopes, [structure.memories])
-        structure, _ = self._best(basis, listed, INDIFFERENCE if self._one else self._indifference)
-        structure, score = self._smoothness(basis, structure)
+        structure, _ = self._best(basis, listed, self._order)
+        structure, score = self._shaped(basis, structure)
         if self._options.gears is not None:
             return basis, structure, score
         usable = sum(int(log.used.sum()) for log in self._logs)
@@ -456,7 +456,7 @@ class _Search:
         basis, score = candidates[best], scores[best]
         finer = replace(basis, split=FINER_GEARS * basis.split)
         if not no_worse(score, self._score(finer, structure), FINE_INDIFFERENCE):
-            return finer, *self._smoothness(finer, structure)
+            return finer, *self._shaped(finer, structure)
         return basis, structure, score
 
     def forgets(self, basis: Basis, structure: Structure, score: Score) -> bool:
@@ -479,12 +479,15 @@ class _Search:
         except FitError:  # one candidate that cannot be solved is no reason to refuse the log
             return Score.of(np.full(len(statistics.rows), np.inf), statistics.rows)
 
-    def _smoothness(self, basis: Basis, structure: Structure) -> tuple[Structure, Score]:
-        """Smoothest slopes that are no worse on data left out."""
+    def _shaped(self, basis: Basis, structure: Structure) -> tuple[Structure, Score]:
+        """Smoothest slopes that are no worse on data left out, then the segments again, beside them.
+
+        Beside slopes as smooth as in a trial, those of springs that slip, any segments look alike.
+        """
         smoothed = [replace(structure, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
-        scores = [self._score(basis, one) for one in smoothed]
-        best = simplest_of(scores, self._fine)
-        return smoothed[best], scores[best]
+        best = smoothed[simplest_of([self._score(basis, one) for one in smoothed], self._fine)]
+        listed = self._listed(best.slopes, [best.memories], best.smoothness)
+        return self._best(basis, listed, self._order)
 
 
 def _interval(tried: dict[float, Score]) -> tuple[float, float]:
