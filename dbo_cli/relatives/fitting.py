@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import FitError, ModelError
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage
 from dbo_cli.hysteresis.identification import normal_equations, search, statistics
+from dbo_cli.hysteresis.identification.cleaning import LONGEST_DELAY
 from dbo_cli.hysteresis.identification.evaluation import predict
 from dbo_cli.hysteresis.identification.preparation import Prepared
 from dbo_cli.hysteresis.identification.recordings import FEWEST_ROWS, Recording
@@ -365,7 +366,7 @@ def fit(
     if relative.kind == "rate-plays":
         design = replace(design, fastest=_fastest(logs, design))
     falls = (False,) if relative.kind == "one-sided-plays" or plays == 1 else (False, True)
-    period, longest = search.sample_period(prepared.logs) or 1.0, search.LONGEST_DELAY * (cycle or 0.0)
+    period, longest = search.sample_period(prepared.logs) or 1.0, LONGEST_DELAY * (cycle or 0.0)
     trials = [step for step in DELAY_TRIALS if step * period <= longest]  # without a clock 0 alone
     ways = [(*best_delay(logs, replace(design, falling=fall), trials, period), fall) for fall in falls]
     delay, _, falling = min(ways, key=lambda way: way[1])
@@ -402,7 +403,7 @@ def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
             if not scores:
                 raise
             break
-    return designs[statistics.simplest_of(scores, search.FINE_INDIFFERENCE, max_standard_error=0.0)]
+    return designs[statistics.simplest_of(scores, search.FINE_INDIFFERENCE)]
 
 
 def _fastest(logs: Sequence[PreparedLog], design: Design) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import FitError, UsageError
-from dbo_cli.hysteresis.identification.cleaning import Sensor, cleaned
+from dbo_cli.hysteresis.identification.cleaning import LONGEST_DELAY, Sensor, cleaned
 from dbo_cli.hysteresis.identification.evaluation import (
     FOLDS,
     STUDENT,
@@ -35,7 +35,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     median_cycle_seconds,
     without_voltage_glitches,
 )
-from dbo_cli.hysteresis.identification.search import LONGEST_DELAY
 from dbo_cli.hysteresis.identification.static import BROKEN, Identification
 from dbo_cli.hysteresis.identification.statistics import drift_columns
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, ScaleStage
@@ -206,7 +205,7 @@ def _interval(parts: Sequence[float]) -> float:
 
 def _moved(logs: Sequence[_Log], held: float, cycle: float | None) -> _Moved:
     """Return gain, offset and change of the lag from ``held`` (s); no change without a clock."""
-    lag, lag_error = (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY * cycle)
+    lag, lag_error = (0.0, 0.0) if cycle is None else _lag(logs, held, LONGEST_DELAY / 2.0 * cycle)
     products = _products(logs, max(held + lag, 0.0))
     total = products.sum(axis=0)
     gain = _gain_and_error(total)[0]

@@ -9,19 +9,23 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.hysteresis.identification.cleaning import LONGEST_DELAY
 from dbo_cli.hysteresis.identification.normal_equations import (
     KNOT_SMOOTHNESS,
     Structure,
 )
-from dbo_cli.hysteresis.identification.preparation import LEVEL_MOVES, TRIAL_SMOOTHNESS, Prepared
+from dbo_cli.hysteresis.identification.preparation import (
+    LEVEL_MOVES,
+    LONGEST_MEMORY,
+    TRIAL_SMOOTHNESS,
+    Prepared,
+)
 from dbo_cli.hysteresis.identification.recordings import IdentificationOptions
 from dbo_cli.hysteresis.identification.statistics import (
     ALL_GEARS,
     EARNED,
-    EVIDENT,
     INDIFFERENCE,
     LENGTHS,
-    MAX_STANDARD_ERROR,
     SLOPE_CHOICES,
     TIME_CONSTANT_RATIO,
     Basis,
@@ -61,21 +65,9 @@ of the range with 8 to 0.33, on a shape-memory wing from 0.52 to 0.21; smooth pi
 one amplitude may not choose from the rougher ones: loop and asymmetry then stand in for each other (three
 times the error on a softening loop)."""
 
-ONE_AMPLITUDE_MEMORY = 0.15
-"""What memories must gain there over a delay alone: they make loops, too, at the logs' one frequency. Where
-they took part for less, ten plants were followed 1.3 to 4 times worse on other amplitudes."""
-
-ONE_AMPLITUDE_INDIFFERENCE = 0.05
-"""A gain below this share is no evidence there while bend and lag are looked for. On 26 logs of one amplitude
-the geometric mean of the error over the best rival's was 1.19 with 0.02, 1.13 with 0.05."""
-
-ORDER_INDIFFERENCE = 0.01
-"""Of segments and memories: a kink in the asymmetry is worth having for less than rougher slopes are. With
-half and double 139 models erred as much, but the authors' log of part of the range by 2 % more with half, and
-one of an invented plant by 3 times as much on one move with double."""
-FINE_INDIFFERENCE = (
-    0.005  # where the logs themselves can tell: with 0.01 some models erred three times as much
-)
+FINE_INDIFFERENCE = 0.005
+"""Where the logs hold several amplitudes, and can tell themselves: with 0.01 in the choice of the smoothness
+one of 194 models erred by 2.2 times as much, some of an earlier set by three."""
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-14, 1e-16)
 """Springs that slip at a few forces have slopes with kinks: their error on new moves (four kinds of logs) was
 0.36 to 0.52 of that with 1e-12 for the last; on nine other kinds it is the same or less (0.76 to 1.00)."""
@@ -87,11 +79,6 @@ SPEEDS_APART = 1.5
 """Times the speed of the slower swings: less, and time and way are one, so that no log tells them apart. On
 ramps of one speed memories of the way took the place of a lag: errors of 0.1 to 0.7 um became 1.3 to 6.2."""
 
-LONGEST_MEMORY = 0.5
-"""Of the longest log, wherever the ratio leads: creep over minutes, seen through 15 s at 5 kHz, was followed
-to 0.005 um instead of 0.007 so (0.9 and 0.45 of the error at 2.5 to 5 kHz); a whole log was worth no more."""
-
-LONGEST_DELAY = 0.125  # of a cycle; half and double changed none of ten models, nor of the next line
 FINEST_DELAY_STEP = 0.25  # of a sample: what a fit to noisy cycles can tell
 DELAY_TRIALS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)  # sample periods
 
@@ -229,9 +216,7 @@ class _Search:
         if options.points is not None:
             self._segments = ((max(options.points, 1), KNOT_SMOOTHNESS),)
         self._finest = self._segments[-1][0]
-        self._indifference = ONE_AMPLITUDE_INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
-        self._order = INDIFFERENCE if one_amplitude else ORDER_INDIFFERENCE
-        self._fine = INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
+        self._indifference = INDIFFERENCE if one_amplitude else FINE_INDIFFERENCE
         self._gathered: dict[Basis, Statistics] = {}
 
     def _statistics(self, basis: Basis) -> Statistics:
@@ -256,26 +241,23 @@ class _Search:
             for some in memories
         ]
 
-    def _best(
-        self, basis: Basis, candidates: Sequence[Structure], indifference: float | None = None
-    ) -> tuple[Structure, Score]:
+    def _best(self, basis: Basis, candidates: Sequence[Structure]) -> tuple[Structure, Score]:
         """Return the simplest candidate that is no worse than the best, and its error on data left out."""
         statistics = self._statistics(basis)
-        indifference = self._indifference if indifference is None else indifference
         scores: list[Score] = []
         kept: list[Structure] = []
         least = np.inf
         for structure in candidates:
             # What is left out is predicted no better than what is fitted: most need not be left out at all.
             try:
-                if fitted_rmse(statistics, structure) <= least * (1.0 + indifference):
+                if fitted_rmse(statistics, structure) <= least * (1.0 + INDIFFERENCE):
                     scores.append(cross_validate(statistics, structure))
                     kept.append(structure)
                     least = min(least, scores[-1].rmse)
             except FitError:  # one candidate that cannot be solved is no reason to refuse the log
                 if structure == candidates[-1] and not scores:
                     raise
-        best = simplest_of(scores, indifference, max(indifference, MAX_STANDARD_ERROR))
+        best = simplest_of(scores, self._indifference)
         return kept[best], scores[best]
 
     def direction(self, basis: Basis) -> tuple[str, float]:
@@ -324,10 +306,10 @@ class _Search:
             if errors[step] > min(errors.values()):
                 break
         best = min(errors, key=lambda step: errors[step])
-        return best * self._period if errors[best] < EVIDENT * errors[0.0] else 0.0
+        return best * self._period if errors[best] < EARNED * errors[0.0] else 0.0
 
     def _steps_within(self, samples: Sequence[float]) -> list[float]:
-        """Return the delays, in samples, that are within an eighth of a cycle."""
+        """Return the delays, in samples, that are within a quarter of a cycle."""
         assert self._cycle is not None
         longest = LONGEST_DELAY * self._cycle
         return list(itertools.takewhile(lambda step: step * self._period <= longest, samples))
@@ -397,8 +379,9 @@ class _Search:
         scores = [self._score(one, other) for one, other, _ in found]
         best = simplest_of(scores)
         if self._one and best == len(found) - 1 > 1:
+            # Memories make loops, too, at the logs' one frequency.
             short = simplest_of(scores[:-1])
-            if no_worse(scores[short], scores[best], ONE_AMPLITUDE_MEMORY, ONE_AMPLITUDE_MEMORY):
+            if not _earned(scores[best], scores[short]):
                 best = short
         return found[best][0], found[best][1], found[max(best, 1)][2]
 
@@ -442,7 +425,7 @@ class _Search:
         as good as 1024 on two amplitudes of a tendon: 0.18 % of error on new moves instead of 0.05).
         """
         listed = self._listed(structure.slopes, [structure.memories])
-        structure, _ = self._best(basis, listed, self._order)
+        structure, _ = self._best(basis, listed)
         structure, score = self._shaped(basis, structure)
         if self._options.gears is not None:
             return basis, structure, score
@@ -469,7 +452,7 @@ class _Search:
         count = len(basis.time_constants)
         other = replace(structure, memories=tuple(range(count, count + len(LENGTHS))))
         way = self._score(replace(basis, lengths=LENGTHS), other)
-        return bool(way.excess_over(score).mean() < np.log(EARNED))
+        return _earned(way, score)
 
     def _score(self, basis: Basis, structure: Structure) -> Score:
         """Return the error on data left out; without bound where the candidate cannot be solved."""
@@ -485,9 +468,14 @@ class _Search:
         Beside slopes as smooth as in a trial, those of springs that slip, any segments look alike.
         """
         smoothed = [replace(structure, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
-        best = smoothed[simplest_of([self._score(basis, one) for one in smoothed], self._fine)]
+        best = smoothed[simplest_of([self._score(basis, one) for one in smoothed], self._indifference)]
         listed = self._listed(best.slopes, [best.memories], best.smoothness)
-        return self._best(basis, listed, self._order)
+        return self._best(basis, listed)
+
+
+def _earned(score: Score, other: Score) -> bool:
+    """Return whether a candidate does so much better than another that a larger model is worth it."""
+    return bool(score.excess_over(other).mean() < np.log(EARNED))
 
 
 def _interval(tried: dict[float, Score]) -> tuple[float, float]:
