@@ -539,7 +539,7 @@ FAULTS: list[Fault] = [
         ("fast - slow < np.log(SPEEDS_APART)", "fast < slow", "a lag on ramps of one speed is a lag"),
         ('rules = ("growing",) if self._one else ("growing", "falling")', 'rules = ("growing",)',
          "a loop that leads is found behind a late sensor"),
-        ('rules = ("growing",) if self._one else ("growing", "falling")', 'rules = ("growing", "falling")',
+        ("TRIAL_SMOOTHNESS) for one in rules]", 'TRIAL_SMOOTHNESS) for one in ("growing", "falling")]',
          "a wide loop of one amplitude lags"),
         ("listed = self._listed(best.slopes, [best.memories], best.smoothness)", "listed = [best]",
          "the asymmetry of springs that slip keeps its segments"),

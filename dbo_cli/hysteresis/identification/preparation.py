@@ -38,7 +38,6 @@ from dbo_cli.hysteresis.identification.recordings import (
     runs,
 )
 from dbo_cli.hysteresis.identification.statistics import (
-    EARNED,
     SLOPE_CHOICES,
     TIME_CONSTANT_RATIO,
     Basis,
@@ -549,7 +548,7 @@ def _with_offsets_behind_gaps(recording: Recording, log: PreparedLog, low: float
     if not own:
         return log
     opened = replace(log, drift=np.column_stack((log.drift, *own)), stretches=len(own))
-    better = _probe_error(opened, low, high) < EARNED * _probe_error(log, low, high)
+    better = _probe_error(opened, low, high) < MOST * _probe_error(log, low, high)
     return opened if better else log
 
 
@@ -566,7 +565,7 @@ def _with_history(log: PreparedLog, low: float, high: float, notes: list[str]) -
     if errors[best] >= 0.99 * errors[0]:  # chosen: no evident gain
         best = 0
     opened = None if log.stretches else _left_open(log)
-    if opened is not None and _probe_error(opened, low, high) < EARNED * errors[best]:
+    if opened is not None and _probe_error(opened, low, high) < MOST * errors[best]:
         lost = int(log.used.sum() - opened.used.sum())
         notes.append(
             f"{log.name}: {lost} rows at new extremes of the drive left out: no known start explains them, "

@@ -244,21 +244,18 @@ class _Search:
     def _best(self, basis: Basis, candidates: Sequence[Structure]) -> tuple[Structure, Score]:
         """Return the simplest candidate that is no worse than the best, and its error on data left out."""
         statistics = self._statistics(basis)
-        scores: list[Score] = []
-        kept: list[Structure] = []
+        found: list[tuple[Structure, Score]] = []
         least = np.inf
-        for structure in candidates:
+        for structure in reversed(candidates):
             # What is left out is predicted no better than what is fitted: most need not be left out at all.
             try:
                 if fitted_rmse(statistics, structure) <= least * (1.0 + INDIFFERENCE):
-                    scores.append(cross_validate(statistics, structure))
-                    kept.append(structure)
-                    least = min(least, scores[-1].rmse)
+                    found.insert(0, (structure, cross_validate(statistics, structure)))
+                    least = min(least, found[0][1].rmse)
             except FitError:  # one candidate that cannot be solved is no reason to refuse the log
-                if structure == candidates[-1] and not scores:
+                if structure == candidates[0] and not found:
                     raise
-        best = simplest_of(scores, self._indifference)
-        return kept[best], scores[best]
+        return found[simplest_of([score for _, score in found], self._indifference)]
 
     def direction(self, basis: Basis) -> tuple[str, float]:
         """Return the rule for the slopes that the loop's sense asks for, and how much worse the other is.
@@ -471,7 +468,7 @@ class _Search:
         Beside slopes as smooth as in a trial, those of springs that slip, any segments look alike.
         """
         smoothed = [replace(structure, smoothness=smoothness) for smoothness in SMOOTHNESS_CHOICES]
-        best = smoothed[simplest_of([self._score(basis, one) for one in smoothed], self._indifference)]
+        best, _ = self._best(basis, smoothed)
         listed = self._listed(best.slopes, [best.memories], best.smoothness)
         return self._best(basis, listed)
 
