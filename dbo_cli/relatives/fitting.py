@@ -403,7 +403,10 @@ def _simplest(logs: Sequence[PreparedLog], designs: Sequence[Design]) -> Design:
             if not scores:
                 raise
             break
-    return designs[statistics.simplest_of(scores, search.FINE_INDIFFERENCE)]
+    least = min(scores, key=lambda one: one.rmse)
+    losses = [float(one.excess_over(least).mean()) for one in scores]  # no scatter excuses a coarser rival
+    near = min(losses) + float(np.log1p(search.FINE_INDIFFERENCE))
+    return designs[next(k for k, loss in enumerate(losses) if loss <= near)]
 
 
 def _fastest(logs: Sequence[PreparedLog], design: Design) -> float:
