@@ -27,7 +27,8 @@ SMALL_SWING = 0.35  # of the range: larger ones are loops, no sweep's; divides t
 KNOWN_PAST = 0.4  # of a log, at most, is left out for its unknown history; chosen
 MOST = 0.5
 """More than half of the rows, of an error, of a square is most of it. So many rows must be left behind gaps,
-or these are passed over: a fit to fewer knows less than gaps spoil."""
+or these are passed over: a fit to fewer knows less than gaps spoil. An open history, whose price are rows and
+offsets, has to explain most of the error; with 0.9 a log without noise that began full was opened."""
 NOTICEABLE = 3e-4
 """Of the range: a voltage's noise below it moves fewer gears than the sensor's own noise hides, reversals
 below it are converter steps and noise, and a line of hum is not worth mentioning (for that half and double

@@ -66,8 +66,8 @@ one amplitude may not choose from the rougher ones: loop and asymmetry then stan
 times the error on a softening loop)."""
 
 FINE_INDIFFERENCE = 0.005
-"""Where the logs hold several amplitudes, and can tell themselves: with 0.01 in the choice of the smoothness
-one of 194 models erred by 2.2 times as much, some of an earlier set by three."""
+"""The same where the logs hold several amplitudes and can tell: with 0.01 in the choice of the smoothness one
+of 194 models erred by 2.2 times as much, some of an earlier set by three."""
 SMOOTHNESS_CHOICES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-14, 1e-16)
 """Springs that slip at a few forces have slopes with kinks: their error on new moves (four kinds of logs) was
 0.36 to 0.52 of that with 1e-12 for the last; on nine other kinds it is the same or less (0.76 to 1.00)."""
