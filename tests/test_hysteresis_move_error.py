@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import ModelError
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, DelayStage, Quantity, ScaleStage
+from dbo_cli.hysteresis.model import (
+    ActuatorModel,
+    BacklashStage,
+    DelayStage,
+    PointStage,
+    Quantity,
+    ScaleStage,
+)
 from dbo_cli.hysteresis.model_file import model_to_bytes
 from dbo_cli.hysteresis.move_error import (
     APART,
@@ -51,6 +58,19 @@ def ramp(rate: float, top: float = 8.0) -> Any:
     """Return a drive from 0 to ``top`` volt and back, ``rate`` volts a second."""
     up = np.linspace(0.0, top, round(top / rate / STEP) + 1)
     return np.concatenate((up, up[-2::-1]))
+
+
+def test_another_model_kept_starts_where_the_chosen_one_does() -> None:
+    """What bends the drive was rounded: gears to spare counted, and it began 3 of 40 um below."""
+    bend = PointStage([1.123456, 2.2], [1.234567, 2.088889], 0.236368, 0.236368)
+    low = bend.y0 - 0.5 * bend.dy.sum()
+    gears = BacklashStage(np.full(8, bend.dy.sum() / 4), np.linspace(0.5, 1.0, 8).round(3), low, 0.0)
+    drive = Quantity("voltage", "V", bend.x0, bend.x0 + float(bend.dx.sum()))
+    chosen = dataclasses.replace(model(), input=drive, stages=(bend, gears, ScaleStage(2.0, 0.0)))
+    assert chosen.covered_gears.spare_bits
+    kept = dataclasses.replace(chosen, fit={"alternatives": [Alternative("lag", 1.0, chosen).values()]})
+    [other] = alternatives_of(kept)
+    assert other.model.covered_gears.spare_bits == chosen.covered_gears.spare_bits
 
 
 def test_what_other_models_say_of_the_very_move_is_added() -> None:

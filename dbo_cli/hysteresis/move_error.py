@@ -133,8 +133,11 @@ class Alternative:
 
     def values(self) -> dict[str, Any]:
         """Return it as plain values for the model file."""
+        gears = self.model.stages.index(self.model.backlash)
         stages = [stage_values(stage) for stage in self.model.stages]
-        found = {"changed": self.kind, "weight": self.weight, "stages": _rounded(stages)}
+        # What stands before the gears says where a drive meets their edges, and where it starts.
+        stages[gears:] = _rounded(stages[gears:])
+        found = {"changed": self.kind, "weight": self.weight, "stages": stages}
         if self.forgetting is not None:
             found["forgetting"] = {"on": "input"} | _rounded(dataclasses.asdict(self.forgetting))
         return found
