@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli import waveforms
 from dbo_cli.drives.check import TOLERANCE, check_drive
 from dbo_cli.drives.gate import DriveGate, Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
+from dbo_cli.extras.moves import generators as waveforms
+from dbo_cli.extras.moves.generators import FORMATS, Points, Values
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_document
@@ -22,7 +23,6 @@ from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
-from dbo_cli.waveforms import FORMATS, Points, Values
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
 _REMEDIES = {
