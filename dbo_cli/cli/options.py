@@ -447,6 +447,7 @@ WAVEFORM = (  # the fields of ``WaveformOptions``
         "By how much another rate may move the drive [default: a thousandth of its range].",
         parse=figure_above_0,
     ),
+    Option("--max-rounding PERCENT", "By how much rounding may move it, of its range; more: exit 3.", "1"),
 )
 
 # --- which command has which, in the order of the help ---
