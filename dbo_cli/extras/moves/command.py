@@ -69,6 +69,7 @@ GENERATOR = (  # the fields of ``WaveformOptions``
         "By how much another rate may move the drive [default: a thousandth of its range].",
         parse=figure_above_0,
     ),
+    Option("--max-rounding PERCENT", "By how much rounding may move it, of its range; more: exit 3.", "1"),
 )
 
 
