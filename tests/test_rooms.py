@@ -19,8 +19,8 @@ ORDER = [
     "export", "waveforms", "runs", "cli",
 ]  # fmt: skip
 SIBLINGS = [
-    {"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export", "waveforms"},
-    {"relatives", "export"},
+    {"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "waveforms"},
+    {"reports", "export", "waveforms"}, {"relatives", "export"},
 ]  # fmt: skip
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}

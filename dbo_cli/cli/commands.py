@@ -533,13 +533,15 @@ def trajectory(given: Given) -> None:
     Levels up and down:
         dbo trajectory staircase --rate 500 --range 1:9 --steps 9 --dwell 1 --model m.json -o s.csv
     """
+    from dbo_cli.drives.options import DriveOptions
     from dbo_cli.drives.shapes import TrajectoryOptions
     from dbo_cli.runs.trajectories import write_trajectory
 
     asked = TrajectoryOptions(given.shape, **given.of(options.MOVE))
     models = given.model or []
     destination = _destination(given, models)
-    given.reporter.notes(write_trajectory(destination, asked, models, given.unit, given.format))
+    drive = DriveOptions(**given.of(options.MOVE_LIMITS))
+    given.reporter.notes(write_trajectory(destination, asked, models, given.unit, given.format, drive))
 
 
 def waveform(given: Given) -> None:

@@ -226,13 +226,15 @@ STATE = Option(
 )
 SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", heading=STARTING)
 OUTSIDE = Option("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
-VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].")
-VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].")
+VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage; cuts the range that was identified.")
+VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage; cuts the range that was identified.")
+EXTRAPOLATE = Option("--extrapolate", "Go beyond the identified range, as far as --v-min and --v-max say.")
 MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive; 2V/ms as well.")
 FROM = Option("--from VOLT", "What the amplifier stands at before the first row.")
 DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read with the model
     VOLTAGE_MIN,
     VOLTAGE_MAX,
+    EXTRAPOLATE,
     MAX_SLEW,
     Option(
         "--max-current AMPERE",
@@ -385,6 +387,7 @@ EXPORTING = (
     Option("--gears N", "Fewer gears; says what is lost."),
     VOLTAGE_MIN,
     VOLTAGE_MAX,
+    EXTRAPOLATE,
     MAX_SLEW,
     Option("--lookup", "A table of all states: 12 gears at most, double."),
     Option("--arduino", "Lay the files out as an Arduino library."),
@@ -422,6 +425,7 @@ MOVE_MODEL = Option(
     "Round to what it can be trusted to, refuse what it cannot reach; one an axis, or one for both.",
     repeated=True,
 )
+MOVE_LIMITS = (VOLTAGE_MIN, VOLTAGE_MAX, EXTRAPOLATE)
 UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
 DRIVES = Option("DRIVE", "The drive; several where the file has channels.", repeated=True)
 DRIVE_COLUMNS = DRIVE_COLUMN._replace(
@@ -477,7 +481,7 @@ OPTIONS_OF: dict[str, tuple[Option, ...]] = {
         LOGS, *READING_OF_LOGS, *REPORTING, MODEL_NAMES, VALIDATE, SKIP, NO_TIMINGS, SAVE_MODELS, FIGURES,
         REPORT_FORMAT, VOLTAGE, DISPLACEMENT, OUTPUT,
     ),
-    "trajectory": (SHAPE, *REPORTING, *MOVE, MOVE_MODEL, UNIT, OUTPUT_FORMAT, SUMMARY, OUTPUT),
+    "trajectory": (SHAPE, *REPORTING, *MOVE, MOVE_MODEL, *MOVE_LIMITS, UNIT, OUTPUT_FORMAT, SUMMARY, OUTPUT),
     "waveform": (DRIVES, *READING_OF_LOGS, *REPORTING, *WAVEFORM, DRIVE_COLUMNS, SUMMARY, OUTPUT),
 }
 # fmt: on

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import InputError, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
@@ -216,6 +217,8 @@ def export_models(
     if not is_set(model_file):
         return {"": export_model(read_model(model_file), folder, name=name, **options)}
     models = read_set(model_file)
+    typed = {key: options.get(key) for key in ("v_min", "v_max", "max_slew")}
+    require_one_unit({channel: model.drive.unit for channel, model in models.items()}, **typed)
     if models.coupling is not None:
         remarks.warn(
             f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
@@ -251,6 +254,9 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
         (pattern,) = patterns.values()
         models = models_by_channel(asked.model, channels, is_matrix(pattern))
         coupling, wanted = coupling_of(asked.model, channels, work), asked.drive is not None
+        if asked.drive is not None:
+            units = {channel: read_model(models(channel)).drive.unit for channel in channels}
+            asked.drive.require_one_unit(units)
         work = dataclasses.replace(work, all_needed=coupling is not None)
         log_of: Callable[[str], Address] = reader.log
         if coupling is not None and wanted:
