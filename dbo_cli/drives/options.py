@@ -157,7 +157,13 @@ class DriveOptions:
 
     def require_one_unit(self, units: Mapping[str, str | None]) -> None:
         """Refuse plain numbers as limits of channels whose drives have different units (UsageError)."""
-        require_one_unit(units, v_min=self.v_min, v_max=self.v_max, max_slew=self.max_slew, from_=self.from_)
+        require_one_unit(units, **self.typed_limits)
+
+    @property
+    def typed_limits(self) -> dict[str, float | str]:
+        """The limits that were typed, by their names."""
+        typed = {"v_min": self.v_min, "v_max": self.v_max, "max_slew": self.max_slew, "from_": self.from_}
+        return {name: limit for name, limit in typed.items() if limit is not None}
 
     @property
     def farad(self) -> float | None:

@@ -12,11 +12,10 @@ import dataclasses
 import functools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import InputError, Listener, Remarks, UsageError
 from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
@@ -32,9 +31,6 @@ from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
 from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
-
-if TYPE_CHECKING:
-    from dbo_cli.export import ExportSummary
 
 _ROWS = 1 << 12  # of a table of channels, written at a time; chosen, bounds the memory
 CHANNEL = "{channel}"
@@ -202,38 +198,6 @@ def matrix_of(channels: Sequence[str], columns: Sequence[FloatArray], name: str)
     return np.column_stack(columns)
 
 
-def export_models(
-    model_file: str, folder: str, remarks: Remarks, *, name: str, **options: Any
-) -> dict[str, ExportSummary]:
-    """Export a model, or a set: to one folder with one kernel, or (``{channel}``) to a folder of each model.
-
-    Raises
-    ------
-    UsageError
-        A channel's name makes no names of its own in C, or an option is not for sets.
-    """
-    from dbo_cli.export import export_model, export_set
-
-    if not is_set(model_file):
-        return {"": export_model(read_model(model_file), folder, name=name, **options)}
-    models = read_set(model_file)
-    typed = {key: options.get(key) for key in ("v_min", "v_max", "max_slew")}
-    require_one_unit({channel: model.drive.unit for channel, model in models.items()}, **typed)
-    if models.coupling is not None:
-        remarks.warn(
-            f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
-            "of all has to be multiplied by the inverse of the gains first (docs/model-file.md)"
-        )
-    if CHANNEL not in folder:
-        return export_set(models, folder, name=name, **options)
-    with whole_output.all_or_none():
-        make_folder_of(parse_address(folder))
-        return {
-            channel: export_model(model, in_name(folder, channel), name=f"{name}_{channel}", **options)
-            for channel, model in models.items()
-        }
-
-
 # --- simulate and compensate over channels ---
 
 
@@ -254,7 +218,7 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
         (pattern,) = patterns.values()
         models = models_by_channel(asked.model, channels, is_matrix(pattern))
         coupling, wanted = coupling_of(asked.model, channels, work), asked.drive is not None
-        if asked.drive is not None:
+        if asked.drive is not None and asked.drive.typed_limits:
             units = {channel: read_model(models(channel)).drive.unit for channel in channels}
             asked.drive.require_one_unit(units)
         work = dataclasses.replace(work, all_needed=coupling is not None)
