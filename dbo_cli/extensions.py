@@ -28,7 +28,9 @@ Kind = Literal["command", "option", "api", "run", "model", "reader", "generator"
 - ``api``: a public name of ``dbo_cli``, or, as ``Model.NAME``, a method of a class of the Python API.
 - ``run``: what takes part in a use case of the core; the key is the use case and the option that asks for it.
 - ``model``: a ``hysteresis.model_file.StageInFiles``; the key is the ``type`` of its stage.
-- ``reader``: what reads a kind of log file; the key is the ending of its name, with the point.
+- ``reader``: what opens a kind of log file, a function of a ``Request`` that returns a ``Table``; the key is
+  the ending of its name, with the point. (Makers' headers and what is told by its first bytes have keys of
+  their own.)
 - ``generator``: a ``GeneratorFormat`` of ``dbo waveform``; the key is its name.
 """
 
@@ -82,6 +84,17 @@ OWN = (
         },
     ),
     Extra(
+        "instruments",
+        "files of instruments: makers' headers, binary formats, texts that are read as a whole",
+        {
+            "reader": {
+                "by content": "dbo_cli.extras.instruments.kinds:kind_of",
+                "header": "dbo_cli.extras.instruments.headers:read_instrument_header",
+                "rows of values": "dbo_cli.extras.instruments.whole_texts:rows_of_values",
+            },
+        },
+    ),
+    Extra(
         "moves",
         "trajectories, settling times and generators' files",
         {
@@ -115,6 +128,15 @@ def find(kind: Kind, key: str) -> Any:
     for extra in others():
         place = extra.brings.get(kind, {}).get(key)
         if place is not None:
+            return _imported(extra, place, key)
+    return None
+
+
+def find_installed(kind: Kind, key: str) -> Any:
+    """Return what one of this program's own extras brings, imported; None where it is not there."""
+    for extra in OWN:
+        place = extra.brings.get(kind, {}).get(key)
+        if place is not None and extra.is_installed:
             return _imported(extra, place, key)
     return None
 

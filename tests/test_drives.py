@@ -14,10 +14,10 @@ from test_hysteresis_model import build, wanted
 from test_runs_repeated import RATE, actuator, move, period
 from trials import Floats
 
-from dbo_cli.drives.controller import Converter
 from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.extras.live.controller import Converter
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.runs.api import Model

@@ -19,20 +19,20 @@ import numpy as np
 
 from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate
-from dbo_cli.drives.learning import write_history
 from dbo_cli.drives.limits import beyond_range, limits_note, voltage_in
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
 from dbo_cli.drives.options import DriveOptions, plain_in, volts_a_unit
 from dbo_cli.drives.pieces import NOTHING, Before, ramp, require_rows, rest_samples, sweep, sweep_range, way
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
-from dbo_cli.hysteresis.loops import slow_model
+from dbo_cli.extras.repeat.learning import write_history
+from dbo_cli.extras.repeat.settled_loops import slow_model
 from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, Simulated
 from dbo_cli.hysteresis.move_error import MOST_ROWS, MoveError, move_error
 from dbo_cli.logs.sample_block import FloatArray, SampleBlock, even_step, median_step
 from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
-    from dbo_cli.drives.learning import Lesson
+    from dbo_cli.extras.repeat.learning import Lesson
 
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit

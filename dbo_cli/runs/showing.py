@@ -10,11 +10,11 @@ from typing import Any
 
 from dbo_cli import extensions
 from dbo_cli.errors import UsageError
+from dbo_cli.extras.channels.model_set import ModelSet, is_set, read_model, read_set
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
 from dbo_cli.hysteresis.model_file import section_values
-from dbo_cli.hysteresis.model_set import ModelSet, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import Address, check_document
 from dbo_cli.logs.whole_output import write_whole

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.drives.controller import Controller
 from dbo_cli.drives.gate import Floats, GateError
 from dbo_cli.errors import DboError, InputError, UsageError
+from dbo_cli.extras.channels.model_set import Coupling
+from dbo_cli.extras.live.controller import Controller
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_set import Coupling
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.hysteresis.stepper import ROUNDING, make_bank
 

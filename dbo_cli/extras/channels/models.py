@@ -12,16 +12,9 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import SILENT, FitError, Listener, Remarks, UsageError
-from dbo_cli.hysteresis.identification import IdentificationOptions
-from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
-from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
-from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
-from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.runs import identifying, jobs
-from dbo_cli.runs.channels import (
+from dbo_cli.extras.channels.coupling_fit import Frames, find_coupling
+from dbo_cli.extras.channels.model_set import Coupling, read_model, set_to_bytes
+from dbo_cli.extras.channels.signals import (
     CHANNEL,
     address_of,
     columns_of,
@@ -31,6 +24,13 @@ from dbo_cli.runs.channels import (
     opened_readers,
     patterns_of,
 )
+from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
+from dbo_cli.runs import identifying, jobs
 from dbo_cli.runs.identifying import Identified, IdentifyRun, RecordedLog, Recordings
 from dbo_cli.runs.jobs import Value
 

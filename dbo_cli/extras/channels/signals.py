@@ -17,10 +17,17 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import InputError, Listener, Remarks, UsageError
-from dbo_cli.hysteresis.model_set import Coupling, is_set, read_model, read_set
+from dbo_cli.extras.channels.columns import (
+    PLACE,
+    ChannelReader,
+    channels_of,
+    column_of,
+    is_matrix,
+    is_pattern,
+)
+from dbo_cli.extras.channels.model_set import Coupling, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import START_NAMES
 from dbo_cli.logs import whole_output
-from dbo_cli.logs.channels import PLACE, ChannelReader, channels_of, column_of, is_matrix, is_pattern
 from dbo_cli.logs.columns import TIME_NAMES, OutColumn, column_info
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, parse_address, parse_output
 from dbo_cli.logs.sample_block import FloatArray, joined
