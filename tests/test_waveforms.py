@@ -17,11 +17,11 @@ import scipy.io.wavfile
 from conftest import ROOT
 from virtual_actuator import PRESETS, VirtualActuator
 
-from dbo_cli.cli.options import GENERATOR_FILES
 from dbo_cli.drives.gate import GateError
 from dbo_cli.errors import OutputError
-from dbo_cli.runs import waveform_files
-from dbo_cli.waveforms import FORMATS, Coding, Signals, at_points, written
+from dbo_cli.extras.moves import waveform as waveform_files
+from dbo_cli.extras.moves.command import GENERATOR_FILES
+from dbo_cli.extras.moves.generators import FORMATS, Coding, Signals, at_points, written
 
 TIME = np.arange(200) / 1000.0
 DRIVE = 50.0 + 40.0 * np.sin(2.0 * np.pi * 5.0 * TIME)

@@ -138,10 +138,12 @@ def kind_of_unit(unit: str | None) -> str | None:
     return found[0] if found else _OTHER_KINDS.get(unit)
 
 
-def plain_unit(unit: str | None) -> str | None:
-    """Return a unit without its prefix (``V`` of ``kV``, ``bar`` of ``mbar``), None where it has none."""
-    shorter = unit[1:] if unit else ""
-    return shorter if shorter in _SIZES and kind_of_unit(shorter) == kind_of_unit(unit) else None
+def without_prefix(unit: str | None) -> str | None:
+    """Return a unit without its SI prefix (``V`` for ``kV``), or None where it has none."""
+    if unit is None or unit in _BASES or unit not in _SIZES:
+        return None
+    base = unit[1:]
+    return base if base in _SIZES and unit[0] in _PREFIXES else None
 
 
 def require_unit(name: str, given: float | str | None, unit: str | None, per: str | None = None) -> None:
@@ -161,7 +163,7 @@ def require_unit(name: str, given: float | str | None, unit: str | None, per: st
     UsageError
         100 may mean 100 V where the drive is in kV.
     """
-    plain = plain_unit(unit)
+    plain = without_prefix(unit)
     value = _plain_number(given)
     if plain is None or value is None or value == 0.0 or not math.isfinite(value):
         return
@@ -170,8 +172,8 @@ def require_unit(name: str, given: float | str | None, unit: str | None, per: st
     behind = f"/{per}" if per else ""
     smaller = float(factor.apply(np.array(value)))
     raise UsageError(
-        f"`{name}` {value:g}: the drive is in {unit}, and a plain number may be meant in {plain} (`{name}` "
-        f"{smaller:g}{unit}{behind} or `{name}` {value:g}{unit}{behind})"
+        f"`{name}` {value:.9g}: the drive is in {unit}, and a plain number may be meant in {plain} (`{name}` "
+        f"{smaller:.9g}{unit}{behind} or `{name}` {value:.9g}{unit}{behind})"
     )
 
 

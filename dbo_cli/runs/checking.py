@@ -126,16 +126,28 @@ def check_file(
         remarks.note([f"{name}: column '{column}' has no unit: limits are taken in what its figures count"])
     elif said := plain_in(unit, *options.figures):
         remarks.note([f"{name}: {said}"])
-    lines = _lines(name, checked, unit)
-    found = {"format": "dbo-check", "version": 1, "name": name, "unit": unit, "passed": not checked.problems,
-             **_finite(dataclasses.asdict(checked.figures)), "played": checked.played or None,
-             "problems": [plain(text) for text in checked.problems]}  # fmt: skip
-    text = json.dumps(found, indent=2, ensure_ascii=False) if chosen == "json" else "\n".join(lines)
-    write_whole(output, (text + "\n").encode(), protect=inputs)
+    write_whole(output, _report(name, checked, unit, chosen).encode(), protect=inputs)
     if checked.problems:
         more_of = f" (and {len(checked.problems) - 1} more)" if len(checked.problems) > 1 else ""
         raise LimitError(f"{name}: {checked.problems[0]}{more_of}")
     return remarks
+
+
+def _report(name: str, checked: CheckedDrive, unit: str | None, form: str) -> str:
+    """Return the check as text or JSON."""
+    if form != "json":
+        return "\n".join(_lines(name, checked, unit)) + "\n"
+    found = {
+        "format": "dbo-check",
+        "version": 1,
+        "name": name,
+        "unit": unit,
+        "passed": not checked.problems,
+        **_finite(dataclasses.asdict(checked.figures)),
+        "played": checked.played or None,
+        "problems": [plain(text) for text in checked.problems],
+    }
+    return json.dumps(found, indent=2, ensure_ascii=False) + "\n"
 
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:
