@@ -317,7 +317,8 @@ class Model:
         sample_rate : float, optional
             Samples a second (Hz); needed by a model with lag or creep and by ``max_slew``.
         **options
-            ``v_min``, ``v_max``, ``max_slew``, ``state`` and ``from_`` as in ``compensate``, and:
+            ``v_min``, ``v_max``, ``extrapolate``, ``max_slew``, ``state`` and ``from_`` as in ``compensate``,
+            and:
         dac : array_like, optional
             The voltage of every code of a digital-to-analogue converter, from code 0 on; codes are then
             planned, and the state follows the voltage of the code.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli import extensions
+from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import DboError, DboWarning, InputError
 from dbo_cli.extras.channels import model_set
 from dbo_cli.extras.channels.model_set import Coupling, set_to_bytes
@@ -113,9 +114,18 @@ class ModelSet(Mapping[str, Model]):
         array of shape (rows, channels)
             With as many rows as samples, and those that ``approach``, ``lead`` and the like add.
         """
+        self._require_one_unit(options)
         if self.coupling is not None:
             wanted = self.coupling.apart(self._matrix("wanted", wanted))
         return self._over("compensate", "wanted", wanted, options)
+
+    def _require_one_unit(self, limits: Mapping[str, Any]) -> None:
+        """Refuse plain limits for all channels where their drives have different units (UsageError)."""
+        names = ("v_min", "v_max", "max_slew", "from_")
+        typed = {name: limits.get(name) for name in names}
+        for_all = {name: limit for name, limit in typed.items() if isinstance(limit, str | float | int)}
+        units = {channel: model.actuator.drive.unit for channel, model in self.items()}
+        require_one_unit(units, **for_all)
 
     def controller(
         self,
@@ -124,6 +134,7 @@ class ModelSet(Mapping[str, Model]):
         v_min: Any = None,
         v_max: Any = None,
         max_slew: Any = None,
+        extrapolate: bool = False,
         from_: Any = None,
         states: Mapping[str, ModelState] | None = None,
         dac: ArrayLike | None = None,
@@ -136,6 +147,8 @@ class ModelSet(Mapping[str, Model]):
             Frames a second (Hz); needed by models with lag or creep and by ``max_slew``.
         v_min, v_max, max_slew, from_ : float, sequence or mapping, optional
             As in ``Model.compensate``: one for all, one a channel, or by channel.
+        extrapolate : bool
+            Go beyond the range on which a model was identified, as far as the limits say.
         states : mapping of str to ModelState, optional
             The state of each channel to go on from.
         dac : array_like, optional
@@ -148,6 +161,8 @@ class ModelSet(Mapping[str, Model]):
         """
         models = {channel: one.actuator for channel, one in self.items()}
         limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from_": from_}
+        self._require_one_unit(limits)
+        limits["extrapolate"] = extrapolate
         bank: Bank = extensions.find("run", "control a set")(
             models, sample_rate, states=states, dac=dac, coupling=self.coupling, **limits
         )

@@ -188,6 +188,9 @@ def signals_of_channels(asked: SignalRun, work: Work, listener: Listener) -> Out
         (pattern,) = patterns.values()
         models = models_by_channel(asked.model, channels, is_matrix(pattern))
         coupling, wanted = coupling_of(asked.model, channels, work), asked.drive is not None
+        if asked.drive is not None and asked.drive.typed_limits:
+            units = {channel: read_model(models(channel)).drive.unit for channel in channels}
+            asked.drive.require_one_unit(units)
         work = dataclasses.replace(work, all_needed=coupling is not None)
         log_of: Callable[[str], Address] = reader.log
         if coupling is not None and wanted:

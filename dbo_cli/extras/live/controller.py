@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.drives.gate import DriveGate, GateError
+from dbo_cli.drives.limits import voltage_in
 from dbo_cli.drives.options import DriveOptions, Figure, check_seconds
 from dbo_cli.drives.pieces import ramp
 from dbo_cli.errors import InputError, ModelError, UsageError
@@ -30,7 +31,6 @@ from dbo_cli.hysteresis.model_state import DriveLimits, ModelState, StartName
 from dbo_cli.hysteresis.stepper import ROUNDING, BacklashStepper
 from dbo_cli.logs.request import checked_rate
 from dbo_cli.logs.sources import samples
-from dbo_cli.logs.units import in_unit
 
 Window = tuple[list[float], Floats, InverseMemory | None]
 
@@ -302,6 +302,7 @@ class Controller:
         v_min: Figure = None,
         v_max: Figure = None,
         max_slew: Figure = None,
+        extrapolate: bool = False,
         state: StartName | ModelState = "auto",
         from_: Figure = None,
         dac: ArrayLike | None = None,
@@ -311,19 +312,17 @@ class Controller:
         model.require("forward")
         _require_known(model, ahead, lookahead is not None)
         sample_rate = checked_rate(sample_rate)
-        needs = model.needs_time or max_slew is not None or lookahead is not None
-        if needs and sample_rate is None:
-            raise UsageError("this model and these limits need the time between samples (`sample_rate` HZ)")
+        _require_rate(sample_rate, model.needs_time or max_slew is not None or lookahead is not None)
         self._model = model
         self._step_seconds = None if sample_rate is None else 1.0 / sample_rate
-        self._limits = DriveOptions(v_min=v_min, v_max=v_max, max_slew=max_slew, from_=from_).limits(model)
+        self._limits = DriveOptions(v_min, v_max, extrapolate, max_slew, from_=from_).limits(model)
         self._most = self._limits.largest_change(self._step_seconds)
         # A converter's code keeps the slew limit itself, since it may have to save up for it.
         self._planning = self._limits if dac is None else DriveLimits(self._limits.v_min, self._limits.v_max)
         self._inverse = model.inverse()
         self._gears = self._inverse.backlash  # a model that has none is refused here
         self._start: StartName | ModelState = state
-        self._last = None if from_ is None else in_unit("from_", from_, model.input.unit)
+        self._last = None if from_ is None else voltage_in("from_", from_, model.input)
         if isinstance(state, ModelState):
             self._last = model.drive_of(state)
         elif self._last is not None:
@@ -565,6 +564,12 @@ class Controller:
         for stage in self._drive_side:
             inner = float(stage.run(np.array([inner]))[0])
         self._stepper.apply(inner)
+
+
+def _require_rate(sample_rate: float | None, needed: bool) -> None:
+    """Refuse a rate that is missing where the time between samples matters (UsageError)."""
+    if needed and sample_rate is None:
+        raise UsageError("this model and these limits need the time between samples (`sample_rate` HZ)")
 
 
 def _require_known(model: ActuatorModel, ahead: bool, looks_ahead: bool) -> None:
