@@ -17,7 +17,7 @@ from dbo_cli.cli.options import (
     VOLTAGE_MIN,
     Option,
 )  # fmt: skip
-from dbo_cli.cli.values import choice, figure_above_0, positive, whole
+from dbo_cli.cli.values import choice, figure_above_0, positive, text, whole
 
 GENERATOR_FILES = (
     "npy", "wav", "int16", "uint16", "tdms", "pi-gcs", "keysight-arb", "tektronix-tfw", "rigol-raf",
@@ -54,7 +54,7 @@ DRIVE_COLUMNS = DRIVE_COLUMN._replace(
     meaning="The drive, guessed by name; several times: columns of one file, or one a file.", repeated=True
 )
 GENERATOR = (  # the fields of ``WaveformOptions``
-    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=choice(GENERATOR_FILES)),
+    Option("--to FORMAT", ", ".join(GENERATOR_FILES) + ".", REQUIRED, parse=text),
     Option("--gain FACTOR", "Of the amplifier behind the generator: divided out.", "1"),
     Option(
         "--points N",
