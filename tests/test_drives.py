@@ -14,7 +14,7 @@ from test_hysteresis_model import build, wanted
 from test_runs_repeated import RATE, actuator, move, period
 from trials import Floats
 
-from dbo_cli.drives.controller import Converter
+from dbo_cli.drives.converter import Converter
 from dbo_cli.drives.gate import DriveGate, GateError
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag
