@@ -14,9 +14,9 @@ from test_runs_controller import LIVE, moving
 from test_runs_repeated import actuator
 
 import dbo_cli as dbo
-from dbo_cli.drives.bank import Bank
-from dbo_cli.drives.converter import Codes, Converter
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.extras.live.bank import Bank
+from dbo_cli.extras.live.converter import Codes, Converter
 from dbo_cli.hysteresis.model_state import DriveLimits
 
 RATE = 1000.0
