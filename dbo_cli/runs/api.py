@@ -534,7 +534,9 @@ def identify(
     fixed = record_of(IdentificationOptions, options, "is no parameter of identify")
     logs, columns = _given(log, displacement, voltage, time, sample_rate, voltage_unit, displacement_unit)
     reading = ReadingOptions(time=_column(time), sample_rate=sample_rate)
-    words = (logs, _addressed(validate), reading, fixed, *columns, prior, shared_shape, coupling, time)
+    of_channels = {"shared_shape": shared_shape, "coupling": coupling}
+    brought = {name: True for name, wanted in of_channels.items() if wanted}
+    words = (logs, _addressed(validate), reading, fixed, *columns, prior, brought, time)
     return _identified(IdentifyRun(*words), jobs)
 
 
