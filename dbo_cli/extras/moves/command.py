@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dbo_cli import extensions
 from dbo_cli.cli.command import Command, Given, destination_of
 from dbo_cli.cli.options import (
@@ -28,7 +26,6 @@ GENERATOR_FILES = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
 class GeneratorFile(choice):
     """A parser of the names of formats: of those in ``choices``, which a shell offers, or of extras."""
 
