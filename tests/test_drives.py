@@ -77,6 +77,16 @@ def test_the_gate_names_the_first_row_that_breaks_a_limit() -> None:
     assert GateError.exit_code == 1
 
 
+@pytest.mark.parametrize("last", [None, 0.0, np.inf, -np.inf])
+@pytest.mark.parametrize("row", [np.inf, -np.inf, np.nan])
+def test_the_gate_lets_no_infinite_row_through_whatever_its_range(row: float, last: float | None) -> None:
+    for limits in (DriveLimits(-np.inf, np.inf), DriveLimits(0.0, np.inf), DriveLimits(-np.inf, 5.0)):
+        with pytest.raises(GateError, match=f"breaks its limits: {row} is no voltage;"):
+            DriveGate(limits, last).admit(np.array([1.0, row, 2.0]))
+        assert DriveGate(limits, last).broken(np.array([row])).all()
+    assert DriveGate(DriveLimits(-np.inf, np.inf), last).violation(np.array([1e308])) == ""
+
+
 def test_from_outside_its_range_a_drive_may_only_come_inwards() -> None:
     limits = DriveLimits(0.0, 10.0)
     assert DriveGate(limits, last=14.0).violation(np.array([13.0, 12.0, 9.0, 8.0])) == ""

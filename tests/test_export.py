@@ -25,11 +25,11 @@ from exported import (
 )
 
 from dbo_cli.errors import DboError, ModelError, OutputError, UsageError
-from dbo_cli.export import export_model
-from dbo_cli.export.cascade_plan import plan_cascade
-from dbo_cli.export.single_code import axes_of, derive_bounds, fold, row_shift, single_tables
-from dbo_cli.export.single_kernel import SingleKernel
-from dbo_cli.export.source_text import RESERVED, check_name, hex_double, integer
+from dbo_cli.extras.export.cascade_plan import plan_cascade
+from dbo_cli.extras.export.export import export_model
+from dbo_cli.extras.export.single_code import axes_of, derive_bounds, fold, row_shift, single_tables
+from dbo_cli.extras.export.single_kernel import SingleKernel
+from dbo_cli.extras.export.source_text import RESERVED, check_name, hex_double, integer
 from dbo_cli.hysteresis.cascade import through
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import ActuatorModel, DelayStage, DriveLimits, ModelState, Quantity, Relaxation

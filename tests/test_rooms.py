@@ -15,12 +15,11 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "dbo_cli"
 ORDER = [
-    "version", "errors", "records", "hysteresis", "logs", "relatives", "drives", "reports",
-    "export", "waveforms", "runs", "cli",
+    "version", "errors", "records", "extensions", "hysteresis", "logs", "drives", "reports", "runs", "cli",
+    "extras",
 ]  # fmt: skip
 SIBLINGS = [
-    {"hysteresis", "logs"}, {"relatives", "logs"}, {"drives", "reports", "export", "waveforms"},
-    {"relatives", "export"},
+    {"hysteresis", "logs"}, {"drives", "reports"},
 ]  # fmt: skip
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}

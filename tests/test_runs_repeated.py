@@ -13,8 +13,8 @@ import pytest
 from conftest import SMALL_MODEL
 from trials import Floats
 
-from dbo_cli.drives.settling import settling_seconds
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.extras.moves.settling import settling_seconds
 from dbo_cli.hysteresis.cascade import slow_output_range
 from dbo_cli.hysteresis.dynamics import DynamicsStage, Lag, Resonance
 from dbo_cli.hysteresis.model import (

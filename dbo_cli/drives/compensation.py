@@ -13,10 +13,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import field
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dbo_cli import extensions
 from dbo_cli.drives.gate import DriveFigures, DriveGate
 from dbo_cli.drives.learning import write_history
 from dbo_cli.drives.model_run import ModelRun, Response, Tally, first_blocks
@@ -32,7 +33,6 @@ from dbo_cli.records import dataclass
 
 if TYPE_CHECKING:
     from dbo_cli.drives.learning import Lesson
-    from dbo_cli.drives.settling import StepTimes
 
 REACH_SLACK = 0.01  # of the range: a trajectory this little outside is clipped and counted like any other
 SLACK = 1e-9  # of the range: what rounding may add to a drive that ends at its limit
@@ -70,7 +70,7 @@ class Compensation(ModelRun):
     came_from: float | None = field(init=False)
     limits: DriveLimits = field(init=False)
     gate: DriveGate = field(init=False)
-    settling: StepTimes | None = None
+    settling: Any = None
 
     compensates = True
     remedies = "`condition` sweeps it there, "
@@ -79,9 +79,7 @@ class Compensation(ModelRun):
         """Take the options apart."""
         options = self.options
         if options.settle is not None:
-            from dbo_cli.drives.settling import StepTimes
-
-            self.settling = StepTimes(self.model, options.settle)
+            self.settling = extensions.find("run", "compensate --settle")(self.model, options.settle)
         self.limits, self.start = options.limits(self.model), options.state
         self.why_time, self.bandwidth = options.why_time, options.bandwidth
         if self.lesson is not None:

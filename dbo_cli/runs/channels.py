@@ -12,7 +12,7 @@ import dataclasses
 import functools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,9 +31,6 @@ from dbo_cli.logs.whole_output import KeptOutputs, KeptSignal
 from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, SignalRun, bring_to, check_order, quantity_wish, write_json
 from dbo_cli.runs.jobs import Done, Outcome, Work, named, sum_up
-
-if TYPE_CHECKING:
-    from dbo_cli.export import ExportSummary
 
 _ROWS = 1 << 12  # of a table of channels, written at a time; chosen, bounds the memory
 CHANNEL = "{channel}"
@@ -199,36 +196,6 @@ def matrix_of(channels: Sequence[str], columns: Sequence[FloatArray], name: str)
                 f"channel {channels[0]}: coupled channels are needed in every row (take good `rows` A:B)"
             )
     return np.column_stack(columns)
-
-
-def export_models(
-    model_file: str, folder: str, remarks: Remarks, *, name: str, **options: Any
-) -> dict[str, ExportSummary]:
-    """Export a model, or a set: to one folder with one kernel, or (``{channel}``) to a folder of each model.
-
-    Raises
-    ------
-    UsageError
-        A channel's name makes no names of its own in C, or an option is not for sets.
-    """
-    from dbo_cli.export import export_model, export_set
-
-    if not is_set(model_file):
-        return {"": export_model(read_model(model_file), folder, name=name, **options)}
-    models = read_set(model_file)
-    if models.coupling is not None:
-        remarks.warn(
-            f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "
-            "of all has to be multiplied by the inverse of the gains first (docs/model-file.md)"
-        )
-    if CHANNEL not in folder:
-        return export_set(models, folder, name=name, **options)
-    with whole_output.all_or_none():
-        make_folder_of(parse_address(folder))
-        return {
-            channel: export_model(model, in_name(folder, channel), name=f"{name}_{channel}", **options)
-            for channel, model in models.items()
-        }
 
 
 # --- simulate and compensate over channels ---

@@ -12,12 +12,12 @@ from importlib import resources
 from typing import Any, Literal
 
 from dbo_cli.errors import DboError, ModelError, UsageError
-from dbo_cli.export import project_files as project
-from dbo_cli.export import source_text as c
-from dbo_cli.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
-from dbo_cli.export.double_code import double_code
-from dbo_cli.export.project_files import ExportSummary, Translated
-from dbo_cli.export.single_code import NarrowGearsError, single_code
+from dbo_cli.extras.export import project_files as project
+from dbo_cli.extras.export import source_text as c
+from dbo_cli.extras.export.cascade_plan import CascadePlan, Direction, plan_cascade, with_fewer_gears
+from dbo_cli.extras.export.double_code import double_code
+from dbo_cli.extras.export.project_files import ExportSummary, Translated
+from dbo_cli.extras.export.single_code import NarrowGearsError, single_code
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
 from dbo_cli.logs.units import in_unit
 
@@ -218,7 +218,10 @@ def _files(one: Translated, arduino: bool, fmu: bool, shared: bool) -> dict[str,
 def kernel_files(words: c.Values, arithmetic: str, headers: tuple[str, ...]) -> dict[str, str]:
     """Return the kernel's sources as they are, and headers that make their names this export's own."""
     name, guard = words["NAME"], words["GUARD"]
-    package, firmware = resources.files("dbo_cli.hysteresis"), resources.files("dbo_cli.export") / "firmware"
+    package, firmware = (
+        resources.files("dbo_cli.hysteresis"),
+        resources.files("dbo_cli.extras.export") / "firmware",
+    )
     files = {}
     for file in ("dbo_kernel", *(header.removesuffix(".h") for header in headers)):
         for kind in ("c", "h"):

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError, ModelError
+from dbo_cli.extras.compare.play_model import RelativeModel
+from dbo_cli.extras.compare.plays import Kind, PlayOperator
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage
 from dbo_cli.hysteresis.identification import normal_equations, search, statistics
 from dbo_cli.hysteresis.identification.cleaning import LONGEST_DELAY
@@ -27,8 +29,6 @@ from dbo_cli.hysteresis.identification.statistics import PreparedLog, Score
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.hysteresis.operators import DiscretePointOperator, Floats
 from dbo_cli.records import dataclass
-from dbo_cli.relatives.play_model import RelativeModel
-from dbo_cli.relatives.plays import Kind, PlayOperator
 
 USUAL_PLAYS = 25  # what the paper and the literature take, and what the delay is searched for with
 PLAYS = (12, 25, 50, 100)  # to choose from; chosen, each twice the one before

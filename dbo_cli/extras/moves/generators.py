@@ -28,6 +28,7 @@ Values = NDArray[np.float64 | np.int64]
 Span = tuple[float, float]
 BUNCH = 10  # points a command, as in PI's own example: every controller takes so many
 WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
+MOST_POINTS = 10**9  # of a drive at another rate: 8 GB a signal, more than any generator takes
 WHOLE = 1e-6  # of a point: stamps of a file are rounded to some microseconds of their step
 
 
@@ -315,6 +316,9 @@ def at_points(drive: Floats, rate: float, points: int | None, new_rate: float | 
     rows = drive.shape[1]
     seconds = (rows if loop else rows - 1) / rate
     count = points or rows
+    if max(count, 0.0 if new_rate is None else seconds * new_rate) > MOST_POINTS:
+        what = f"`points` {count:,}" if new_rate is None else f"`rate` {new_rate:g}"
+        raise UsageError(f"{what}: a drive of {seconds:.6g} s becomes more than {MOST_POINTS:,} points")
     if new_rate is not None:
         exact = seconds * new_rate
         count = math.ceil(exact - WHOLE) + (0 if loop else 1)

@@ -26,7 +26,7 @@ _LINES = re.compile(rf"{_MARK}\+ (\w+){_END}", re.M)
 
 
 def _template(name: str) -> str:
-    return (resources.files("dbo_cli.export") / "templates" / name).read_text(encoding="utf-8")
+    return (resources.files("dbo_cli.extras.export") / "templates" / name).read_text(encoding="utf-8")
 
 
 RESERVED = frozenset(_template("reserved_words.txt").split())

@@ -23,9 +23,17 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import ModelError
-from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
-from dbo_cli.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
-from dbo_cli.export.source_text import ModelCode, Vectors, array, delay_line, hex_float, integer, struct_rows
+from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
+from dbo_cli.extras.export.single_kernel import F, Segments, SingleKernel, SingleTables, clamped
+from dbo_cli.extras.export.source_text import (
+    ModelCode,
+    Vectors,
+    array,
+    delay_line,
+    hex_float,
+    integer,
+    struct_rows,
+)
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage, through
 from dbo_cli.hysteresis.kernel import Floats
 from dbo_cli.hysteresis.model import DriveLimits, Quantity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -190,6 +190,27 @@ def settling_seconds(model: ActuatorModel, begin: float, end: float, distance: f
     begun = whole.simulate([begin], rest, time_step=step).state
     y = whole.simulate(np.full(math.ceil(high / step), end), begun, time_step=step).y
     return step * (int(np.flatnonzero(np.abs(y - aim) > distance).max(initial=-1)) + 1)
+
+
+def settling_shown(model: ActuatorModel, settle: str) -> dict[str, Any]:
+    """Return what ``show`` says of a step over the whole drive of a forward model.
+
+    Parameters
+    ----------
+    model
+        The model.
+    settle
+        The distance to stay within, with or without its unit.
+    """
+    unit, drive = model.output.unit, model.input
+    distance = distance_in(settle, unit)
+    up = settling_seconds(model, drive.minimum, drive.maximum, distance)
+    down = settling_seconds(model, drive.maximum, drive.minimum, distance)
+    shown = {"distance": distance, "unit": unit, "seconds": max(up, down)}
+    hint = below_error(model, distance)
+    if hint:
+        shown["hint"] = hint.strip(" ()")
+    return shown
 
 
 def _fades(sections: Sequence[Section]) -> list[tuple[float, float]]:

@@ -17,13 +17,13 @@ from typing import Any, NoReturn
 import numpy as np
 
 from dbo_cli.errors import ModelError
+from dbo_cli.extras.compare.plays import NOTHING, Kind, PlayOperator, PlayState
 from dbo_cli.hysteresis.cascade import DelayStage, ScaleStage, Stage, through
 from dbo_cli.hysteresis.dynamics import DynamicsStage
 from dbo_cli.hysteresis.model import NEGLIGIBLE, ActuatorModel, PointStage, Steps
-from dbo_cli.hysteresis.model_file import Node, read_relaxation
+from dbo_cli.hysteresis.model_file import Node, StageInFiles, read_relaxation
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, StartName
 from dbo_cli.hysteresis.operators import BacklashState, Counts, Floats, OutputLimits, Outside
-from dbo_cli.relatives.plays import KINDS, NOTHING, Kind, PlayOperator, PlayState
 
 
 class RelativeModel(ActuatorModel):
@@ -249,9 +249,6 @@ def _plays(node: Node) -> Stage:
     return stage
 
 
-READERS = dict.fromkeys(KINDS, _plays)
-
-
 def read_places(node: Node, model: RelativeModel) -> BacklashState:
     """Return what the plays of a model remember."""
     node.only(("places", "inverse_places", "wanted"), ("memory",) if model.plays.relaxation else ())
@@ -265,3 +262,7 @@ def read_places(node: Node, model: RelativeModel) -> BacklashState:
     if memory is not None and model.plays.relaxation and len(memory) != len(model.plays.relaxation.tau):
         raise node.refuse("memory", f"has {len(memory)} entries, and not as many as the model's relaxation")
     return PlayState(0, memory, places, inverse, wanted)
+
+
+IN_FILES = StageInFiles(_plays, RelativeModel, read_places)
+"""How model and state files of plays are read."""

@@ -12,8 +12,8 @@ import numpy as np
 from dbo_cli.drives.gate import Floats
 from dbo_cli.drives.learning import trusted_frequency
 from dbo_cli.drives.model_run import FAST_PART, FASTER
-from dbo_cli.drives.shapes import TrajectoryOptions, move
 from dbo_cli.errors import Remarks, UsageError
+from dbo_cli.extras.moves.shapes import TrajectoryOptions, move
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_set import read_model
 from dbo_cli.logs.columns import OutColumn

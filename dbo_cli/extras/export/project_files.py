@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
 
 from dbo_cli.errors import OutputError
-from dbo_cli.export.cascade_plan import CascadePlan
-from dbo_cli.export.source_text import ModelCode, Values, fill
+from dbo_cli.extras.export.cascade_plan import CascadePlan
+from dbo_cli.extras.export.source_text import ModelCode, Values, fill
 from dbo_cli.hysteresis.model import Quantity
 from dbo_cli.records import dataclass
 

@@ -11,6 +11,8 @@ from functools import cache, partial
 import numpy as np
 
 from dbo_cli.errors import DboError, UsageError
+from dbo_cli.extras.compare.fitting import RELATIVES, fit
+from dbo_cli.extras.compare.play_model import RelativeModel, with_plays
 from dbo_cli.hysteresis import kernel
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording, identify
 from dbo_cli.hysteresis.identification.cleaning import cleaned
@@ -26,8 +28,6 @@ from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import played, rms
 from dbo_cli.hysteresis.operators import Floats
 from dbo_cli.records import dataclass
-from dbo_cli.relatives.fitting import RELATIVES, fit
-from dbo_cli.relatives.play_model import RelativeModel, with_plays
 
 SAME_STAGES = "same-stages"
 NAMES = ("dbo", *(relative.name for relative in RELATIVES), SAME_STAGES)

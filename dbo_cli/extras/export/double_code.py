@@ -17,8 +17,8 @@ from dataclasses import field
 import numpy as np
 
 from dbo_cli.errors import ModelError
-from dbo_cli.export import source_text as c
-from dbo_cli.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
+from dbo_cli.extras.export import source_text as c
+from dbo_cli.extras.export.cascade_plan import CascadePlan, ignored_beyond, self_test_moves
 from dbo_cli.hysteresis.cascade import MemoryFree, ScaleStage
 from dbo_cli.hysteresis.drive_lag import coefficients, undoing_rows
 from dbo_cli.hysteresis.kernel import Floats, buffer_words

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from dbo_cli import waveforms
 from dbo_cli.drives.check import TOLERANCE, check_drive
 from dbo_cli.drives.gate import DriveGate, Floats
 from dbo_cli.drives.options import Figure, check_gain, limits_in
 from dbo_cli.errors import InputError, LimitError, Remarks, UsageError
+from dbo_cli.extras.moves import generators as waveforms
+from dbo_cli.extras.moves.generators import FORMATS, Points, Values
 from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.request import Address, ReadingOptions, check_document
@@ -22,7 +24,6 @@ from dbo_cli.logs.units import in_unit
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.records import dataclass
 from dbo_cli.runs.files import Destination, read_record, summary_of_values, write_summary
-from dbo_cli.waveforms import FORMATS, Points, Values
 
 SAME_RATE = 1e-9  # two drives for one file are of one clock; the stamps' digits aside
 _REMEDIES = {
@@ -52,6 +53,8 @@ class WaveformOptions:
         The drive repeats.
     tolerance : float, optional
         By how much another rate may move the drive (V); a thousandth of its range where not given.
+    max_rounding : float
+        By how much rounding to codes may move each drive, in per cent of its range.
 
     Raises
     ------
@@ -70,6 +73,7 @@ class WaveformOptions:
     v_max: Figure = None
     max_slew: Figure = None
     tolerance: Figure = None
+    max_rounding: float = 1.0
     voltage: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -77,6 +81,9 @@ class WaveformOptions:
         limits_in("V", self.v_min, self.v_max, self.max_slew)
         form = FORMATS[self.to]
         check_gain(self.gain)
+        if self.volts is not None and math.isinf(self.volts[1] - self.volts[0]):
+            low, high = self.volts
+            raise UsageError(f"`volts` {low:g}:{high:g}: the span is beyond the range of the arithmetic")
         if form.codes is None and (self.codes or (self.volts and not form.normal)):
             raise UsageError(f"`{'codes' if self.codes else 'volts'}`: {self.to} files hold volts, no codes")
         if form.volts_needed and self.volts is None:
@@ -103,7 +110,8 @@ def write_waveform(
     InputError
         A drive has no even clock, or the drives do not belong together.
     LimitError
-        A drive breaks its limits, does not fit the volts, does not close, or is moved by another rate.
+        A drive breaks its limits, does not fit the volts, does not close, or is moved too far by another rate
+        or by rounding.
     GateError
         What was written, read back, breaks a limit: this program's fault; nothing is left behind.
     """
@@ -194,7 +202,10 @@ def _encoded(
 ) -> tuple[bytes, Floats, list[str]]:
     """Return the bytes, the volts that passed the gate when read back, and a line on each drive."""
     form, rate = FORMATS[options.to], played.rate
-    volts = played.volts / options.gain
+    with np.errstate(over="ignore"):
+        volts = played.volts / options.gain
+    if not np.isfinite(volts).all():
+        raise UsageError(f"`gain` {options.gain:g}: the drive over it is beyond the range of the arithmetic")
     count = volts.shape[1]
     if not form.points[0] <= count <= form.points[1]:
         raise UsageError(
@@ -214,6 +225,8 @@ def _encoded(
     within = (limits.v_min / options.gain, limits.v_max / options.gain)
     within = within if options.gain > 0.0 else within[::-1]
     content, back, coarse = _rounded(volts, ends, within, options)
+    for name, exact, rounded in zip(names, volts, back, strict=True):
+        _refuse_coarse(name, exact, rounded, options)
     data = waveforms.written(options.to, waveforms.Signals(content, rate, ends))
     slew = None if limits.max_slew is None else limits.max_slew / abs(options.gain) + coarse * rate
     for one in back:
@@ -246,6 +259,18 @@ def _rounded(
     coding = waveforms.Coding((int(codes[0]), int(codes[1])), ends)
     content = coding.encode(volts, within)
     return content, coding.decode(content), coding.step
+
+
+def _refuse_coarse(name: str, volts: Floats, rounded: Floats, options: WaveformOptions) -> None:
+    """Refuse codes that leave too little of a move (LimitError); a constant drive has none."""
+    move, rounding = float(np.ptp(volts)), float(np.abs(rounded - volts).max())
+    if rounding <= 0.01 * options.max_rounding * move or move == 0.0:
+        return
+    raise LimitError(
+        f"{name}: rounding moves it by up to {rounding:.3g} V, {100.0 * rounding / move:.3g} % of its "
+        f"{move:.3g} V and more than {options.max_rounding:g} % (narrower `volts`, a wider span of `codes`, "
+        "or `max_rounding` PERCENT)"
+    )
 
 
 def _line(name: str, volts: Floats, played: Points, rounding: float, options: WaveformOptions) -> str:
