@@ -31,7 +31,16 @@ from dbo_cli.runs.channels import (
     opened_readers,
     patterns_of,
 )
-from dbo_cli.runs.identifying import Identified, IdentifyRun, RecordedLog, Recordings
+from dbo_cli.runs.files import write_json
+from dbo_cli.runs.identifying import (
+    Identified,
+    IdentifyRun,
+    RecordedLog,
+    Recordings,
+    sign_line,
+    summary_of_model,
+    with_sign,
+)
 from dbo_cli.runs.jobs import Value
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
@@ -59,16 +68,24 @@ def identify_channels(
             "`coupling` and `keep_going` exclude each other: each channel is needed for the others"
         )
     check_document(output, "a model", "json")
-    if CHANNEL not in output.text:
-        check_outputs([output], inputs)
+    asked.check_outputs([] if CHANNEL in output.text else [output], inputs)
     outcome, work = jobs.Outcome(), dataclasses.replace(work, all_needed=asked.coupling)
     found, coupling = fits_of_channels(asked, work, outcome, listener)
     if found:
         with all_or_none():
-            _write_models(output, {channel: one.model for channel, one in found.items()}, inputs, coupling)
+            models = {channel: one.model for channel, one in found.items()}
+            _write_models(output, models, inputs, coupling)
+            if asked.summary is not None:
+                summaries = []
+                for channel, one in found.items():
+                    summaries.append({"channel": channel, **summary_of_model(one, asked.command)})
+                write_json(asked.summary, summaries)
         shown = ", ".join(f"{option} '{one}'" for option, one in patterns.items())
         read = next(iter(found.values())).remarks.read
-        outcome.remarks.read += [f"{line}; {len(found):,} channels: {shown}" for line in read]
+        read = [f"{line}; {len(found):,} channels: {shown}" for line in read]
+        outcome.remarks.read += with_sign(read, sign_line(models))
+        if len({model.sign for model in models.values()}) > 1:
+            outcome.remarks.warn(f"{sign_line(models)}: are leads exchanged, or does a sensor face away?")
     _say_found(found, "channel", outcome.remarks)
     return outcome
 
@@ -76,12 +93,16 @@ def identify_channels(
 def identify_files(asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener) -> jobs.Outcome:
     """Identify a model of each log by itself."""
     jobs.check_names(output, asked.logs)
+    if asked.summary is not None and jobs.FILE not in asked.summary.text:
+        text = asked.summary.text
+        raise UsageError(f"`summary` {text}: each log has its own (put {jobs.FILE} into its name)")
     files = [jobs.of_file(output, log) for log in asked.logs]
     check_outputs(files, [*asked.logs, *asked.validation])
-    calls = [
-        (log, functools.partial(dataclasses.replace(asked, logs=[log]).run, file))
-        for log, file in zip(asked.logs, files, strict=True)
-    ]
+    calls = []
+    for log, file in zip(asked.logs, files, strict=True):
+        summary = None if asked.summary is None else jobs.of_file(asked.summary, log)
+        one = dataclasses.replace(asked, logs=[log], summary=summary)
+        calls.append((log, functools.partial(one.run, file)))
     found, outcome = jobs.each_file(calls, work, listener)
     outcome.remarks.read += jobs.summed_up({name: one.remarks.read for name, one in found.items()}, "file")
     if len(asked.logs) == 1 and found:
@@ -261,7 +282,7 @@ def _say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> 
 
 def options_of_channel(options: IdentificationOptions) -> IdentificationOptions:
     """Return what of the options goes with a shape that is kept."""
-    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force")}
+    kept = {name: getattr(options, name) for name in ("skip_seconds", "rated", "force", "sign")}
     return IdentificationOptions(**kept, sensor_delay=options.sensor_delay, sensor_lag=options.sensor_lag)
 
 

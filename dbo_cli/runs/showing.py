@@ -12,7 +12,7 @@ from dbo_cli import extensions
 from dbo_cli.errors import UsageError
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
-from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
+from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, BacklashStage, PointStage
 from dbo_cli.hysteresis.model_file import section_values
 from dbo_cli.hysteresis.model_set import ModelSet, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
@@ -70,7 +70,7 @@ def _set_text(there: ModelSet, form: str) -> str:
 def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return a table of a set: what each channel spans, how good it is, and how many warnings it has."""
     rows: list[tuple[str, ...]] = [
-        ("channel", "drive", "output", "gears", "fit RMSE", "% of range", "expected", "warnings")
+        ("channel", "drive", "output", "sign", "gears", "fit RMSE", "% of range", "expected", "warnings")
     ]
     for channel, one in models.items():
         fit, unit = one["fit"], one["output"]["unit"] or ""
@@ -84,7 +84,8 @@ def _set_lines(models: Mapping[str, Mapping[str, Any]]) -> list[str]:
             else f"{fit[key]:.3g}{'' if key.endswith('percent') else f' {unit}'}".strip()
             for key in ("rmse", "rmse_percent", "expected_rmse")
         ]
-        rows.append((channel, *ends, str(one["gears"] or ""), *errors, str(len(one["warnings"]))))
+        gears, warned = str(one["gears"] or ""), str(len(one["warnings"]))
+        rows.append((channel, *ends, one["sign"], gears, *errors, warned))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
     return [f"{len(models):,} models (FILE::CHANNEL names one)", "", *lines]
@@ -103,6 +104,7 @@ def contents(model: ActuatorModel) -> dict[str, Any]:
         "direction": model.direction,
         "input": _quantity(model.input),
         "output": _quantity(model.output),
+        "sign": model.sign,
         "gears": backlash.n if backlash else None,
         "operator": model.size,
         "segments": [stage.m for stage in model.stages if isinstance(stage, PointStage)],
@@ -135,6 +137,7 @@ def as_text(content: Mapping[str, Any]) -> str:
     given, made = content["input"], content["output"]
     lines = [
         f"{content['direction']} model: {_range(given)} to {_range(made)}",
+        f"{made['quantity']} {SIGN_VERBS[content['sign']]} as {given['quantity']} rises",
         content["operator"] + _asymmetry(content) + _lag(content),
     ]
     lines += _moving(content)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +24,7 @@ ORDERS = (4, 10)  # of the differences that are compared: a smooth drive is far 
 ALIKE = (0.7, 1.4)  # ratio of white noise by the two orders; a sine of a third of the rate has 0.53
 MOST_NOISE = 0.05  # of the range: a larger scatter is the drive itself
 LEAST_NOISE = 1e-9  # of the range: less is the rounding of a computed drive
-REVERSALS = 0.01  # of the rows: readings that go back without a turn of the drive; rounding makes none
+REVERSALS = 0.01  # of the rows: so many readings turn where the drive does not; by rounding none does
 TURN = 8.0  # standard deviations of the noise: a turn of the drive, not of the noise
 
 SHORTEST, LONGEST = 4, 1 << 12  # rows of a parabola; longer ones say no more than is asked for
@@ -41,11 +42,17 @@ def drive_range(recordings: Sequence[Recording]) -> tuple[float, float]:
     return lowest, highest
 
 
+def within(recordings: Sequence[Recording], ends: tuple[float, float]) -> list[Recording]:
+    """Return the logs with their voltages inside the drive's range: what lies beyond is noise."""
+    return [replace(log, voltage=np.clip(log.voltage, *ends)) for log in recordings]
+
+
 def read_back_noise(voltage: Floats) -> float:
     """Return the standard deviation of the noise of a recorded drive; 0 where none is evident.
 
-    Noise is white: differences of any order tell the same standard deviation of it. And it makes readings go
-    back and forth where the drive does not turn, which rounding never does.
+    Noise is white: differences of any order tell the same standard deviation of it. So does rounding, but
+    that is smaller than the distance between neighbouring levels, and readings do not go back and forth by it
+    where the drive does not turn.
     """
     if len(voltage) < FEWEST_READINGS:
         return 0.0
@@ -55,13 +62,23 @@ def read_back_noise(voltage: Floats) -> float:
         return 0.0
     if not ALIKE[0] <= again / noise <= ALIKE[1]:
         return 0.0
+    if noise < _distance_of_levels(voltage) and not _goes_back_and_forth(voltage, noise):
+        return 0.0
+    return noise
+
+
+def _distance_of_levels(voltage: Floats) -> float:
+    """Return the usual distance between neighbours among all different readings."""
+    return float(np.median(np.diff(np.unique(voltage))))
+
+
+def _goes_back_and_forth(voltage: Floats, noise: float) -> bool:
+    """Whether many readings turn where the drive does not."""
     steps = np.diff(voltage)
     directions = np.sign(steps[steps != 0.0])
     reversals = int(np.count_nonzero(np.diff(directions)))
     turns = len(turning_points(voltage, TURN * noise))
-    if reversals - turns < REVERSALS * len(voltage):
-        return 0.0
-    return noise
+    return reversals - turns > REVERSALS * len(voltage)
 
 
 def _scatter(voltage: Floats, order: int) -> float:
@@ -114,7 +131,8 @@ def _highest_rows(voltage: Floats, noise: float, level: Floats, error: Floats) -
     rows = np.asarray([begin + int(np.argmax(sure[begin:end])) for begin, end in swings])
     best = rows[np.argmax(sure[rows])]
     below = level[best] - level[rows]
-    return rows[below <= SAME * np.hypot(error[rows], error[best])]
+    as_high: Integers = rows[below <= SAME * np.hypot(error[rows], error[best])]
+    return as_high
 
 
 def _levels(voltage: Floats, noise: float) -> tuple[Floats, Floats]:
