@@ -355,7 +355,7 @@ FAULTS: list[Fault] = [
         ("while unique.casefold() in taken:", "while unique in taken:", "file names differ where letters' size does not"),
     ),
     *_faults(
-        "logs/binary.py",
+        "extras/instruments/binary.py",
         ("logs_values",),
         ("return None if index and stored.is_integer() else source", "return source",
          "row numbers of pandas are no column"),
@@ -481,13 +481,13 @@ FAULTS: list[Fault] = [
          "an infinite limit and a repeated time make no infinite drive"),
     ),
     *_faults(
-        "hysteresis/loops.py",
+        "extras/repeat/settled_loops.py",
         ("runs_repeated",),
         ("parts = [abs(w * (own - held))", "parts = [abs(w * own)",
          "a memory is off by what it is away from the loop's own"),
     ),
     *_faults(
-        "drives/loops.py",
+        "extras/repeat/loop_drive.py",
         ("runs_repeated",),
         ("return np.linspace(first, target, max(math.ceil(abs(target - first) / most), 1), endpoint=False)",
          "return np.full(1, first)",
@@ -498,14 +498,14 @@ FAULTS: list[Fault] = [
          "a loop behind a lag may begin where the lag stands"),
     ),
     *_faults(
-        "drives/learning.py",
+        "extras/repeat/learning.py",
         ("runs_repeated",),
         ("for k in strongest + np.flatnonzero(energy[strongest:] > ENERGY * energy.max()):",
          "for k in np.flatnonzero(energy > ENERGY * energy.max()):",
          "weak slow bands do not stop learning"),
     ),
     *_faults(
-        "drives/controller.py",
+        "extras/live/controller.py",
         ("runs_controller",),
         ("self.samples = needed if seconds", "self.samples = needed + 1 if seconds",
          "the stated latency is the one that the drive has"),

@@ -433,8 +433,13 @@ REFUSED: list[tuple[dict[str, Any], type[DboError], str]] = [
         UsageError,
         "limits on the drive (`v_min`, `v_max`",
     ),
-    ({"v_min": 5.0, "v_max": 4.0}, ModelError, "the lower voltage limit, 5.0, is not below the upper, 4.0"),
-    ({"arithmetic": "q31", "v_max": 1e6}, ModelError, "`v_min`, `v_max`: beyond twice the model's range"),
+    ({"v_min": 5.0, "v_max": 4.0}, UsageError, "`v_min` 5 must be below `v_max` 4"),
+    (
+        {"arithmetic": "q31", "v_max": 1e6, "extrapolate": True},
+        ModelError,
+        "`v_min`, `v_max`: beyond twice the model's range",
+    ),
+    ({"extrapolate": True}, UsageError, "`extrapolate` goes as far as `v_min` and `v_max` say"),
     ({"arithmetic": "q31", "max_slew": 1e-9}, ModelError, "`max_slew`: less than this arithmetic resolves"),
     (
         {"arithmetic": "q31", "sample_rate": 1e14},

@@ -72,7 +72,14 @@ def rms(x: Floats) -> float:
     return float(np.sqrt(np.mean(x * x)))
 
 
-WIDE = {"sample_rate": RATE, "v_min": -40.0, "v_max": 140.0, "state": "empty", "details": True}
+WIDE = {
+    "sample_rate": RATE,
+    "v_min": -40.0,
+    "v_max": 140.0,
+    "extrapolate": True,
+    "state": "empty",
+    "details": True,
+}
 
 
 @pytest.mark.parametrize("delay", [0.0, 3.0 / RATE])

@@ -228,13 +228,15 @@ STATE = Option(
 )
 SAVE_STATE = Option("--save-state FILE", "Write the state after the last row.", heading=STARTING)
 OUTSIDE = Option("--outside extend|hold|error", "What happens outside the model's input range.", "extend")
-VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage [default: the model's].")
-VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage [default: the model's].")
+VOLTAGE_MIN = Option("--v-min VOLT", "Lowest drive voltage; cuts the range that was identified.")
+VOLTAGE_MAX = Option("--v-max VOLT", "Highest drive voltage; cuts the range that was identified.")
+EXTRAPOLATE = Option("--extrapolate", "Go beyond the identified range, as far as --v-min and --v-max say.")
 MAX_SLEW = Option("--max-slew VOLT/S", "Fastest change of the drive; 2V/ms as well.")
 FROM = Option("--from VOLT", "What the amplifier stands at before the first row.")
 DRIVING = (  # the fields of ``DriveOptions`` but for the state, which is read with the model
     VOLTAGE_MIN,
     VOLTAGE_MAX,
+    EXTRAPOLATE,
     MAX_SLEW,
     Option(
         "--max-current AMPERE",

@@ -14,8 +14,7 @@ from dbo_cli.errors import SILENT, Listener, Remarks, UsageError, plain
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import SIGN_VERBS, ActuatorModel, Sign
-from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned

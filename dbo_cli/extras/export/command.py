@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dbo_cli.cli.command import Command, Given
-from dbo_cli.cli.options import FOLDER, MAX_SLEW, MODEL, REPORTING, VOLTAGE_MAX, VOLTAGE_MIN, Option
+from dbo_cli.cli.options import (
+    EXTRAPOLATE,
+    FOLDER,
+    MAX_SLEW,
+    MODEL,
+    REPORTING,
+    VOLTAGE_MAX,
+    VOLTAGE_MIN,
+    Option,
+)
 
 if TYPE_CHECKING:
     from dbo_cli.extras.export.project_files import ExportSummary
@@ -22,6 +31,7 @@ EXPORTING = (
     Option("--gears N", "Fewer gears; says what is lost."),
     VOLTAGE_MIN,
     VOLTAGE_MAX,
+    EXTRAPOLATE,
     MAX_SLEW,
     Option("--lookup", "A table of all states: 12 gears at most, double."),
     Option("--arduino", "Lay the files out as an Arduino library."),

@@ -11,6 +11,7 @@ from dataclasses import asdict, replace
 from importlib import resources
 from typing import Any, Literal
 
+from dbo_cli.drives.limits import beyond_range, drive_limits
 from dbo_cli.errors import DboError, ModelError, UsageError
 from dbo_cli.extras.export import project_files as project
 from dbo_cli.extras.export import source_text as c
@@ -19,7 +20,6 @@ from dbo_cli.extras.export.double_code import double_code
 from dbo_cli.extras.export.project_files import ExportSummary, Translated
 from dbo_cli.extras.export.single_code import NarrowGearsError, single_code
 from dbo_cli.hysteresis.model import ActuatorModel, DriveLimits
-from dbo_cli.logs.units import in_unit
 
 Arithmetic = Literal["double", "float", "q31"]
 ARITHMETICS = ("double", "float", "q31")
@@ -39,6 +39,7 @@ def export_model(
     v_min: float | str | None = None,
     v_max: float | str | None = None,
     max_slew: float | str | None = None,
+    extrapolate: bool = False,
     lookup: bool = False,
     arduino: bool = False,
     fmu: bool = False,
@@ -49,13 +50,14 @@ def export_model(
 
     ``model`` is forward or inverse; it is turned as ``direction`` says. ``folder`` appears whole or not at
     all; ``overwrite`` replaces one that an earlier export wrote. ``name`` begins the names of files, types
-    and functions. An inverse takes displacement and gives the drive, as ``compensate``, between ``v_min``
-    and ``v_max`` (the model's range where not given) and changing by at most ``max_slew`` a second (texts
-    may have a unit, ``2kV/s``); a forward export takes the drive. double gives the bits of ``simulate`` and
-    ``compensate``; float and q31 come with a derived bound. ``sample_rate`` is needed where relaxation, slew
-    or a delay depends on it. ``gears`` takes fewer than the model has. In double only: ``lookup`` (12 gears
-    at most) is a table of all states, ``fmu`` adds an FMI 2.0 unit and ``shared`` a flat library, both
-    compiled for this computer. ``arduino`` lays the files out as an Arduino library.
+    and functions. An inverse takes displacement and gives the drive, as ``compensate``, within the range on
+    which the model was identified, cut by ``v_min`` and ``v_max`` (beyond it with ``extrapolate``), and
+    changing by at most ``max_slew`` a second (texts may have a unit, ``2kV/s``); a forward export takes the
+    drive. double gives the bits of ``simulate`` and ``compensate``; float and q31 come with a derived bound.
+    ``sample_rate`` is needed where relaxation, slew or a delay depends on it. ``gears`` takes fewer than the
+    model has. In double only: ``lookup`` (12 gears at most) is a table of all states, ``fmu`` adds an FMI 2.0
+    unit and ``shared`` a flat library, both compiled for this computer. ``arduino`` lays the files out as an
+    Arduino library.
 
     Raises
     ------
@@ -71,7 +73,7 @@ def export_model(
     project.check_folder(folder, overwrite)
     one = translated(
         model, folder, name=name, direction=direction, arithmetic=arithmetic, sample_rate=sample_rate,
-        gears=gears, v_min=v_min, v_max=v_max, max_slew=max_slew, lookup=lookup,
+        gears=gears, v_min=v_min, v_max=v_max, max_slew=max_slew, extrapolate=extrapolate, lookup=lookup,
     )  # fmt: skip
     files = _files(one, arduino, fmu, shared)
     summary = replace(one.summary, files=(*sorted(files), project.MANIFEST))
@@ -85,11 +87,13 @@ def translated(
     model: ActuatorModel, folder: str, *, name: str, direction: Direction, arithmetic: Arithmetic,
     lookup: bool, sample_rate: float | None = None, gears: int | None = None,
     v_min: float | str | None = None, v_max: float | str | None = None, max_slew: float | str | None = None,
+    extrapolate: bool = False,
 ) -> Translated:  # fmt: skip
     """Translate a model into C; see ``export_model``."""
     model = replace(model, input=c.plain_quantity(model.input), output=c.plain_quantity(model.output))
     model, loss = (model, {}) if gears is None else with_fewer_gears(model, gears)
-    plan = plan_cascade(model, direction, sample_rate, _limits(model, direction, v_min, v_max, max_slew))
+    limits = _limits(model, direction, v_min, v_max, max_slew, extrapolate)
+    plan = plan_cascade(model, direction, sample_rate, limits)
     try:
         code = double_code(plan, lookup) if arithmetic == "double" else single_code(plan, arithmetic == "q31")
     except NarrowGearsError as problem:
@@ -100,13 +104,15 @@ def translated(
     # Towards the input; an inverse then to its limits, and back to where a drive lag's own limits hold it.
     passes = 1 if plan.model.direction == "forward" else 2 if plan.model.drive_lag is None else 3
     worst = worst_pass(count, run, arithmetic)
-    beyond = "" if plan.limits is None else plan.limits.beyond(plan.model.drive)
+    beyond = ""
+    if plan.limits is not None:
+        beyond = beyond_range(plan.model.drive, plan.limits.v_min, plan.limits.v_max)
     summary = ExportSummary(
         folder=folder, name=name, direction=plan.model.direction, arithmetic=arithmetic, files=(),
         gears=count, table_rows=-(-count // run), run=run, table_bytes=code.table_bytes,
         state_bytes=code.state_bytes, worst_blocks=worst[0] * passes, worst_gears=worst[1] * passes,
         vectors=sum(len(one.inputs) for one in code.vectors), bounds=code.bounds, gears_loss=loss,
-        notes=tuple(_notes(plan, loss, words)), warnings=(beyond,) if beyond else (),
+        notes=tuple(_notes(plan, loss, words)), warnings=(f"the limits allow {beyond}",) if beyond else (),
     )  # fmt: skip
     return Translated(plan, code, summary, words)
 
@@ -142,18 +148,16 @@ def check_choices(
 
 def _limits(
     model: ActuatorModel, direction: Direction, v_min: float | str | None, v_max: float | str | None,
-    max_slew: float | str | None,
+    max_slew: float | str | None, extrapolate: bool,
 ) -> DriveLimits | None:  # fmt: skip
-    """Return the limits of an inverse's drive: those given, else the model's range."""
+    """Return the limits of an inverse's drive; a forward model has none."""
     if direction == "forward":
-        if (v_min, v_max, max_slew) != (None, None, None):
-            raise UsageError("limits on the drive (`v_min`, `v_max`, `max_slew`) need `direction` inverse")
+        if extrapolate or (v_min, v_max, max_slew) != (None, None, None):
+            raise UsageError(
+                "limits on the drive (`v_min`, `v_max`, `max_slew`, `extrapolate`) need `direction` inverse"
+            )
         return None
-    drive = model.drive
-    low = drive.minimum if v_min is None else in_unit("v_min", v_min, drive.unit)
-    high = drive.maximum if v_max is None else in_unit("v_max", v_max, drive.unit)
-    slew = None if max_slew is None else in_unit("max_slew", max_slew, drive.unit, "s")
-    return DriveLimits(low, high, slew)
+    return drive_limits(model.drive, v_min, v_max, max_slew, extrapolate=extrapolate)
 
 
 def worst_pass(gears: int, run: int, arithmetic: str) -> tuple[int, int]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from dbo_cli.drives.limits import require_one_unit
 from dbo_cli.errors import Remarks
 from dbo_cli.extras.export.export import export_model, export_set
 from dbo_cli.extras.export.project_files import ExportSummary
-from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
+from dbo_cli.hysteresis.model_file import is_set, read_model, read_set
 from dbo_cli.logs import whole_output
 from dbo_cli.logs.request import parse_address
-from dbo_cli.runs.channels import CHANNEL, in_name, make_folder_of
+from dbo_cli.runs.many import CHANNEL, in_name, make_folder_of
 
 
 def export_models(
@@ -26,6 +27,9 @@ def export_models(
     if not is_set(model_file):
         return {"": export_model(read_model(model_file), folder, name=name, **options)}
     models = read_set(model_file)
+    typed = {key: options.get(key) for key in ("v_min", "v_max", "max_slew")}
+    if any(limit is not None for limit in typed.values()):
+        require_one_unit({channel: model.drive.unit for channel, model in models.items()}, **typed)
     if models.coupling is not None:
         remarks.warn(
             f"the models of {model_file} are coupled, and the sources are of single channels: what is wanted "

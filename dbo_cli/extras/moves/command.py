@@ -5,6 +5,7 @@ from __future__ import annotations
 from dbo_cli.cli.command import Command, Given, destination_of
 from dbo_cli.cli.options import (
     DRIVE_COLUMN,
+    EXTRAPOLATE,
     MAX_SLEW,
     OUTPUT,
     OUTPUT_FORMAT,
@@ -12,6 +13,8 @@ from dbo_cli.cli.options import (
     REPORTING,
     REQUIRED,
     SUMMARY,
+    VOLTAGE_MAX,
+    VOLTAGE_MIN,
     Option,
 )  # fmt: skip
 from dbo_cli.cli.values import choice, figure_above_0, positive, whole
@@ -44,6 +47,7 @@ MOVE_MODEL = Option(
     "Round to what it can be trusted to, refuse what it cannot reach; one an axis, or one for both.",
     repeated=True,
 )
+MOVE_LIMITS = (VOLTAGE_MIN, VOLTAGE_MAX, EXTRAPOLATE)
 UNIT = Option("--unit UNIT", "What the figures are in: um, nm, mrad [default: the model's].")
 DRIVES = Option("DRIVE", "The drive; several where the file has channels.", repeated=True)
 DRIVE_COLUMNS = DRIVE_COLUMN._replace(
@@ -90,13 +94,15 @@ def trajectory(given: Given) -> None:
     Levels up and down:
         dbo trajectory staircase --rate 500 --range 1:9 --steps 9 --dwell 1 --model m.json -o s.csv
     """
+    from dbo_cli.drives.options import DriveOptions
     from dbo_cli.extras.moves.shapes import TrajectoryOptions
     from dbo_cli.extras.moves.trajectory import write_trajectory
 
     asked = TrajectoryOptions(given.shape, **given.of(MOVE))
     models = given.model or []
     destination = destination_of(given, models)
-    given.reporter.notes(write_trajectory(destination, asked, models, given.unit, given.format))
+    drive = DriveOptions(**given.of(MOVE_LIMITS))
+    given.reporter.notes(write_trajectory(destination, asked, models, given.unit, given.format, drive))
 
 
 def waveform(given: Given) -> None:
@@ -127,7 +133,9 @@ def waveform(given: Given) -> None:
     given.reporter.remarks(write_waveform(given.drive, destination, given.reading, asked))
 
 
-TRAJECTORY = Command(trajectory, (SHAPE, *REPORTING, *MOVE, MOVE_MODEL, UNIT, OUTPUT_FORMAT, SUMMARY, OUTPUT))
+TRAJECTORY = Command(
+    trajectory, (SHAPE, *REPORTING, *MOVE, MOVE_MODEL, *MOVE_LIMITS, UNIT, OUTPUT_FORMAT, SUMMARY, OUTPUT)
+)
 WAVEFORM = Command(
     waveform, (DRIVES, *READING_OF_LOGS, *REPORTING, *GENERATOR, DRIVE_COLUMNS, SUMMARY, OUTPUT)
 )

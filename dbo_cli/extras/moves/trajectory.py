@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.drives.gate import Floats
-from dbo_cli.drives.learning import trusted_frequency
 from dbo_cli.drives.model_run import FAST_PART, FASTER
+from dbo_cli.drives.options import DriveOptions, Figure
 from dbo_cli.errors import Remarks, UsageError
 from dbo_cli.extras.moves.shapes import TrajectoryOptions, move
+from dbo_cli.extras.repeat.learning import trusted_frequency
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_set import read_model
+from dbo_cli.hysteresis.model_file import read_model
+from dbo_cli.hysteresis.model_state import DriveLimits
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.request import check_format
 from dbo_cli.logs.signal_writer import signal_writer
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     import pandas
 
 REACH_SLACK = 1e-9  # of the range: rounding reaches no further
+AT_REST = 1e12  # s: creep of any model has died away
 ONE_AXIS, TWO_AXES = ("displacement",), ("x", "y")
 
 
@@ -44,7 +47,10 @@ class Trajectory:
 
 
 def make_trajectory(
-    options: TrajectoryOptions, models: Sequence[tuple[str, ActuatorModel]] = (), unit: str | None = None
+    options: TrajectoryOptions,
+    models: Sequence[tuple[str, ActuatorModel]] = (),
+    unit: str | None = None,
+    drive: DriveOptions | None = None,
 ) -> Trajectory:
     """Return a move, its corners rounded to what the models can be trusted to.
 
@@ -57,16 +63,21 @@ def make_trajectory(
         nor speed is checked.
     unit
         What the figures are in; the models' unit where not given.
+    drive
+        Limits of the drives (``v_min``, ``v_max``, ``extrapolate``), within which the move has to be reached.
 
     Raises
     ------
     UsageError
-        The move is faster than its bandwidth, leaves what a model reaches, or has neither unit nor model.
+        The move is faster than its bandwidth, leaves what a model reaches within the limits, or has neither
+        unit nor model.
     """
     for name, model in models:
         model.require("forward", name)
         if model.output.unit != (unit or models[0][1].output.unit):
             raise UsageError(f"`unit`: {name} is in {model.output.unit or 'no unit'}: give that")
+    drive = drive or DriveOptions()
+    _require_limits(models, drive)
     unit = unit or (models[0][1].output.unit if models else None)
     if unit is None and not models:
         raise UsageError("`unit` UNIT: say what the figures are in (um, nm, mrad), or give `model`")
@@ -79,7 +90,7 @@ def make_trajectory(
         )
     for number, (axis, values) in enumerate(axes.items() if models else ()):
         name, model = models[min(number, len(models) - 1)]
-        _require_reach(axis, values, name, model)
+        _require_reach(axis, values, name, model, drive.limits(model))
         notes += _speed(axis, values * options.rate, name, model)
     rows = made.axes[0].size
     size = f"{rows:,} rows, {rows / options.rate:.6g} s"
@@ -105,15 +116,33 @@ def _trusted(
     return dataclasses.replace(options, bandwidth=trusted), [note] if cornered else []
 
 
-def _require_reach(axis: str, values: Floats, name: str, model: ActuatorModel) -> None:
-    reach = model.output
-    slack = REACH_SLACK * reach.span
-    if values.min() < reach.minimum - slack or values.max() > reach.maximum + slack:
+def _require_limits(models: Sequence[tuple[str, ActuatorModel]], drive: DriveOptions) -> None:
+    """Refuse limits without a model, and plain numbers where the models' drives have different units."""
+    if models:
+        drive.require_one_unit({name: model.input.unit for name, model in models})
+    elif drive != DriveOptions():
+        raise UsageError("`v_min`, `v_max` and `extrapolate` are limits of a drive: give its `model`")
+
+
+def _require_reach(axis: str, values: Floats, name: str, model: ActuatorModel, limits: DriveLimits) -> None:
+    low, high = _reach(model, limits)
+    suffix, slack = model.output.suffix, REACH_SLACK * model.output.span
+    if values.min() < low - slack or values.max() > high + slack:
         raise UsageError(
-            f"{axis} goes from {values.min():.6g} to {values.max():.6g}{reach.suffix}, turns included, and "
-            f"{name} reaches {reach.minimum:.6g} to {reach.maximum:.6g} (another `range`, a lower "
-            "`frequency` or less `overscan`)"
+            f"{axis} goes from {values.min():.6g} to {values.max():.6g}{suffix}, turns included, and "
+            f"{name} reaches {low:.6g} to {high:.6g} (another `range`, a lower `frequency` or less "
+            "`overscan`)"
         )
+
+
+def _reach(model: ActuatorModel, limits: DriveLimits) -> tuple[float, float]:
+    """Return the least and the greatest displacement that a slow drive within the limits leads to."""
+    if (limits.v_min, limits.v_max) == (model.input.minimum, model.input.maximum):
+        return model.output.minimum, model.output.maximum
+    slow = model.without_lag
+    ends = [limits.v_max, limits.v_min]
+    reached = slow.simulate(ends, slow.start(limits.v_max, "empty"), time_step=AT_REST).y
+    return float(reached.min()), float(reached.max())
 
 
 def _speed(axis: str, values: Floats, name: str, model: ActuatorModel) -> list[str]:
@@ -139,12 +168,13 @@ def write_trajectory(
     models: Sequence[str],
     unit: str | None,
     form: str | None,
+    drive: DriveOptions | None = None,
 ) -> list[str]:
     """Write a move, one column an axis, and what was done; return what is to be said of it, and what next."""
     output, summary = destination.output, destination.summary
     check_format(form, [output])
     destination.check()
-    made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit)
+    made = make_trajectory(options, [(shown_name(one), read_model(one)) for one in models], unit, drive)
     columns = [OutColumn("time", "s"), *(OutColumn(name, made.unit) for name in made.axes)]
     with all_or_none():
         with signal_writer(
@@ -168,6 +198,9 @@ def trajectory(
     *,
     model: Model | str | os.PathLike[str] | Sequence[Model | str | os.PathLike[str]] = (),
     unit: str | None = None,
+    v_min: Figure = None,
+    v_max: Figure = None,
+    extrapolate: bool = False,
     **options: Any,
 ) -> pandas.DataFrame:
     """Return a move as a table: ``time``, and ``displacement`` or ``x`` and ``y``.
@@ -180,6 +213,8 @@ def trajectory(
         Corners are rounded to what it can be trusted to; what it does not reach is refused.
     unit : str, optional
         What the figures are in; the model's unit where not given.
+    v_min, v_max, extrapolate
+        Limits of the drive, as in ``Model.compensate``: what it does not reach within them is refused.
     **options
         What ``TrajectoryOptions`` knows: ``rate``, ``range``, ``slow_range``, ``frequency``, ``lines``,
         ``pixels``, ``overscan``, ``one_way``, ``turns``, ``steps``, ``dwell``, ``cycles``, ``rest``,
@@ -203,7 +238,8 @@ def trajectory(
             raise UsageError(f"a {shape} needs `{name}`")
     given = [model] if isinstance(model, Model | str) or hasattr(model, "__fspath__") else list(model)
     models = [_named_model(one) for one in given]
-    made = make_trajectory(TrajectoryOptions(shape, **options), models, unit)
+    drive = DriveOptions(v_min=v_min, v_max=v_max, extrapolate=extrapolate)
+    made = make_trajectory(TrajectoryOptions(shape, **options), models, unit, drive)
     frame = pd.DataFrame({"time": made.time, **made.axes})
     frame.attrs |= {
         "units": {"time": "s"} | dict.fromkeys(made.axes, made.unit),

@@ -29,8 +29,10 @@ from dbo_cli.logs.column_table import (
 from dbo_cli.logs.columns import MORE_TIME_NAMES, TIME_NAMES
 from dbo_cli.logs.plain_text import counted, decoded
 from dbo_cli.logs.request import FILL_GAPS, Request
+from dbo_cli.logs.sample_block import Table
 from dbo_cli.logs.text.dialect import Dialect
 from dbo_cli.logs.text.lines import to_number
+from dbo_cli.logs.text.text_table import TextTable
 from dbo_cli.logs.units import FACTORS, time_unit
 
 # --- JSON: a record a line, an array of records, or an object of arrays -----------------------------------
@@ -193,6 +195,30 @@ SIGNALS = ("field", "series", "channel", "variable", "metric", "signal", "topic"
             "tag", "name", "measurement", "table")  # fmt: skip
 _MOST = 256  # signals; more, and the column is none of names
 _READ = 1 << 20  # bytes at a time; chosen
+
+
+def rows_of_values(request: Request, table: TextTable) -> Table:
+    """Return a table of a data base that has a row for each value, side by side; any other as it is.
+
+    Raises
+    ------
+    InputError
+        It is one, and comes through a pipe.
+    """
+    names = {name.strip("_").lower() for name in table.dialect.headers}
+    if not (table.dialect.sparse or "value" in names):
+        return table
+    opened, close = None, True
+    try:
+        if table.source.is_regular:
+            opened = side_by_side(request, table.dialect)
+        elif names & set(SIGNALS) and not request.named:
+            raise InputError(f"{table.place}: a row for each value: give it as a file, not through a pipe")
+        close = opened is not None
+    finally:
+        if close:
+            table.close()
+    return opened or table
 
 
 def side_by_side(request: Request, dialect: Dialect) -> ColumnTable | None:

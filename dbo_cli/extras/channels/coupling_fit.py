@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.errors import FitError
+from dbo_cli.extras.channels.model_set import Coupling
 from dbo_cli.hysteresis.identification.recordings import Floats, runs
-from dbo_cli.hysteresis.model_set import Coupling
 
 AT_REST = (
     1e-3  # of a drive's range, at most: what a voltmeter may scatter while nothing is asked of the amplifier

@@ -11,26 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import SILENT, FitError, Listener, Remarks, UsageError
-from dbo_cli.hysteresis.identification import IdentificationOptions
-from dbo_cli.hysteresis.identification.coupling_fit import Frames, find_coupling
-from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes
-from dbo_cli.hysteresis.model_set import Coupling, read_model, set_to_bytes
-from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
-from dbo_cli.logs.sample_block import FloatArray
-from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
-from dbo_cli.runs import identifying, jobs
-from dbo_cli.runs.channels import (
-    CHANNEL,
-    address_of,
+from dbo_cli.errors import SILENT, FitError, Listener, UsageError
+from dbo_cli.extras.channels.coupling_fit import Frames, find_coupling
+from dbo_cli.extras.channels.model_set import Coupling, set_to_bytes
+from dbo_cli.extras.channels.signals import (
     columns_of,
-    make_folder_of,
     matrix_of,
     models_by_channel,
     opened_readers,
     patterns_of,
 )
+from dbo_cli.hysteresis.identification import IdentificationOptions
+from dbo_cli.hysteresis.model import ActuatorModel
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
+from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
+from dbo_cli.logs.sample_block import FloatArray
+from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
+from dbo_cli.runs import identifying, jobs
 from dbo_cli.runs.files import write_json
 from dbo_cli.runs.identifying import (
     Identified,
@@ -42,6 +39,7 @@ from dbo_cli.runs.identifying import (
     with_sign,
 )
 from dbo_cli.runs.jobs import Value
+from dbo_cli.runs.many import CHANNEL, address_of, make_folder_of, say_found
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
 MOST_UNLIKE = 8  # channels, each a log of one fit, where they are driven differently: it takes as long
@@ -86,28 +84,7 @@ def identify_channels(
         outcome.remarks.read += with_sign(read, sign_line(models))
         if len({model.sign for model in models.values()}) > 1:
             outcome.remarks.warn(f"{sign_line(models)}: are leads exchanged, or does a sensor face away?")
-    _say_found(found, "channel", outcome.remarks)
-    return outcome
-
-
-def identify_files(asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener) -> jobs.Outcome:
-    """Identify a model of each log by itself."""
-    jobs.check_names(output, asked.logs)
-    if asked.summary is not None and jobs.FILE not in asked.summary.text:
-        text = asked.summary.text
-        raise UsageError(f"`summary` {text}: each log has its own (put {jobs.FILE} into its name)")
-    files = [jobs.of_file(output, log) for log in asked.logs]
-    check_outputs(files, [*asked.logs, *asked.validation])
-    calls = []
-    for log, file in zip(asked.logs, files, strict=True):
-        summary = None if asked.summary is None else jobs.of_file(asked.summary, log)
-        one = dataclasses.replace(asked, logs=[log], summary=summary)
-        calls.append((log, functools.partial(one.run, file)))
-    found, outcome = jobs.each_file(calls, work, listener)
-    outcome.remarks.read += jobs.summed_up({name: one.remarks.read for name, one in found.items()}, "file")
-    if len(asked.logs) == 1 and found:
-        outcome.remarks.notes += next(iter(found.values())).summary
-    _say_found(found, "file", outcome.remarks)
+    say_found(found, "channel", outcome.remarks)
     return outcome
 
 
@@ -259,17 +236,6 @@ def _write_models(
     check_outputs(list(files.values()), inputs)
     for channel, model in models.items():
         write_whole(files[channel], model_to_bytes(model), protect=inputs)
-
-
-def _say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> None:
-    """Sum up what was found over all channels or files."""
-    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
-    for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
-        percents = {c: one.model.fit.get(key) for c, one in found.items()}
-        known = {c: value for c, value in percents.items() if isinstance(value, float)}
-        if known:
-            remarks.notes.append(jobs.spread_line(known, noun, what, why))
-    jobs.sum_up(remarks, {channel: one.remarks for channel, one in found.items()}, noun)
 
 
 # --- one loop shape for all channels: the mean of what they do, then gain, offset and lag of each ---

@@ -22,8 +22,8 @@ import numpy as np
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import soft_rise
 from dbo_cli.errors import InputError, Remarks
+from dbo_cli.extras.repeat.settled_loops import settled_run
 from dbo_cli.hysteresis.dynamics import Resonance, ZeroPhaseLowPass
-from dbo_cli.hysteresis.loops import settled_run
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.move_error import rms
 from dbo_cli.logs.sample_block import SAME_RATE, FloatArray, even_step

@@ -15,15 +15,15 @@ from dataclasses import field
 import numpy as np
 
 from dbo_cli.drives.compensation import SAME_DRIVE, Compensation
-from dbo_cli.drives.learning import Tracked, learned_source
 from dbo_cli.drives.model_run import Response, Tally
 from dbo_cli.drives.options import DriveOptions
 from dbo_cli.drives.pieces import NOTHING, SHORTEST_WAY, Before, ramp, require_rows, rest_samples, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.hysteresis import loops
+from dbo_cli.extras.repeat import settled_loops as loops
+from dbo_cli.extras.repeat.learning import Tracked, learned_source
+from dbo_cli.extras.repeat.settled_loops import Settled
 from dbo_cli.hysteresis.dynamics import ZeroPhaseLowPass, undone
 from dbo_cli.hysteresis.kernel import towards
-from dbo_cli.hysteresis.loops import Settled
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_state import ModelState
 from dbo_cli.logs.sample_block import FloatArray
