@@ -183,6 +183,10 @@ IDENTIFICATION = (
     ),
     Option("--slopes auto|growing|falling|free", "How the gears' slopes may run.", "auto"),
 )
+SIGN = Option(
+    "--sign rising|falling",
+    "Whether displacement rises or falls as voltage rises: exit 3 where the log shows the other.",
+)
 SKIP = Option("--skip SECONDS", "Leave the beginning of every log out of the fit.", "0")
 ZERO = Option(
     "--zero none|mean|first|VALUE",
@@ -198,7 +202,7 @@ VALIDATE = Option(
 PRIOR = Option(
     "--prior MODEL", "Keep the shape of this model, and find its gain, offset and lag again from a short log."
 )
-FITTED = (VOLTAGE, DISPLACEMENT, PRIOR)  # of the fields of ``IdentifyRun``
+FITTED = (VOLTAGE, DISPLACEMENT, PRIOR, SUMMARY)  # of the fields of ``IdentifyRun``
 RATED_MIN = Option(
     "--v-min VOLT", "The rating's lower end, with --v-max; logs of another range are warned of."
 )
@@ -350,8 +354,8 @@ EXCITATION = (  # of ``excitation_of``
 # fmt: off
 OPTIONS_OF: dict[str, tuple[Option, ...]] = {
     "identify": (
-        LOGS, *READING, *REPORTING, *IDENTIFICATION, SKIP, ZERO, METHOD, VALIDATE, PRIOR,
-        RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, OUTPUT,
+        LOGS, *READING, *REPORTING, *IDENTIFICATION, SIGN, SKIP, ZERO, METHOD, VALIDATE, PRIOR,
+        RATED_MIN, RATED_MAX, FORCE, *WORK, VOLTAGE, DISPLACEMENT, SUMMARY, OUTPUT,
     ),
     "show": (MODEL, *REPORTING, SHOW_FORMAT, MODEL_FIGURES, OUTPUT),
     "invert": (MODEL, *REPORTING, OUTPUT),
