@@ -27,7 +27,8 @@ Kind = Literal["command", "option", "api", "run", "model", "reader", "generator"
 - ``option``: a ``cli.options.Option`` of a command of the core; the key is ``COMMAND --OPTION``.
 - ``api``: a public name of ``dbo_cli``, or, as ``Model.NAME``, a method of a class of the Python API.
 - ``run``: what takes part in a use case of the core; the key is the use case and the option that asks for it.
-- ``model``: a ``hysteresis.model_file.StageInFiles``; the key is the ``type`` of its stage.
+- ``model``: a ``hysteresis.model_file.StageInFiles``, the key is the ``type`` of its stage; or what reads a
+  file of another ``format``.
 - ``reader``: what opens a kind of log file, a function of a ``Request`` that returns a ``Table``; the key is
   the ending of its name, with the point. (Makers' headers and what is told by its first bytes have keys of
   their own.)
@@ -80,6 +81,32 @@ OWN = (
                 "rate-plays": "dbo_cli.extras.compare.play_model:IN_FILES",
                 "singular-plays": "dbo_cli.extras.compare.play_model:IN_FILES",
                 "one-sided-plays": "dbo_cli.extras.compare.play_model:IN_FILES",
+            },
+        },
+    ),
+    Extra(
+        "channels",
+        "many channels: sets of models, patterns of columns, coupling",
+        {
+            "model": {"dbo-model-set": "dbo_cli.extras.channels.model_set:read_set"},
+            "run": {
+                "signals of channels": "dbo_cli.extras.channels.signals:signals_of_channels",
+                "identify channels": "dbo_cli.extras.channels.models:identify_channels",
+                "report channels": "dbo_cli.extras.channels.report:report_channels",
+                "show a set": "dbo_cli.extras.channels.show:set_text",
+                "identify a set": "dbo_cli.extras.channels.api:identified_set",
+                "set from Python": "dbo_cli.extras.channels.api:set_of",
+            },
+            "api": {"ModelSet": "dbo_cli.extras.channels.api:ModelSet"},
+        },
+    ),
+    Extra(
+        "live",
+        "one row at a time, of one actuator or of many",
+        {
+            "run": {
+                "control a model": "dbo_cli.extras.live.controller:Controller",
+                "control a set": "dbo_cli.extras.live.bank:Bank",
             },
         },
     ),

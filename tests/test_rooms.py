@@ -21,10 +21,7 @@ ORDER = [
 SIBLINGS = [
     {"hysteresis", "logs"}, {"drives", "reports"},
 ]  # fmt: skip
-TO_BE_CUT = {
-    "runs/reporting.py", "runs/files.py", "runs/api.py", "runs/showing.py", "runs/identifying.py",
-    "runs/many.py", "drives/compensation.py",
-}  # fmt: skip
+TO_BE_CUT = {"runs/files.py", "runs/api.py", "drives/compensation.py"}
 """Modules of the core that still import an extra."""
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"numpy", "scipy", "pandas", "matplotlib", "h5py", "pyarrow", "polars", "pydantic", "rich"}

@@ -14,8 +14,8 @@ from conftest import SMALL_MODEL, folder_content
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.extras.channels.columns import ChannelReader
-from dbo_cli.extras.channels.model_set import read_model, read_set, set_to_bytes
-from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes
+from dbo_cli.extras.channels.model_set import set_to_bytes
+from dbo_cli.hysteresis.model_file import Node, model_of, model_to_bytes, read_model, read_set
 from dbo_cli.logs.columns import OutColumn
 from dbo_cli.logs.hdf5.store import matrix_writer
 from dbo_cli.logs.request import ReadingOptions, parse_address

@@ -170,8 +170,9 @@ def compensate(given: Given) -> None:
 def check(given: Given) -> None:
     """Check a drive of any program against the limits of an amplifier, before it is played.
 
-    Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times and rows without a
-    number: what breaks a limit is named with its row, and the exit code is 3. With --against, the first file
+    Range, slew, the first row (--from), the seam of a loop (--loop), gaps, repeated times, and every row that
+    a reader would have to drop, to guess or to cut: what is wrong is named with its row, and the exit code is
+    3. A column in kV or mV takes limits with their unit only (--v-max 0.1kV). With --against, the first file
     is a recording of what was played, and the question is whether it was that drive: rows, lag, gain, offset.
 
     Writes
@@ -187,7 +188,7 @@ def check(given: Given) -> None:
 
     Exit code 3
     -----------
-    A limit is broken, or with --against the two differ by more than --tolerance.
+    A limit is broken, a row holds no number, or with --against the two differ by more than --tolerance.
     """
     from dbo_cli.runs.checking import CheckOptions, check_file
 

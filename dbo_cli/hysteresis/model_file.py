@@ -11,6 +11,8 @@ import functools
 import itertools
 import json
 import math
+import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -36,6 +38,7 @@ MOST_STAGES = 16  # twice what identification makes; 400 of a million segments t
 MOST_GEARS = 1_000_000  # a file of some bytes must not ask for more memory than a machine has
 SHORTEST_RUN = 3  # equal widths in a row are written once from this many on: two are shorter as they are
 LINE = 100  # characters, after which the next line of a list begins
+_BEGIN_OF_SET = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"format":\s*"' + SET_FORMAT.encode() + rb'"')
 _NOTE_DEPTH = 20  # objects within one another in what is carried along: a bound for recursion
 
 Json = dict[str, Any]
@@ -321,6 +324,57 @@ def _brought(stages: Iterable[Stage]) -> StageInFiles | None:
 
 
 def read_model(path: str) -> ActuatorModel:
+    """Read a model file, or one model of a set (``FILE::CHANNEL``); ``-`` is standard input.
+
+    A file that has not changed is not read again: a thousand logs are run through one model.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or the set has no such channel.
+    ModelError
+        It is not a model, of a newer version, or contradicts itself; the message names file and key.
+    """
+    file, separator, channel = path.partition("::")
+    if separator and not os.path.exists(path):
+        model: ActuatorModel = read_set(file)[channel]
+        return model
+    if not os.path.isfile(path):
+        return _read_single(path)
+    status = os.stat(path)
+    return _unchanged(path, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=1)
+def _unchanged(path: str, changed: int, size: int) -> ActuatorModel:
+    return _read_single(path)
+
+
+def read_set(path: str) -> Any:
+    """Read a set of models: a mapping of channels to models, with their ``coupling``.
+
+    Raises
+    ------
+    UsageError
+        The extra that reads sets is not installed.
+    InputError, ModelError
+        As for ``read_model``.
+    """
+    return extensions.find("model", SET_FORMAT)(path)
+
+
+def is_set(path: str) -> bool:
+    """Tell whether a file begins as a model set does; a pipe is not read."""
+    if not os.path.isfile(path):
+        return False
+    try:
+        with open(path, "rb") as file:
+            return _BEGIN_OF_SET.match(file.read(200)) is not None
+    except OSError:
+        return False
+
+
+def _read_single(path: str) -> ActuatorModel:
     """Read a model file; ``-`` is standard input.
 
     Raises

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from dbo_cli.drives.gate import DriveFigures, DriveGate, Floats
 from dbo_cli.drives.model_run import ModelRun, reads_ahead
 from dbo_cli.errors import SILENT, InputError, Listener, OutputError, Remarks, UsageError, plain
-from dbo_cli.extras.channels.model_set import read_model
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model, read_state, state_to_bytes
 from dbo_cli.hysteresis.model_state import START_NAMES, DriveLimits, ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request

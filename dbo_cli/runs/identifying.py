@@ -11,11 +11,10 @@ from dataclasses import field
 from typing import Any
 
 from dbo_cli.errors import SILENT, Listener, Remarks, UsageError
-from dbo_cli.extras.channels.model_set import read_model
 from dbo_cli.hysteresis.identification import IdentificationOptions, Recording
 from dbo_cli.hysteresis.identification import identify as identify_model
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import is_order
 from dbo_cli.logs.plain_text import cleaned

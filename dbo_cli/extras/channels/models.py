@@ -11,14 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import SILENT, FitError, Listener, Remarks, UsageError
+from dbo_cli.errors import SILENT, FitError, Listener, UsageError
 from dbo_cli.extras.channels.coupling_fit import Frames, find_coupling
-from dbo_cli.extras.channels.model_set import Coupling, read_model, set_to_bytes
+from dbo_cli.extras.channels.model_set import Coupling, set_to_bytes
 from dbo_cli.extras.channels.signals import (
-    CHANNEL,
-    address_of,
     columns_of,
-    make_folder_of,
     matrix_of,
     models_by_channel,
     opened_readers,
@@ -26,13 +23,14 @@ from dbo_cli.extras.channels.signals import (
 )
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_file import model_to_bytes
+from dbo_cli.hysteresis.model_file import model_to_bytes, read_model
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, check_document
 from dbo_cli.logs.sample_block import FloatArray
 from dbo_cli.logs.whole_output import all_or_none, check_outputs, write_whole
 from dbo_cli.runs import identifying, jobs
 from dbo_cli.runs.identifying import Identified, IdentifyRun, RecordedLog, Recordings
 from dbo_cli.runs.jobs import Value
+from dbo_cli.runs.many import CHANNEL, address_of, make_folder_of, say_found
 
 MOST_POOLED = 64  # channels in the mean: with more, noise no longer matters beside the shape
 MOST_UNLIKE = 8  # channels, each a log of one fit, where they are driven differently: it takes as long
@@ -69,24 +67,7 @@ def identify_channels(
         shown = ", ".join(f"{option} '{one}'" for option, one in patterns.items())
         read = next(iter(found.values())).remarks.read
         outcome.remarks.read += [f"{line}; {len(found):,} channels: {shown}" for line in read]
-    _say_found(found, "channel", outcome.remarks)
-    return outcome
-
-
-def identify_files(asked: IdentifyRun, output: Address, work: jobs.Work, listener: Listener) -> jobs.Outcome:
-    """Identify a model of each log by itself."""
-    jobs.check_names(output, asked.logs)
-    files = [jobs.of_file(output, log) for log in asked.logs]
-    check_outputs(files, [*asked.logs, *asked.validation])
-    calls = [
-        (log, functools.partial(dataclasses.replace(asked, logs=[log]).run, file))
-        for log, file in zip(asked.logs, files, strict=True)
-    ]
-    found, outcome = jobs.each_file(calls, work, listener)
-    outcome.remarks.read += jobs.summed_up({name: one.remarks.read for name, one in found.items()}, "file")
-    if len(asked.logs) == 1 and found:
-        outcome.remarks.notes += next(iter(found.values())).summary
-    _say_found(found, "file", outcome.remarks)
+    say_found(found, "channel", outcome.remarks)
     return outcome
 
 
@@ -238,17 +219,6 @@ def _write_models(
     check_outputs(list(files.values()), inputs)
     for channel, model in models.items():
         write_whole(files[channel], model_to_bytes(model), protect=inputs)
-
-
-def _say_found(found: Mapping[str, Identified], noun: str, remarks: Remarks) -> None:
-    """Sum up what was found over all channels or files."""
-    why = {channel: next(iter(one.remarks.warnings), "") for channel, one in found.items()}
-    for key, what in (("rmse_percent", "fit, RMSE of range"), ("expected_percent", "expected on new moves")):
-        percents = {c: one.model.fit.get(key) for c, one in found.items()}
-        known = {c: value for c, value in percents.items() if isinstance(value, float)}
-        if known:
-            remarks.notes.append(jobs.spread_line(known, noun, what, why))
-    jobs.sum_up(remarks, {channel: one.remarks for channel, one in found.items()}, noun)
 
 
 # --- one loop shape for all channels: the mean of what they do, then gain, offset and lag of each ---
