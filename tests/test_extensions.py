@@ -29,7 +29,7 @@ def test_every_place_in_the_table_has_what_it_says() -> None:
 
 def test_every_folder_of_extras_is_in_the_table() -> None:
     folders = {path.parent.name for path in (ROOT / "dbo_cli" / "extras").glob("*/__init__.py")}
-    assert folders - {"repeat"} == {extra.name for extra in OWN}
+    assert folders == {extra.name for extra in OWN}
 
 
 def test_a_part_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, dbo: Any) -> None:
