@@ -15,7 +15,7 @@ from dbo_cli import extensions
 from dbo_cli.errors import UsageError
 from dbo_cli.extensions import OWN, Extra
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "examples" / "lab_extra"
 
 
