@@ -15,9 +15,9 @@ from typing import Any
 
 import dbo_cli
 from dbo_cli import errors
-from dbo_cli.drives.controller import Controller
 from dbo_cli.drives.options import DriveOptions
-from dbo_cli.drives.shapes import TrajectoryOptions
+from dbo_cli.extras.live.controller import Controller
+from dbo_cli.extras.moves.shapes import TrajectoryOptions
 from dbo_cli.hysteresis.identification import IdentificationOptions
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import ReadingOptions

@@ -253,13 +253,13 @@ def test_gains_that_mean_nothing(bench: Any, words: str, message: str) -> None:
 
 
 def test_what_the_way_there_leaves_is_not_said_of_the_file(bench: Any) -> None:
-    done = bench(
-        "compensate", "model.json", "wish.csv", "--from", "-2", "--v-min", "-3", "--approach", "auto"
-    )
+    words = "--from -2 --v-min -3 --extrapolate --approach auto"
+    done = bench("compensate", "model.json", "wish.csv", *words.split())
     assert done.code == 0 and float(done.out.splitlines()[1].split(",")[1]) < 1.0  # the model begins there
     assert done.err == (
-        "dbo: warning: the limits of the drive reach beyond 0 to 10 V, where the model was identified; it "
-        "extrapolates there\n"
+        "dbo: wish.csv: the drive may go from -3 to 10 V (identified: 0 to 10 V)\n"
+        "dbo: warning: wish.csv: the drive goes 2 V below the 0 to 10 V on which the model was identified; "
+        "it extrapolates there\n"
     )
 
 
@@ -295,10 +295,36 @@ def test_limits_with_units_and_currents_mean_the_same_for_every_model(
     assert np.abs(np.diff(drives[0])).max() == pytest.approx(0.1, rel=1e-3)  # 0.4 mA / 4 uF, in 1 ms
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            "--v-max 3000",
+            "--v-max 3000: plain numbers are read in kV, and the model goes from 0 to 0.01 kV: give its unit "
+            "(3000V, 3000kV)",
+        ),
+        (
+            "--from 5",
+            "--from 5: plain numbers are read in kV, and the model goes from 0 to 0.01 kV: give its unit "
+            "(5V, 5kV)",
+        ),
+        (
+            "--max-slew 2000",
+            "--max-slew 2000: the model's drive is in kV: give its unit (2000V/s, 2000kV/s)",
+        ),
+    ],
+)
+def test_plain_limits_that_are_probably_in_volts_are_refused(bench: Any, words: str, message: str) -> None:
+    Path("kv.json").write_text(json.dumps(in_other_unit("kV", 1000.0)))
+    done = bench("compensate", "kv.json", "wish.csv", *words.split(), "-o", "kv.csv")
+    assert done == (2, "", f"dbo: error: {message}\n")
+    assert not Path("kv.csv").exists()
+
+
 def test_plain_limits_are_said_to_be_in_the_drive_s_unit(bench: Any) -> None:
     Path("kv.json").write_text(json.dumps(in_other_unit("kV", 1000.0)))
     said = "limits without a unit are read in kV, the drive's (1.2kV, 2000V/s are converted)"
-    done = bench("compensate", "kv.json", "wish.csv", "--max-slew", "2000", "-o", "kv.csv")
+    done = bench("compensate", "kv.json", "wish.csv", "--v-max", "0.1", "-o", "kv.csv")
     assert done.code == 0 and done.err.count(f"dbo: wish.csv: {said}\n") == 1
     done = bench("check", "kv.csv", "--v-max", "0.1", "--max-slew", "2kV/s")
     assert (done.code, done.err) == (0, f"dbo: kv.csv: {said}\n")
@@ -372,10 +398,12 @@ def test_identify_takes_the_rating_in_units(bench: Any) -> None:
 def test_export_takes_limits_in_units_and_warns_beyond_the_model(bench: Any) -> None:
     done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0",
                  "--max-slew", "20V/s", "--sample-rate", "1000")  # fmt: skip
+    assert done.code == 0 and "warning" not in done.err
+    done = bench("export", "model.json", "-o", "out", "--v-max", "0.015kV", "--v-min", "0",
+                 "--extrapolate", "--max-slew", "20V/s", "--sample-rate", "1000", "--overwrite")  # fmt: skip
     warning = (
-        "the limits of the drive reach beyond 0 to 10 V, where the model was identified; it extrapolates "
+        "the limits allow 5 V above the 0 to 10 V on which the model was identified; it extrapolates there"
     )
-    warning += "there"
     assert done.code == 0 and f"dbo: warning: {warning}\n" in done.err
     assert (
         "0.0 ... 15.0 V, changing by at most 20.0 V a second" in done.err

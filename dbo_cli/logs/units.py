@@ -138,6 +138,14 @@ def kind_of_unit(unit: str | None) -> str | None:
     return found[0] if found else _OTHER_KINDS.get(unit)
 
 
+def without_prefix(unit: str | None) -> str | None:
+    """Return a unit without its SI prefix (``V`` for ``kV``), or None where it has none."""
+    if unit is None or unit in _BASES or unit not in _SIZES:
+        return None
+    base = unit[1:]
+    return base if base in _SIZES and unit[0] in _PREFIXES else None
+
+
 def unit_factor(unit: str | None, wanted: str | None) -> UnitFactor | None:
     """Return by what figures in ``unit`` are multiplied to be in ``wanted``; None for unlike units.
 

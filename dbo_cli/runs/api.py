@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.drives.compensation import Compensation
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import DboError, DboWarning, InputError, Remarks, UsageError
+from dbo_cli.extras.channels.columns import is_pattern
+from dbo_cli.extras.channels.model_set import Coupling, is_set, read_set, set_to_bytes
+from dbo_cli.extras.channels.model_set import read_model as read_model_file
 from dbo_cli.hysteresis.model import ActuatorModel
 from dbo_cli.hysteresis.model_file import model_to_bytes, read_state, state_to_bytes
-from dbo_cli.hysteresis.model_set import Coupling, is_set, read_set, set_to_bytes
-from dbo_cli.hysteresis.model_set import read_model as read_model_file
 from dbo_cli.hysteresis.model_state import ModelState, Quantity, StartName
 from dbo_cli.hysteresis.operators import Outside
 from dbo_cli.logs import request
-from dbo_cli.logs.channels import is_pattern
 from dbo_cli.logs.columns import wish
 from dbo_cli.logs.request import ALL_ROWS, Address, ReadingOptions, Rows
 from dbo_cli.logs.signal_log import SignalLog, open_log
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     import pandas
     from _typeshed import DataclassInstance
 
-    from dbo_cli.drives.bank import Bank
-    from dbo_cli.drives.controller import Controller
-    from dbo_cli.drives.learning import Tracked
+    from dbo_cli.extras.live.bank import Bank
+    from dbo_cli.extras.live.controller import Controller
+    from dbo_cli.extras.repeat.learning import Tracked
     from dbo_cli.runs.identifying import IdentifyRun
     from dbo_cli.runs.reporting import TrackingOptions, TrackingReport
 
@@ -299,8 +299,8 @@ class Model:
         LimitError
             A limit was met and ``on_limit`` is ``error``, or the drive cannot begin within its limits.
         """
-        from dbo_cli.drives.loops import compensation
         from dbo_cli.drives.options import DriveOptions
+        from dbo_cli.extras.repeat.loop_drive import compensation
 
         state = files.start_of(options.get("state", "auto"), self.actuator)
         asked = record_of(DriveOptions, options | {"state": state}, "is no parameter of compensate")
@@ -320,7 +320,8 @@ class Model:
         sample_rate : float, optional
             Samples a second (Hz); needed by a model with lag or creep and by ``max_slew``.
         **options
-            ``v_min``, ``v_max``, ``max_slew``, ``state`` and ``from_`` as in ``compensate``, and:
+            ``v_min``, ``v_max``, ``extrapolate``, ``max_slew``, ``state`` and ``from_`` as in ``compensate``,
+            and:
         dac : array_like, optional
             The voltage of every code of a digital-to-analogue converter, from code 0 on; codes are then
             planned, and the state follows the voltage of the code.
@@ -338,7 +339,7 @@ class Model:
             The rate is missing, the limits or the converter's curve are not in order, or ``lookahead`` is
             shorter than the model needs.
         """
-        from dbo_cli.drives.controller import Controller
+        from dbo_cli.extras.live.controller import Controller
 
         options["state"] = files.start_of(options.get("state", "auto"), self.actuator)
         return Controller(self.actuator, sample_rate, **options)
@@ -494,9 +495,20 @@ class ModelSet(Mapping[str, Model]):
         array of shape (rows, channels)
             With as many rows as samples, and those that ``approach``, ``lead`` and the like add.
         """
+        self._require_one_unit(options)
         if self.coupling is not None:
             wanted = self.coupling.apart(self._matrix("wanted", wanted))
         return self._over("compensate", "wanted", wanted, options)
+
+    def _require_one_unit(self, limits: Mapping[str, Any]) -> None:
+        """Refuse plain limits for all channels where their drives have different units (UsageError)."""
+        from dbo_cli.drives.limits import require_one_unit
+
+        names = ("v_min", "v_max", "max_slew", "from_")
+        typed = {name: limits.get(name) for name in names}
+        for_all = {name: limit for name, limit in typed.items() if isinstance(limit, str | float | int)}
+        units = {channel: model.actuator.drive.unit for channel, model in self.items()}
+        require_one_unit(units, **for_all)
 
     def controller(
         self,
@@ -505,6 +517,7 @@ class ModelSet(Mapping[str, Model]):
         v_min: Any = None,
         v_max: Any = None,
         max_slew: Any = None,
+        extrapolate: bool = False,
         from_: Any = None,
         states: Mapping[str, ModelState] | None = None,
         dac: ArrayLike | None = None,
@@ -517,6 +530,8 @@ class ModelSet(Mapping[str, Model]):
             Frames a second (Hz); needed by models with lag or creep and by ``max_slew``.
         v_min, v_max, max_slew, from_ : float, sequence or mapping, optional
             As in ``Model.compensate``: one for all, one a channel, or by channel.
+        extrapolate : bool
+            Go beyond the range on which a model was identified, as far as the limits say.
         states : mapping of str to ModelState, optional
             The state of each channel to go on from.
         dac : array_like, optional
@@ -527,14 +542,16 @@ class ModelSet(Mapping[str, Model]):
         ModelError, UsageError
             As for ``Model.controller``, with the channel's name.
         """
-        from dbo_cli.drives.bank import Bank
+        from dbo_cli.extras.live.bank import Bank
 
         models = {channel: one.actuator for channel, one in self.items()}
         limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from_": from_}
+        self._require_one_unit(limits)
+        limits["extrapolate"] = extrapolate
         return Bank(models, sample_rate, states=states, dac=dac, coupling=self.coupling, **limits)
 
     def _over(self, verb: str, name: str, signals: ArrayLike, options: Mapping[str, Any]) -> Floats:
-        from dbo_cli.runs.channels import common_rows
+        from dbo_cli.extras.channels.signals import common_rows
 
         matrix = self._matrix(name, signals)
         columns, times, said = [], [], {}
@@ -713,7 +730,7 @@ def _identified(asked: IdentifyRun, jobs: int) -> Any:
     from dbo_cli.runs.identifying import identify_recordings
 
     if is_pattern(asked.voltage) or is_pattern(asked.displacement):
-        from dbo_cli.runs.channel_models import fits_of_channels
+        from dbo_cli.extras.channels.models import fits_of_channels
 
         each, coupling = fits_of_channels(asked, Work(jobs, all_needed=True), Outcome())
         models = {name: Model(one.model, one.summary, one.remarks) for name, one in each.items()}

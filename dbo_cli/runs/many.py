@@ -34,7 +34,7 @@ def signals(asked: SignalRun, logs: Sequence[Address], work: Work, listener: Lis
         return Outcome(asked.run(listener))
     if asked.tracked:
         raise UsageError("`tracked` learns one trajectory at a time: one log, one column and one output")
-    from dbo_cli.runs.channels import signals_of_channels, wants_channels
+    from dbo_cli.extras.channels.signals import signals_of_channels, wants_channels
 
     if wants_channels(output, asked.column):
         if len(logs) > 1:
@@ -92,8 +92,8 @@ def _of_files(destination: Destination, logs: Sequence[Address]) -> list[Destina
 def identified(asked: IdentifyRun, output: Address, work: Work, listener: Listener) -> Outcome:
     """Identify one model of all logs, one of each channel, or one of each log (``{file}``)."""
     if _are_many(asked.logs[:1], output, asked.voltage, asked.displacement):
-        from dbo_cli.runs.channel_models import identify_channels, identify_files
-        from dbo_cli.runs.channels import wants_channels
+        from dbo_cli.extras.channels.models import identify_channels, identify_files
+        from dbo_cli.extras.channels.signals import wants_channels
 
         if wants_channels(output, asked.voltage, asked.displacement):
             return identify_channels(asked, output, work, listener)

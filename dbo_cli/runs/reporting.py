@@ -15,8 +15,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.drives.model_run import ModelRun
 from dbo_cli.errors import SILENT, LimitError, Listener, Remarks, UsageError
+from dbo_cli.extras.channels.model_set import is_set, read_model, read_set
+from dbo_cli.extras.channels.signals import (
+    columns_of,
+    models_by_channel,
+    opened_readers,
+    patterns_of,
+    sum_up_remarks,
+)
 from dbo_cli.hysteresis.model import ActuatorModel
-from dbo_cli.hysteresis.model_set import is_set, read_model, read_set
 from dbo_cli.logs import request
 from dbo_cli.logs.columns import ColumnWish, wish
 from dbo_cli.logs.request import ALL_ROWS, Address, Given, ReadingOptions, Rows, selected_files
@@ -30,7 +37,6 @@ from dbo_cli.reports.accumulators import FigureData
 from dbo_cli.reports.drawing import Plot, check_folder, file_stems, save
 from dbo_cli.reports.report import LogReport, Report, ReportOptions, check_limits, common_unit, evaluate
 from dbo_cli.reports.sample_pairs import TrajectoryMatch, rows_to_read, with_values
-from dbo_cli.runs.channels import columns_of, models_by_channel, opened_readers, patterns_of, sum_up_remarks
 from dbo_cli.runs.files import bring_to, opened, short_names
 from dbo_cli.runs.jobs import Outcome, Work, spread_line
 from dbo_cli.version import program_version_string

@@ -8,12 +8,13 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from dbo_cli import extensions
 from dbo_cli.errors import UsageError
+from dbo_cli.extras.channels.model_set import ModelSet, is_set, read_model, read_set
 from dbo_cli.hysteresis.cascade import OtherHysteresis
 from dbo_cli.hysteresis.dynamics import Lag
 from dbo_cli.hysteresis.model import ActuatorModel, BacklashStage, PointStage
 from dbo_cli.hysteresis.model_file import section_values
-from dbo_cli.hysteresis.model_set import ModelSet, is_set, read_model, read_set
 from dbo_cli.hysteresis.model_state import Quantity
 from dbo_cli.logs.request import Address, check_document
 from dbo_cli.logs.whole_output import write_whole
@@ -125,15 +126,8 @@ def _settling(model: ActuatorModel, settle: str | None) -> dict[str, Any]:
     """Return how long a step over the whole drive takes to stay within a distance, where it is asked for."""
     if settle is None:
         return {}
-    from dbo_cli.drives.settling import below_error, distance_in, settling_seconds
-
     forward = model if model.direction == "forward" else model.inverse()
-    distance, drive = distance_in(settle, forward.output.unit), forward.input
-    ways = ((drive.minimum, drive.maximum), (drive.maximum, drive.minimum))
-    seconds = max(settling_seconds(forward, *way, distance) for way in ways)
-    hint = below_error(forward, distance)
-    found = {"distance": distance, "unit": forward.output.unit, "seconds": seconds}
-    return {"settling": found | ({"hint": hint.strip(" ()")} if hint else {})}
+    return {"settling": extensions.find("run", "show --settle")(forward, settle)}
 
 
 def as_text(content: Mapping[str, Any]) -> str:

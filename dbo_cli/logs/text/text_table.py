@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli import extensions
 from dbo_cli.errors import InputError
 from dbo_cli.logs.byte_source import ByteSource
 from dbo_cli.logs.clock import agreed_rate
@@ -94,9 +95,9 @@ class TextTable(Table):
                 complete = head if whole else head[: head.rfind(b"\n") + 1]
                 if _PLAIN.fullmatch(complete):
                     return detect(self.place, complete, options)
-                from dbo_cli.logs.text.instruments import read_instrument_header
-
-                return read_instrument_header(self.place, complete, options)
+                read_header = extensions.find_installed("reader", "header") or detect
+                dialect: Dialect = read_header(self.place, complete, options)
+                return dialect
             except InputError as problem:
                 refusal = problem
             head = None if live else self._lines.longer_head()
