@@ -21,7 +21,10 @@ LAGS = 8
 SHORTEST_LAG = 0.01
 """Of the median time between turns."""
 
-PLAY_WEIGHT = 0.3
+PLAY_DENSITY = 2.0
+"""Weight of the plays in a unit of radius; a smooth density, so that near radii share it."""
+START_SHARE = 0.3
+"""Of a play's weight: how far what it remembers from before the log may count."""
 BEND_WEIGHT = 0.2
 LAG_WEIGHT = 0.1
 GAIN_WEIGHT = 3.0
@@ -98,12 +101,13 @@ def columns_of(time: Floats, drive: Floats, turns: int, phase: Floats | None = N
     level = normalised(drive)
     terms = [level]
     spread = [GAIN_WEIGHT]
-    for radius in RADII:
+    for radius, width in zip(RADII, np.gradient(RADII), strict=True):
+        weight = PLAY_DENSITY * float(width)
         settled = play(level, radius, float(level[0]))
         above = play(level, radius, float(level[0]) + radius)
         below = play(level, radius, float(level[0]) - radius)
         terms += [settled, above - settled, below - settled]
-        spread += [PLAY_WEIGHT, 0.3 * PLAY_WEIGHT, 0.3 * PLAY_WEIGHT]
+        spread += [weight, START_SHARE * weight, START_SHARE * weight]
     terms += [level**2, level**3]
     spread += [BEND_WEIGHT, BEND_WEIGHT]
     source = level

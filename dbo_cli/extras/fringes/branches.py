@@ -30,8 +30,8 @@ NODES = 24
 """Blocks of rows in a fringe, at the mean slope of the displacement over the drive."""
 REACH = 1.5
 """Fringes to either side of the model that the chain may be away from it."""
-START = 0.25
-"""Fringes; standard deviation of the distance from the model at the first row: there the zero is chosen."""
+START = 0.5
+"""Fringes; largest distance from the model at the first row: whole fringes more are another zero."""
 SAME_BRANCH = 0.25
 """Fringes: paths nearer than this count as the same branch."""
 
@@ -231,10 +231,19 @@ def step_variances(nodes: Nodes, fit: Fit) -> Floats:
     return variances
 
 
-def _kernel(variance: float, back: float, spacing: float) -> Floats:
+def _kernel(variance: float, spacing: float, direction: int, most_back: int) -> Floats:
     """Return the chain's step as weights on the grid, an odd number of them.
 
-    Of this variance; a step of ``back`` or beyond it in its direction would run backwards, and has no weight.
+    Parameters
+    ----------
+    variance
+        rad^2.
+    spacing
+        Of the grid, rad.
+    direction
+        Where the phase runs, +1 or -1; 0 where it may run both ways.
+    most_back
+        Steps against that direction that only make up for what the model has gone.
     """
     ratio = variance / spacing**2
     if ratio < 0.25:
@@ -244,29 +253,29 @@ def _kernel(variance: float, back: float, spacing: float) -> Floats:
         reach = int(np.ceil(4.5 * np.sqrt(ratio))) + 1
         steps = np.arange(-reach, reach + 1.0)
         weights = np.exp(-0.5 * steps**2 / ratio)
-    if back > 0.0:
-        weights = np.where(steps * spacing < back, weights, 0.0)
-    if back < 0.0:
-        weights = np.where(steps * spacing > back, weights, 0.0)
+    if direction != 0:
+        weights = np.where(direction * steps >= -most_back, weights, 0.0)
     return np.asarray(weights / weights.sum())
 
 
-def forbidden_steps(nodes: Nodes, fit: Fit) -> Floats:
-    """Return the chain's step into each block but the first at which the phase would run backwards, rad.
+def one_way(nodes: Nodes, fit: Fit) -> tuple[Indices, Indices]:
+    """Return for the step into each block but the first where the phase runs, and the steps it may lose.
 
-    0 where it may: within ``FREE_TRAVEL`` fringes of the model behind a turn, where the displacement is late.
+    Inside a swing the displacement is monotone: the phase's distance from the model may fall by no more
+    than the model has gone. Within ``FREE_TRAVEL`` fringes behind a turn it may still run the old way. The
+    first swing has no turn before it.
     """
-    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(fit.phase)))]) / TURN
-    forbidden = -np.diff(fit.phase)
-    slack = TURN / GRID
-    for begin, end in zip(nodes.turns[:-1], nodes.turns[1:], strict=True):
-        direction = np.sign(fit.phase[end] - fit.phase[begin])
-        inside = slice(begin, end)
-        late = travel[begin:end] - travel[begin] < FREE_TRAVEL
-        wrong = forbidden[inside] * direction >= 0.0
-        forbidden[inside] -= direction * slack
-        forbidden[inside][late | wrong] = 0.0
-    return forbidden
+    count = fit.phase.size - 1
+    direction = np.zeros(count, dtype=np.intp)
+    back = np.zeros(count, dtype=np.intp)
+    spacing = TURN / GRID
+    for number, (begin, end) in enumerate(zip(nodes.turns[:-1], nodes.turns[1:], strict=True)):
+        sign = 1 if fit.phase[end] > fit.phase[begin] else -1
+        gone = np.maximum.accumulate(sign * (fit.phase[begin : end + 1] - fit.phase[begin]))
+        back[begin:end] = np.diff(np.floor(gone / spacing)).astype(np.intp)
+        free = FREE_TRAVEL * TURN if number > 0 else 0.0
+        direction[begin:end] = np.where(gone[:-1] >= free, sign, 0)
+    return direction, back
 
 
 @dataclass(frozen=True)
@@ -338,16 +347,14 @@ def follow(
     grid = spacing * np.arange(-side, side + 1)
     logs = block_likelihood(nodes, signal, light, phase, grid)
     weights = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-30
-    kernels = [
-        _kernel(variance, back, spacing)
-        for variance, back in zip(
-            step_variances(nodes, fit).tolist(), forbidden_steps(nodes, fit).tolist(), strict=True
-        )
-    ]
+    direction, back = one_way(nodes, fit)
+    kernels = []
+    for step, variance in enumerate(step_variances(nodes, fit).tolist()):
+        kernels.append(_kernel(variance, spacing, int(direction[step]), int(back[step])))
     count = weights.shape[0]
     forward = np.empty_like(weights)
     backward = np.empty_like(weights)
-    start = -0.5 * (grid / (START * TURN)) ** 2
+    start = np.where(np.abs(grid) <= START * TURN + 0.5 * spacing, 0.0, -1e4)
     belief = weights[0] * np.exp(start)
     forward[0] = belief / belief.sum()
     for node in range(1, count):
@@ -421,6 +428,19 @@ def _wander_of(nodes: Nodes, distance: Floats, model: Floats) -> float:
     if every.size < 5:
         return WANDER_BEFORE * TURN
     return max(float(np.sqrt(np.mean(every**2))), least)
+
+
+def doubt(chain: Chain, distance: Floats) -> Floats:
+    """Return the variance of the phase at each block that comes from other branches, rad^2.
+
+    At the top of a fringe the phase may have turned before it or behind it and nobody sees which.
+    """
+    belief = chain.forward * chain.backward
+    belief /= belief.sum(axis=1, keepdims=True)
+    away = chain.grid[None, :] - distance[:, None]
+    far = np.abs(away) > 0.5 * SAME_BRANCH * TURN
+    variance: Floats = np.sum(np.where(far, belief * away * away, 0.0), axis=1)
+    return variance
 
 
 def anchors_of(nodes: Nodes, model: Floats) -> Indices:

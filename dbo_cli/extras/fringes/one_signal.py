@@ -19,8 +19,8 @@ from dbo_cli.extras.fringes.swings import (
     noise_of,
     turning_points,
 )
+from dbo_cli.extras.fringes.track import Track, TurnOdds
 from dbo_cli.extras.fringes.whole_counts import added_counts, joint_odds, swing_counts
-from dbo_cli.records import dataclass
 
 ROUNDS = 10
 """Rounds of model and branches at most."""
@@ -32,33 +32,7 @@ FEWEST_CROSSINGS = 8
 """Crossings of the middle: four fringes on the whole way."""
 
 
-@dataclass(frozen=True)
-class TurnOdds:
-    """A turn of the drive: its row, the odds of the branch taken, and what else it could be (fringes)."""
-
-    row: int
-    odds: float
-    other: float
-
-
-@dataclass(frozen=True)
-class Track:
-    """The phase of a log.
-
-    ``phase`` and ``deviation`` rad (rows); ``turns`` one record for each inner turn; ``noise`` of the
-    amplitude; ``channels`` what each photodiode shows; ``rounds`` until nothing changed (0: it did not).
-    """
-
-    phase: Floats
-    deviation: Floats
-    turns: list[TurnOdds]
-    noise: float
-    channels: list[Channel]
-    rounds: int
-    clipped: int
-
-
-def track(time: Floats, drive: Floats, signal: Floats) -> Track:
+def track_one_signal(time: Floats, drive: Floats, signal: Floats) -> Track:
     """Return the phase of one photodiode's log; it rises with the drive."""
     turns = turning_points(drive, drive_threshold(drive))
     clipped = clipped_rows(signal)
@@ -71,7 +45,7 @@ def track(time: Floats, drive: Floats, signal: Floats) -> Track:
         raise InputError("few")
     volts = np.interp(places, np.arange(drive.size), drive)
     chosen, phases, swings = _phases_inside(places, slopes, volts, drive, turns)
-    fringes_a_volt = _slope(phases, volts[chosen], swings)
+    fringes_a_volt = _slope(phases, volts[chosen], swings, places.size)
     nodes = branches.make_nodes(time, drive, turns, fringes_a_volt)
     half_stroke = 0.5 * TURN * fringes_a_volt * float(np.ptp(drive))
     node_time = time[nodes.starts]
@@ -93,11 +67,10 @@ def track(time: Floats, drive: Floats, signal: Floats) -> Track:
         factors, noise = fit_light(signal, [np.cos(phase)], travelled(phase), weight)
         light = Light(factors[0], factors[1], noise, weight)
         at_node = fit.phase + distance
-        columns = columns_of(node_time, node_drive, count + 1, at_node)
+        columns = columns_of(node_time, node_drive, count + 1, fit.phase)
         found = swing_counts(columns, nodes, at_node, half_stroke)
         if np.any(found.counts != 0):
             at_node = at_node + TURN * added_counts(nodes, found)
-            columns = columns_of(node_time, node_drive, count + 1, at_node)
         fit = branches.refit(columns, nodes, at_node, half_stroke)
         reach = branches.REACH
         anchors = branches.anchors_of(nodes, fit.phase)
@@ -109,6 +82,7 @@ def track(time: Floats, drive: Floats, signal: Floats) -> Track:
     chain, distance, phase = _path(nodes, signal, light, fit, reach)
     odds, others = branches.turn_odds(chain, distance, branches.anchors_of(nodes, fit.phase))
     found = swing_counts(columns, nodes, fit.phase + distance, half_stroke)
+    doubt = np.interp(np.arange(signal.size), nodes.starts, branches.doubt(chain, distance))
     odds, others = joint_odds(odds, others, found)
     kinks = kinks_of(drive, fringes_a_volt)
     smoothed = None
@@ -124,7 +98,17 @@ def track(time: Floats, drive: Floats, signal: Floats) -> Track:
         for row, odd, other in zip(turns[1:-1], odds, others, strict=True)
     ]
     ratio = light.noise / float(np.mean(np.abs(light.amplitude)))
-    return Track(smoothed.phase, smoothed.deviation, records, ratio, [channel], rounds, int(clipped.sum()))
+    deviation = np.sqrt(smoothed.deviation**2 + doubt)
+    return Track(smoothed.phase, deviation, records, ratio, [channel], rounds, int(clipped.sum()))
+
+
+def _few(crossed: int) -> str:
+    """Return the complaint about too few fringes."""
+    return (
+        f"it crosses its middle {crossed} times on the whole way, and at least {FEWEST_CROSSINGS} crossings "
+        "inside the drive's swings are needed: there are no fringes to count (is it the photodiode, does the "
+        "light interfere, does the actuator move by two fringes and back?)"
+    )
 
 
 def _demodulated(signal: Floats, model: Floats, weight: Floats) -> Light:
@@ -180,11 +164,11 @@ def _phases_inside(
     return chosen, phases[chosen], swings[chosen]
 
 
-def _slope(phases: Floats, volts: Floats, swings: NDArray[np.int_]) -> float:
+def _slope(phases: Floats, volts: Floats, swings: NDArray[np.int_], crossed: int) -> float:
     """Return the fringes in a volt, from the crossings inside the swings."""
     same = np.diff(swings) == 0
     travel = float(np.abs(np.diff(volts))[same].sum())
     count = float(np.abs(np.diff(phases))[same].sum())
     if travel == 0.0:
-        raise InputError("few")
+        raise InputError(_few(crossed))
     return count / TURN / travel
